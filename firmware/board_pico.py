@@ -1,6 +1,6 @@
 """The Raspberry Pi Pico as the box's board (truearm_box/box.py says what a board offers).
 
-Pins are those of docs/hardware.md. Sources and triggers are drivers' own: this file gives them pins, state machines and DMA
+Pins are those of docs/how-to/hardware.md. Sources and triggers are drivers' own: this file gives them pins, state machines and DMA
 channels. Nothing that is called while sampling allocates.
 
 Time is the 64-bit microsecond timer, read raw: high, low, high again, so that a carry in between is seen. `time.ticks_us` wraps at 2^30.
@@ -34,7 +34,7 @@ from drivers import measure
 from drivers.ads131m04_dma import Adc
 from drivers.ds18b20 import Thermometers
 from drivers.lvdt import Excitation
-from drivers.magnetostrictive import Magnetostrictive
+from drivers.magnetostrictive import FIRST, Magnetostrictive
 from drivers.triggers import Triggers
 
 try:
@@ -52,8 +52,8 @@ LVDT_PINS = (10, 12, 14)  # excitation, clocks of the secondary's and the primar
 LED_PIN = 25
 CONVERTER_MACHINE = 0  # and 1, state machines of PIO 0; the triggers' is there too
 TRIGGER_MACHINE = 2
-HEAD_BLOCK = 1  # the head takes three machines of PIO 1
-THERMOMETER_MACHINE = 7  # the fourth
+THERMOMETER_MACHINE = 3
+HEAD_BLOCK = 1  # the head takes three machines of PIO 1, and all of its instructions
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
 TEMPERATURE_ADC = 4
 TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
@@ -209,7 +209,7 @@ class Board:
     def configure(self, settings):
         self.adc.gains([channel.get("gain", 1) for channel in settings["channels"]])
         head = settings["magnetostrictive"]
-        self.mag.configure(head["blanking_ns"], head["timeout_ns"], head.get("falling_edge", 0))
+        self.mag.configure(head["blanking_ns"], head["timeout_ns"], head.get("pulse_edge", FIRST))
         self._start_watchdog(settings["watchdog_ms"])
 
     def self_test(self, settings):

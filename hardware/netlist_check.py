@@ -318,8 +318,10 @@ def _behind(netlist: Netlist, net: str | None) -> set[str]:
 
 def board_nodes(text: str) -> list[tuple[str, str]]:
     """Pins of the board file that end at no chip's digital pin, and their nodes of the expectations."""
-    pins = _constants(text)["LVDT_PINS"]
-    return [(f"GP{pin}", node) for pin, node in zip(pins, ("EXCITATION", "DEMODULATE_S", "DEMODULATE_P"), strict=True)]
+    constants = _constants(text)
+    pins = (*constants["LVDT_PINS"], constants["THERMOMETER_PIN"])
+    nodes = ("EXCITATION", "DEMODULATE_S", "DEMODULATE_P", "DQ_PIN")
+    return [(f"GP{pin}", node) for pin, node in zip(pins, nodes, strict=True)]
 
 
 def _constants(text: str) -> dict[str, Any]:

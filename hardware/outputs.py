@@ -1,4 +1,4 @@
-"""What is made of the sources and committed: the KiCad project, netlist, parts list, drawings, and tables in docs/hardware.md."""
+"""What is made of the sources and committed: the KiCad project, netlist, parts list, drawings, and tables in docs/how-to/hardware.md."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hardware.sheet import Sheet, netlist
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "hardware" / "out"
-DOCUMENT = ROOT / "docs" / "hardware.md"
-DRAWINGS = ROOT / "docs" / "hardware"
+DOCUMENT = ROOT / "docs" / "how-to" / "hardware.md"
+DRAWINGS = ROOT / "docs" / "images" / "hardware"
 # where a net is supplied from outside or through a part that KiCad takes for no supply: net → a pin of it
 FLAGS = {"+24V": "C3.1", "LDO_IN": "C4.1", "TI0_N": "D22.2", "TI1_N": "D23.2"}
 
@@ -67,7 +67,7 @@ def parts_list(made: list[Sheet]) -> str:
 
 
 def with_tables(text: str, blocks: Mapping[str, str]) -> str:
-    """A document with the blocks between its marks ``<!-- generated: NAME -->`` and ``<!-- end -->`` made anew.
+    """A document with the blocks between its marks ``<!-- generated: NAME -->`` and ``<!-- end -->`` made again.
 
     Raises:
         ValueError: a mark names no block, or a block has no mark.

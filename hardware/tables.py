@@ -1,4 +1,4 @@
-"""The tables of docs/hardware.md that follow from the sources. Standard library only."""
+"""The tables of docs/how-to/hardware.md that follow from the sources. Standard library only."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ SOURCE = "part number from the maker's ordering code, 2026-11; no distributor wa
 
 
 def blocks(made: list[Sheet]) -> dict[str, str]:
-    """Text of every generated block of docs/hardware.md by name."""
+    """Text of every generated block of docs/how-to/hardware.md by name."""
     circuit = netlist(made)
     parts = [part for sheet in made for part in sheet.parts]
     return {
         "pins": pins(circuit),
         "terminals": terminals(parts),
         "parts": parts_table(parts),
-        "drawings": "\n".join(f"![{sheet.title}](hardware/{sheet.name}.svg)\n" for sheet in made),
+        "drawings": "\n".join(f"![{sheet.title}](../images/hardware/{sheet.name}.svg)\n" for sheet in made),
         "inputs": inputs(circuit),
         "lvdt-budget": lvdt_budget(circuit),
         "transducer-budget": transducer_budget(circuit),
@@ -176,6 +176,7 @@ def head_budget() -> str:
     tick = TICK_S * SOUND_M_S
     rows = [
         ("counting 8 ns, rms", tick / math.sqrt(12), f"{tick * 1e6:.1f} µm a tick, uniform"),
+        ("start's place in a tick ●", tick / 2, "at most; constant for a head that answers after a constant time"),
         ("1 ns of the receiver's jitter", 1e-9 * SOUND_M_S, "LTC2863-1: some ns"),
         ("Pico's crystal ●", 30e-6, "30 ppm of 1 m, constant"),
         ("velocity of sound, per K", 15e-6, "15 ppm/K of 1 m, assumed"),

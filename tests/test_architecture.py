@@ -1,7 +1,8 @@
-"""Who may import whom (docs/decisions/0001): the imports are read from the source and held against this table."""
+"""Who may import whom (docs/decisions/0001): the imports are read from the source and checked against this table."""
 
 import ast
 import re
+import runpy
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,11 @@ ROOT = Path(__file__).parents[1]
 HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
-COMMON = {"types", "arguments", "bounds", "errors", "exit_codes", "text", "units", "schema", "interrupt", "__version__"}
+COMMON = {
+    *("types", "arguments", "bounds", "errors", "exit_codes", "text", "units", "schema", "interrupt", "progress"),
+    "option_defaults",
+    "__version__",
+}
 # room of truearm → rooms it may import besides itself and COMMON; imports run downwards
 ROOMS = {
     "model": set(),
@@ -44,10 +49,12 @@ ROOMS = {
     "types": set(),
     "arguments": set(),
     "bounds": set(),
+    "option_defaults": set(),
     "errors": set(),
     "exit_codes": set(),
     "text": set(),
     "interrupt": set(),
+    "progress": set(),
     "units": set(),
     "schema": set(),
 }
@@ -61,6 +68,7 @@ FIRMWARE_ALLOWED = {"array", "gc", "io", "json", "sys", "micropython", "os", "bo
 BOARD_ALLOWED = DEVICE_MODULES | {"chips", "drivers", "select", "time"}  # board files bring chip and drivers together
 
 
+@cache
 def imports(path: Path) -> set[str]:
     """Dotted names of all modules that a file imports, wherever in the file; relative ones resolved."""
     found = set()
@@ -180,10 +188,12 @@ def test_no_function_has_more_than_eight_parameters(path):
 @cache
 def closed_choices() -> set[str]:
     """Names of the enumerations of the host."""
+    texts = [path.read_text(encoding="utf-8") for path in python_files(HOST)]
     return {
         node.name
-        for path in python_files(HOST)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for text in texts
+        if "Enum" in text  # else it need not be parsed
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.ClassDef) and any(ast.unparse(base).endswith("Enum") for base in node.bases)
     }
 
@@ -251,7 +261,8 @@ def test_only_the_command_line_and_the_live_view_print(path):
     if room_of(path) in ("cli", "live", "__main__"):
         return
     assert not {name for name in imports(path) if name.split(".")[0] in ("typer", "rich")}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    text = path.read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(text)) if re.search(r"print|input|\bstd(out|err)\b", text) else ():
         name = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
         assert name not in ("print", "input", "sys.stdout.write", "sys.stderr.write"), f"{name}() at line {node.lineno}"
 
@@ -292,21 +303,23 @@ def test_nothing_evaluates_or_unpickles():
     """Files from strangers are hostile: no eval, exec, pickle or marshal anywhere in what is shipped."""
     for folder in (HOST, ROOT / "protocol", ROOT / "hil_sim", ROOT / "firmware"):
         for path in python_files(folder):
+            text = path.read_text(encoding="utf-8")
+            if not re.search("eval|exec|compile|pickle|marshal|shelve|dill", text):  # so need not be parsed
+                continue
             names = {
-                n.func.id
-                for n in ast.walk(ast.parse(path.read_text()))
-                if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+                n.func.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
             }
             assert not names & {"eval", "exec", "compile"}, path
             assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "marshal", "shelve", "dill"}, path
 
 
-PAGES = ("code_flow.md", "extending.md")
+PAGES = ("explanation/code_flow.md", "how-to/extending.md")
 SOURCES = (HOST, ROOT / "protocol", ROOT / "firmware", ROOT / "hil_sim")
 # where a file that the page names may stand
 FILE_BASES = (ROOT, HOST, ROOT / "docs", ROOT / "protocol", ROOT / "protocol" / "truearm_wire")
 
 
+@cache
 def defined_names() -> set[str]:
     """``function``, ``module.function``, ``Class`` and ``Class.method`` of all that is shipped."""
     found = set()
@@ -339,7 +352,8 @@ def missing_files(text: str) -> set[str]:
 
 
 def prose(text: str) -> str:
-    """A page without its blocks of code, and without the files that its recipes make."""
+    """A page without its links, its blocks of code and the files that its recipes make."""
+    text = re.sub(r"\[[^\]]*\]\([^)]*\)", "", text)  # links are checked by make docs
     return re.sub(r"^New file `[^`]+`:$|^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -348,6 +362,29 @@ def test_pages_about_the_code_name_what_exists(page):
     text, known = prose((ROOT / "docs" / page).read_text(encoding="utf-8")), defined_names()
     assert not missing_names(text, known)
     assert not missing_files(text)
+
+
+@cache
+def python_paths() -> set[str]:
+    """Of all Python files that a decision may name."""
+    folders = (*SOURCES, ROOT / "tests", ROOT / "hardware", ROOT / "docs")
+    return {str(path) for folder in folders for path in folder.rglob("*.py")}
+
+
+def test_the_picture_of_the_code_is_what_the_imports_make():
+    made = runpy.run_path(str(ROOT / "docs" / "_site" / "architecture.py"))
+    assert made["PICTURE"].read_text(encoding="utf-8") == made["picture"](), "run: make pictures"
+    named = {room for room, paths in made["rooms"]().items() if paths[0].is_relative_to(HOST)}
+    assert named == {room for room in ROOMS if (HOST / room).is_dir()} | {"api"}
+
+
+def test_imports_in_the_picture_run_downwards():
+    """No room reaches itself: the levels could not be drawn."""
+    made = runpy.run_path(str(ROOT / "docs" / "_site" / "architecture.py"))
+    graph = made["imports"]()
+    assert not [room for room in graph if room in made["reached"](graph, room)]
+    arrows = made["direct"]({"a": {"b", "c"}, "b": {"c"}, "c": set()})
+    assert arrows == {"a": {"b"}, "b": {"c"}, "c": set()}
 
 
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
@@ -359,9 +396,8 @@ def test_decisions_name_what_exists(page):
     """Functions and classes, and files by the end of their paths."""
     text = prose(page.read_text(encoding="utf-8"))
     assert not missing_names(text, defined_names()) - OF_RAPID
-    files = {str(p) for folder in (*SOURCES, ROOT / "tests", ROOT / "hardware") for p in folder.rglob("*.py")}
     named = re.findall(r"`([\w/]*\w\.py)`", text)
-    assert not [name for name in named if not any(path.endswith(f"/{name}") for path in files)]
+    assert not [name for name in named if not any(path.endswith(f"/{name}") for path in python_paths())]
 
 
 def test_every_decision_has_a_number_of_its_own():

@@ -14,58 +14,67 @@ when the twist arrives. What the makers' manuals say:
   measurements a second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may go as fast as the rod's length
   allows: the time-out here is the longest flight, and the period is at least that and 10 µs.
 
+What is timed. The start pulse is the reference, not the interrogation: what the head and its cable add to one they add to the other. Which edges
+count is the head's (Balluff BTL5 manual, table 4-2): the first edge of each pulse (-M; Temposonics start/stop), the second of each (-P), or begin and end
+of one long pulse, a gate (-L). For the second edges and for the gate the pin's input is inverted, so that what ends a flight rises.
+
 Three state machines of one PIO block, at 125 MHz (a cycle is a tick of 8 ns):
 
 The *pacer* repeats a loop of exactly P cycles, P the period. Count its cycles from that of `push`, which is 0:
 
     0            push, pin up: the interrogation edge is on the pad at the end of this cycle, at time 1
-    1, 2         mov, set
-    3 ...        16 (k + 1) cycles of the jump to itself: the pulse is A = 16 (k + 1) + 3 cycles long
+    1, 2         irq 4, irq 5 (relative 0): look for the start
+    3, 4         mov, set
+    5 ...        16 (k + 1) cycles of the jump to itself: the pulse is A = 16 (k + 1) + 5 cycles long
     A            mov x, y; pin down
     A + 1 ...    y + 1 cycles of waiting
-    B            irq 4 (relative 0), with y = B - A - 2
+    B            irq 4, with y = B - A - 2: look for the stop
     B + 1        irq 5
     B + 2        mov x, osr
     B + 3 ...    osr + 1 cycles of waiting
     P - 3 ...    mov, jmp, mov: the number of the next shot. So osr = P - B - 7
 
-Two *counters* run the same program. Counter i (0, 1) waits for flag 4 + i. A flag set in one cycle shows in the next, so `wait` ends in
-cycle B + 1 + i, `mov x, osr` is in B + 2 + i, and the first look at the stop pin in B + 3 + i. From then on it looks every second cycle and
-takes one from x, which began at N, between two looks: one cycle apart, the two look at the pin in every cycle. First each waits for a
+Two *counters* run the same program, for the start and then for the stop. Counter i (0, 1) waits for flag 4 + i, which the pacer sets in cycle C + i: C is 1
+for the start, B for the stop. A flag set in one cycle shows in the next, so `wait` ends in cycle C + 1 + i, `mov x` is in C + 2 + i, and the
+first look at the pin in C + 3 + i. From then on it looks every second cycle and takes one from x, which began at N (the start's or the stop's), between
+two looks: one cycle apart, the two look at the pin in every cycle. First each waits for a
 look that finds the pin low, then for one that finds it high: an edge, not a level. So neither a start pulse longer than the
-blanking nor a line that is stuck counts, and RS-422 receivers go high when their wires break.
+blanking nor a line that is stuck counts, and RS-422 receivers go high when their wires break. (A gate begins where the inverted pin is first found low.)
 
-A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If the stop edge comes at time s, the first look
-that can find it is in cycle t = floor(s) + 2. Let m = t - (B + 3). Counter 0 looks at even m, after n0 = ceil(m / 2) decrements; counter 1 at
+A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If an edge comes at time s, the first look
+that can find it is in cycle t = floor(s) + 2. Let m = t - (C + 3). Counter 0 looks at even m, after n0 = ceil(m / 2) decrements; counter 1 at
 odd m, after n1 = floor(m / 2). So m = n0 + n1, whichever comes first, and n0 - n1 is 0 or 1. With the edge at s = 1 + F, F the
-time of flight in ticks:
+time since the interrogation in ticks:
 
-    floor(F) = t - 3 = B + m = B + 2 N - x0 - x1
+    floor(F) = t - 3 = C + m = C + 2 N - x0 - x1
 
-F is between that number and one more; its mean is half a tick more, which the calibration in the ident adds. Both synchroniser
-delays (2 cycles), pads (some ns) and receivers are the same at every shot: what they add, like a cycle more should flags show later than
-said, is constant and part of the zero that `truearm box gauge` finds. The stop pin's synchroniser is common to both counters, so
-they never see different pins. n0 - n1 is neither 0 nor 1 if only one saw a pulse: it was shorter than 16 ns, a disturbance.
-A resting magnet and a head without noise give the same count at every shot, and the mean is as wrong as the one; noise of some ns cures it.
+What is handed out is floor(F) of the stop less floor(F) of the start. The start falls anywhere in a tick, at the same place as long as the head answers
+after the same time: the difference is right on average over all such places, and off by up to half a tick, 11 µm, for one head. Both synchroniser
+delays (2 cycles), pads (some ns) and receivers are the same for both edges and fall out; what is left is part of the zero that `truearm box gauge` finds.
+The pin's synchroniser is common to both counters, so they never see different pins. n0 - n1 is neither 0 nor 1 if only one saw a pulse: it was shorter than
+16 ns, a disturbance. A resting magnet and a head without noise give the same count at every shot, and the mean is as wrong as the one; noise of some ns
+cures it.
 
-Blanking: both counters need one low look before the edge, so edges count from m = 2 on, F > B + 2: B is the blanking less 2. A stop edge in
-the very last tick of the blanking is seen as one by counter 0 alone; the shot then counts as one without a stop.
+Limits: both counters need one low look before the edge, so a start counts from 2 ticks after the first look on, F > 3 (24 ns), and a stop from F > B + 2: B is the
+blanking less 2. A stop edge in the very last tick of the blanking is seen as one by counter 0 alone; the shot then counts as one without a stop.
+Where there is no start x ends at -1, after 2 N + 11 cycles; N is such that the counters wait for the stop's flags by then.
 
-Time-out: x is taken from at 0, too, and then -1 is pushed. A shot without a stop is 0, counted in `missing`, and sets FLAG_MISSING_STOP.
+Time-out: a stop's x is taken from at 0, too, and then -1 is pushed. A shot without a start or without a stop is 0, counted in `missing`, and sets
+FLAG_MISSING_STOP.
 
-DMA. Four channels go round for ever, each started by the one before; every start reloads the transfer count of 1, so nothing
+DMA. Four channels go round for ever, each started by the one before; every start reloads the transfer count, so nothing
 ever counts out:
 
     number    pacer's RX FIFO → state word NUMBER      paced by the FIFO: a shot has begun
     stamp     TIMERAWL → ring of stamps                at once
-    counts 0  counter 0's RX FIFO → ring               paced by the FIFO
-    counts 1  counter 1's RX FIFO → ring               paced by the FIFO
+    counts 0  counter 0's RX FIFO → ring, two words    paced by the FIFO
+    counts 1  counter 1's RX FIFO → ring, two words    paced by the FIFO
 
 The push is in the cycle of the interrogation edge; two transfers of some 10 cycles follow, so TIMERAWL is read within 0.3 µs of it even with
 the bus taken: the stamp is at most 1 µs early (it is the microsecond begun) and 0.3 µs late. Number, stamp and counts of a shot cannot
 come apart: each stands in place (number of the shot) mod SHOTS of its ring. The pacer counts shots down from 2^32 - 1, so laps of the ring
 are counted exactly, whatever Python does: begun = -NUMBER, and of those whole are as many as make counts 1's write address.
-No shot is lost in hardware: the FIFOs hold four. Python must come by once in SHOTS - SPARE shots, else what waited is lost, and counted.
+No shot is lost in hardware: the FIFOs hold four words, of two shots. Python must come by once in SHOTS - SPARE shots, else what waited is lost, and counted.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -78,10 +87,16 @@ from truearm_wire.messages import COUNTER, FLAG_MISSING_STOP
 from .registers import address, aligned, arm, drain, halt, poke
 
 TICK_NS = 8
-SHOTS = 512  # of the rings
-RING_BITS = 11  # 2^11 bytes each
+SHOTS = 256  # of the rings
+STAMP_BITS = 10  # a ring of 2^10 bytes: a stamp a shot
+COUNT_BITS = 11  # and two counts a shot
 SPARE = 64  # shots of room that the DMA has while Python copies
 REARM_NS = 10000  # from the time-out to the next interrogation
+
+# which edges of the line are timed
+GATE = 0  # begin and end of one pulse
+FIRST = 1  # first edges of the start pulse and of the stop pulse
+SECOND = 2  # their second edges
 
 # state words
 NUMBER = 0  # of the shot begun last, minus it: written by DMA
@@ -91,22 +106,27 @@ READ = 1  # shots handed out or lost, modulo 2^30
 @micropython.viper
 def whole(state: ptr32, channel: ptr32, ring: int) -> int:
     """Shots whose counts stand in the ring, and that were not handed out. channel: registers of the last channel's."""
-    place = (channel[1] - ring) >> 2  # read before NUMBER, which is then never behind it
+    place = (channel[1] - ring) >> 3  # read before NUMBER, which is then never behind it
     begun = 0 - state[0]
-    return (begun - ((begun - place) & 511) - state[1]) & 0x3FFFFFFF
+    return (begun - ((begun - place) & 255) - state[1]) & 0x3FFFFFFF
 
 
 @micropython.viper
 def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: ptr8, at: int) -> int:
-    """Move the times of flight of n shots to dst[at:]. top is B + 2 N. Returns how many had no stop."""
+    """Move the times of flight of n shots to dst[at:]. top: of `timing`. Returns how many had no start or no stop."""
     missing = 0
     i = state[1]
     end = i + n
     while i < end:
-        x0 = counts0[i & 511]
-        x1 = counts1[i & 511]
-        ticks = top - x0 - x1
-        if x0 < 0 or x1 < 0 or x1 < x0 or x1 > x0 + 1:
+        k = (i & 255) << 1
+        x0 = counts0[k]
+        x1 = counts1[k]
+        ticks = top + x0 + x1
+        whole = x0 >= 0 and x1 >= x0 and x1 <= x0 + 1
+        x0 = counts0[k + 1]
+        x1 = counts1[k + 1]
+        ticks -= x0 + x1
+        if not whole or x0 < 0 or x1 < x0 or x1 > x0 + 1:
             ticks = 0
             missing += 1
         dst[at] = ticks
@@ -122,7 +142,7 @@ def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: 
 @micropython.viper
 def read_stamp(state: ptr32, stamps: ptr32, stamp: ptr8):
     """The stamp of the oldest shot, big endian."""
-    time = stamps[state[1] & 511]
+    time = stamps[state[1] & 255]
     stamp[0] = time >> 24
     stamp[1] = time >> 16
     stamp[2] = time >> 8
@@ -130,14 +150,14 @@ def read_stamp(state: ptr32, stamps: ptr32, stamp: ptr8):
 
 
 def pulse_rounds(pulse_ns):
-    """k of the interrogation pulse, 16 (k + 1) + 3 ticks. Raises ValueError."""
+    """k of the interrogation pulse, 16 (k + 1) + 5 ticks. Raises ValueError."""
     if not 1000 <= pulse_ns <= 4000:
         raise ValueError("an interrogation pulse of %d ns; 1000 to 4000 are possible" % pulse_ns)
-    return (pulse_ns // TICK_NS - 3 + 8) // 16 - 1
+    return (pulse_ns // TICK_NS - 5 + 8) // 16 - 1
 
 
 def pulse_ticks(rounds):
-    return 16 * (rounds + 1) + 3
+    return 16 * (rounds + 1) + 5
 
 
 def pacer_program(rp2, rounds):
@@ -147,6 +167,8 @@ def pacer_program(rp2, rounds):
     def pacer():
         wrap_target()
         push(noblock).side(1)
+        irq(4).side(1)
+        irq(5).side(1)
         mov(isr, x).side(1)
         set(x, rounds).side(1)
         label("pulse")
@@ -169,11 +191,48 @@ def pacer_program(rp2, rounds):
 
 
 def counter_program(rp2):
-    """A counter. OSR: N."""
+    """A counter of pulses. Y and OSR: N of the start, N of the stop; they change places after each."""
 
-    @rp2.asm_pio()
+    @rp2.asm_pio(autopush=True)
     def counter():
         wrap_target()
+        wait(1, irq, rel(4))
+        mov(x, y)
+        label("high")
+        jmp(pin, "still")
+        jmp(x_dec, "low")
+        jmp("done")
+        label("still")
+        jmp(x_dec, "high")
+        jmp("done")
+        label("low")
+        jmp(pin, "done")
+        jmp(x_dec, "low")
+        label("done")
+        in_(x, 32)
+        mov(isr, y)
+        mov(y, osr)
+        mov(osr, isr)
+        wrap()
+
+    return counter
+
+
+def gate_program(rp2):
+    """A counter of a gate, whose pin is inverted. Y and OSR: N of its begin, N of its end."""
+
+    @rp2.asm_pio(autopush=True)
+    def counter():
+        wrap_target()
+        wait(1, irq, rel(4))
+        mov(x, y)
+        label("before")
+        jmp(pin, "waiting")
+        jmp("begun")
+        label("waiting")
+        jmp(x_dec, "before")
+        label("begun")
+        in_(x, 32)
         wait(1, irq, rel(4))
         mov(x, osr)
         label("high")
@@ -187,18 +246,21 @@ def counter_program(rp2):
         jmp(pin, "done")
         jmp(x_dec, "low")
         label("done")
-        mov(isr, x)
-        push()
+        in_(x, 32)
         wrap()
 
     return counter
 
 
 def timing(blanking_ns, timeout_ns, rounds):
-    """B + 7, the pacer's Y, the counters' N, B + 2 N. The pacer's OSR is the period in ticks less the first."""
+    """B + 7, the pacer's Y, N of the start, N of the stop, and what the counts of both are added to and taken from.
+
+    The pacer's OSR is the period in ticks less the first.
+    """
     b = blanking_ns // TICK_NS - 2
+    first = (b - 12) // 2
     n = (timeout_ns // TICK_NS - b) // 2
-    return b + 7, b - pulse_ticks(rounds) - 2, n, b + 2 * n
+    return b + 7, b - pulse_ticks(rounds) - 2, first, n, b + 2 * n - (1 + 2 * first)
 
 
 # instructions that the CPU gives to the state machines; side set is 0 in all
@@ -212,7 +274,7 @@ _NOP = 0xA042
 class Magnetostrictive:
     """The source of stream 1 (box.py says what a source is). Pins: interrogation, stop.
 
-    Takes three state machines of one block (counters 0 and 1, pacer 2), 24 of its instructions, flags 4 and 5, four DMA channels and 8 KiB.
+    Takes three state machines of one block (counters 0 and 1, pacer 2), all of its instructions, flags 4 and 5, four DMA channels and 7 KiB.
     """
 
     channels = 1
@@ -224,9 +286,13 @@ class Magnetostrictive:
         self._rounds = pulse_rounds(pulse_ns)
         Pin(stop, Pin.IN, Pin.PULL_DOWN)
         self._stop_control = chip.IO_BANK0 + 8 * stop + 4
-        counter = counter_program(rp2)
-        self._counters = [rp2.StateMachine(4 * block + i, counter, jmp_pin=Pin(stop)) for i in range(2)]
+        self._rp2 = rp2
+        self._block = block
+        self._stop = Pin(stop)
+        # The counters' program comes last: what follows it in the block's memory is free for the longer one.
         self._pacer = rp2.StateMachine(4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation))
+        self._program = None
+        self._edge = None
         base = chip.PIO[block]
         self._flags = base + chip.PIO_IRQ
         self._levels = base + chip.PIO_FLEVEL
@@ -241,26 +307,26 @@ class Magnetostrictive:
     def _rings(self, rp2, request):
         """Three aligned rings in one buffer, and what the four channels do."""
         chip = self._chip
-        size = 4 * SHOTS
-        self._memory = bytearray(4 * size)
-        self._stamps = aligned(self._memory, size)
-        self._counts = (self._stamps + size, self._stamps + 2 * size)
+        size = 1 << COUNT_BITS
+        self._memory = bytearray(3 * size + (1 << STAMP_BITS))
+        counts = aligned(self._memory, size)
+        self._counts = (counts, counts + size)
+        self._stamps = counts + 2 * size
         self._state = array("I", (0, 0))
         self._dma = [rp2.DMA() for _ in range(4)]
         each = {"size": 2, "inc_read": False, "irq_quiet": True}
-        ring = {"ring_sel": True, "ring_size": RING_BITS}
-        pacings = ((request + 2, False), (chip.DREQ_FORCE, True), (request, True), (request + 1, True))
+        pacings = ((request + 2, 0), (chip.DREQ_FORCE, STAMP_BITS), (request, COUNT_BITS), (request + 1, COUNT_BITS))
         reads = (self._fifos[2], chip.TIMERAWL, self._fifos[0], self._fifos[1])
         writes = (address(self._state), self._stamps, self._counts[0], self._counts[1])
         setups = []
-        for k, (pacing, ringed) in enumerate(pacings):
+        for k, (pacing, bits) in enumerate(pacings):
             options = dict(each)
-            if ringed:
-                options.update(ring)
+            if bits:
+                options.update({"ring_sel": True, "ring_size": bits})
             control = self._dma[k].pack_ctrl(
-                treq_sel=pacing, inc_write=ringed, chain_to=self._dma[(k + 1) % 4].channel, **options
+                treq_sel=pacing, inc_write=bits > 0, chain_to=self._dma[(k + 1) % 4].channel, **options
             )
-            setups.append(array("I", (reads[k], writes[k], 1, control)))
+            setups.append(array("I", (reads[k], writes[k], 2 if bits == COUNT_BITS else 1, control)))
         self._setups = tuple(setups)
         self._bases = tuple([chip.DMA + chip.DMA_STRIDE * dma.channel for dma in self._dma])
         self._all = 0
@@ -268,23 +334,36 @@ class Magnetostrictive:
             self._all |= 1 << dma.channel
         self._first = 1 << self._dma[0].channel
 
-    def configure(self, blanking_ns, timeout_ns, falling=0):
-        """In force from the next start on. Both count from the interrogation edge. Raises ValueError.
+    def configure(self, blanking_ns, timeout_ns, edge=FIRST):
+        """In force from the next start on; nothing may be running. Both times count from the interrogation edge. Raises ValueError.
 
-        falling: 1 if a stop is the line's falling edge (heads with a gate, and the end of a stop pulse): the pin's input is inverted.
+        edge: FIRST, SECOND or GATE.
         """
         if blanking_ns % TICK_NS or not 5000 <= blanking_ns <= 21000:
             raise ValueError("the blanking is a multiple of 8 ns, 5000 to 21000, not %d" % blanking_ns)
         if timeout_ns <= blanking_ns:
             raise ValueError("the time-out of %d ns is within the blanking" % timeout_ns)
-        poke(self._stop_control, self._chip.FUNCTION_SIO | (self._chip.INPUT_INVERTED if falling else 0))
+        if edge != self._edge:
+            self._load(edge)
         self._timeout_ns = timeout_ns
-        self._busy, self._blanking, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
+        self._busy, self._blanking, self._first_n, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
+
+    def _load(self, edge):
+        """The counters for these edges."""
+        rp2 = self._rp2
+        if self._program:
+            for counter in self._counters:
+                counter.active(0)
+            rp2.PIO(self._block).remove_program(self._program)
+        self._program = gate_program(rp2) if edge == GATE else counter_program(rp2)
+        self._counters = [rp2.StateMachine(4 * self._block + i, self._program, jmp_pin=self._stop) for i in range(2)]
+        poke(self._stop_control, self._chip.FUNCTION_SIO | (0 if edge == FIRST else self._chip.INPUT_INVERTED))
+        self._edge = edge
 
     # -- a source of samples
 
     def start(self, period_ns):
-        """Raises ValueError if the period is no multiple of 8 ns or too short for the time-out."""
+        """Raises ValueError if the period is not a multiple of 8 ns or too short for the time-out."""
         if period_ns % TICK_NS or period_ns < self._timeout_ns + REARM_NS:
             raise ValueError(
                 "the period is a multiple of 8 ns, at least %d, not %d" % (self._timeout_ns + REARM_NS, period_ns)
@@ -299,7 +378,10 @@ class Magnetostrictive:
             arm(self._bases[k], self._setups[k])
         poke(self._chip.DMA_MULTI_CHAN_TRIGGER, self._first)
         for counter in self._counters:
-            self._restart(counter, self._n)
+            self._restart(counter, self._first_n)
+            counter.exec(_Y_OSR)
+            counter.put(self._n)
+            counter.exec(_PULL)
             counter.active(1)
         self._restart(self._pacer, self._blanking)
         self._pacer.exec(_Y_OSR)

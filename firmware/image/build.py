@@ -9,7 +9,7 @@ The first build takes about a minute and downloads 45 MB; afterwards only what c
 
     python firmware/image/build.py [--out build/uf2] [--work build/image]
 
-Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this is no machine that can (no Debian).
+Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this is not a machine that can (no Debian).
 """
 
 import argparse
@@ -57,19 +57,20 @@ class ImageError(Exception):
 def main() -> int:
     parser = argparse.ArgumentParser(description="Build the box's image.")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "uf2", help="where the image goes")
+    parser.add_argument("--suite", default=SUITE, help="of Debian; with another one give --out and --work, too")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "image", help="sources and what is compiled")
     options = parser.parse_args()
     try:
         check_machine()
         with only_one(options.work.absolute()):
-            print(build(options.out.absolute(), options.work.absolute()))
+            print(build(options.out.absolute(), options.work.absolute(), options.suite))
     except (ImageError, debian.DebianError) as error:
         print(f"error: no image: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 2)
     return 0
 
 
-def build(out: Path, work: Path) -> str:
+def build(out: Path, work: Path, suite: str = SUITE) -> str:
     """Build what is not up to date; returns one line about it. Raises ImageError, DebianError."""
     version = firmware_version()
     image = out / f"truearm-{version}.uf2"
@@ -77,7 +78,7 @@ def build(out: Path, work: Path) -> str:
     if image.exists() and _read(out / "key") == key:
         return f"{image}: up to date"
     work.mkdir(parents=True, exist_ok=True)
-    sources(work)
+    sources(work, suite)
     align_native_code(work / "micropython" / "tools" / "mpy-tool.py")
     lay_out_frozen(work / "frozen")
     shutil.copyfile(HERE / "manifest.py", work / "manifest.py")
@@ -169,14 +170,14 @@ def lay_out_frozen(folder: Path) -> None:
 # ---- MicroPython's sources
 
 
-def sources(work: Path) -> None:
+def sources(work: Path, suite: str) -> None:
     """Download and unpack the packages, once: packages.txt is written last."""
     if (work / "packages.txt").exists():
         return
     for name in ("apt", "packages", "micropython", "mbedtls", "sdk", "cmake", "stub"):
         shutil.rmtree(work / name, ignore_errors=True)
-    print(f"image: downloading MicroPython's sources from Debian {SUITE}", flush=True)
-    environ = debian.private_apt(work / "apt", SUITE, (), types="deb deb-src")
+    print(f"image: downloading MicroPython's sources from Debian {suite}", flush=True)
+    environ = debian.private_apt(work / "apt", suite, (), types="deb deb-src")
     packages = work / "packages"
     packages.mkdir()
     debian.run(["apt-get", "-qq", "source", "--download-only", "micropython", "mbedtls"], environ, packages)

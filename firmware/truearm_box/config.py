@@ -53,7 +53,7 @@ def completed(config):
 def check(config):
     """The configuration, if it is one. Raises ValueError."""
     if not isinstance(config, dict):
-        raise ValueError("it is no table")
+        raise ValueError("it is not a table")
     if config.get("version") != VERSION:
         raise ValueError("version %r; this firmware knows %d" % (config.get("version", 1), VERSION))
     if not _within(config.get("osr"), OSRS[0], OSRS[-1]) or config["osr"] not in OSRS:
@@ -168,8 +168,8 @@ def _check_magnetostrictive(sensor):
         raise ValueError("us_per_inch is [mantissa, exponent], 5 to 20")
     if not _within(sensor.get("delay_ns"), -100000, 100000):
         raise ValueError("delay_ns is -100000 to 100000")
-    if not _within(sensor.get("falling_edge", 0), 0, 1):
-        raise ValueError("falling_edge is 0 or 1")
+    if not _within(sensor.get("pulse_edge", 1), 0, 2):
+        raise ValueError("pulse_edge is 0, 1 or 2")
     if not isinstance(sensor.get("serial"), str) or not isinstance(sensor.get("date"), str):
         raise ValueError("serial and date of the magnetostrictive sensor are text")
 

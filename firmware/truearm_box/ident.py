@@ -74,10 +74,9 @@ def _input(channel):
 
 
 def _mag(sensor, period_ns):
-    """Stream 1, with position = v · (time of flight + half a tick - delay), v = 25.4 mm / us_per_inch."""
+    """Stream 1, with position = v · (time of flight - delay), v = 25.4 mm / us_per_inch."""
     mantissa, exponent = sensor["us_per_inch"]
     speed = (25400 * 10**14 + mantissa // 2) // mantissa  # m/s, times 10^(14 + exponent)
-    early_ns = 4 - sensor["delay_ns"]
     return {
         "id": STREAM_MAG,
         "name": "mag",
@@ -91,7 +90,7 @@ def _mag(sensor, period_ns):
                 "scale": [8, -9],
                 "calibration": {
                     "unit": "m",
-                    "poly": [_fitting(speed * early_ns, -23 - exponent), _fitting(speed, -14 - exponent)],
+                    "poly": [_fitting(-speed * sensor["delay_ns"], -23 - exponent), _fitting(speed, -14 - exponent)],
                     "serial": sensor["serial"],
                     "date": sensor["date"],
                 },

@@ -22,7 +22,7 @@ END = 100  # bytes in which a file has to end
 def load(path, try_out):
     """(configuration, fault in words or None): of the file, else of the one before it, else the default one.
 
-    `try_out(configuration)` raises ValueError for one that cannot be used. No file at all is no fault.
+    `try_out(configuration)` raises ValueError for one that cannot be used. No file at all is not a fault.
     """
     found, fault = _read(path, try_out)
     if found:
@@ -41,7 +41,7 @@ def _read(path, try_out):
         with open(path, "rb") as f:  # as a stream: a heap that holds the firmware's code may have no 8 kB in one piece
             f.seek(max(0, size - END))
             if f.read().strip()[-1:] != b"}":  # MicroPython takes a table that breaks off for a whole one
-                raise ValueError("it is no table, or breaks off")
+                raise ValueError("it is not a table, or is cut off")
             f.seek(0)
             found = config.check(config.completed(json.load(f)))
         try_out(found)
@@ -97,7 +97,7 @@ def last_error(path):
     try:
         with open(path) as f:
             return f.read(ERROR_MAX)
-    except (OSError, ValueError):  # ValueError: it is no text any more
+    except (OSError, ValueError):  # ValueError: it is not text any more
         return ""
 
 

@@ -1,5 +1,5 @@
 // ADS131M04: a model of the converter at its pins, from its datasheets (SBAS890, SBASA13); it shares no code with the driver. What
-// others saw of real parts is held against it in tests/chip/ads131m04_model.mjs.
+// others saw of real parts is checked against it in tests/chip/ads131m04_model.mjs.
 //
 // SPI mode 1, frames of words of 16, 24 or 32 bits; the response to a command comes in the frame after it, then four channels and a
 // CRC over all of them; RREG of several registers answers with them instead. SYNC/RESET by the length of the pulse. A conversion ends
@@ -7,7 +7,7 @@
 // Nothing is held back while the filter settles: a step gives 1/6 and 5/6 of it in the first two conversions of sinc3.
 //
 // signals.counts(index, tNs, periodNs) are counts at gain 1 (2^23 is 1.2 V) of conversion `index` since conversions were last
-// started anew, with the filter's delay in them. Messages to `control`: {part: "adc", fault: ...}
+// started again, with the filter's delay in them. Messages to `control`: {part: "adc", fault: ...}
 //   "corrupt", frames     flips one bit of the data in so many of the next frames
 //   "reset"               as if the supply had dipped
 //   "silent", ns          no conversions for a time
@@ -112,7 +112,7 @@ export class Ads131m04 {
     return 2 * this.osr * this.clock.periodNs;
   }
 
-  /** Conversions start anew at the next rising edge of CLKIN. */
+  /** Conversions start again at the next rising edge of CLKIN. */
   begin() {
     this.end.cancel();
     this.rise.cancel();
@@ -284,7 +284,7 @@ export class Ads131m04 {
     const command = words[0];
     if (this.registers[MODE] & RX_CRC_EN && !this.crcRight(command, words, din, bits)) {
       this.status |= CRC_ERR;
-      if (command >> 13 !== 3) return; // a WREG is done all the same
+      if (command >> 13 !== 3) return; // a WREG is done anyway
     }
     if (this.status & LOCK && command !== 0x0655 && command >> 13 !== 5) return;
     this.execute(command, words, n >= bits * (2 + CHANNELS), size);

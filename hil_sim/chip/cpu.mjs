@@ -1,4 +1,4 @@
-// The Cortex-M0+ in batches. rp2040js decides for every instruction anew which of 80 it is, and its clock is asked after
+// The Cortex-M0+ in batches. rp2040js decides for every instruction again which of 80 it is, and its clock is asked after
 // each. Here the common instructions are decoded by a table and work on local variables until the next event is due; peripherals see
 // the exact time, because the clock is put right before each access to them. What is rare (ROM calls, exceptions,
 // special registers) is left to rp2040js's own executeInstruction. Cycle counts are rp2040js's. It is one long function because its speed

@@ -15,7 +15,7 @@ export function loadUf2(path, memory) {
   let blocks = 0;
   for (let at = 0; at + UF2.block <= file.length; at += UF2.block) {
     if (file.readUInt32LE(at) !== UF2.magic || file.readUInt32LE(at + 4) !== UF2.magic2) {
-      throw new Error(`${path} is no UF2 file: block ${at / UF2.block} lacks the magic numbers`);
+      throw new Error(`${path} is not a UF2 file: block ${at / UF2.block} lacks the magic numbers`);
     }
     const flags = file.readUInt32LE(at + 8);
     if (flags & UF2.notFlash || (flags & UF2.hasFamily && file.readUInt32LE(at + 28) !== UF2.rp2040)) continue;

@@ -1,16 +1,16 @@
 // The head of a magnetostrictive sensor: interrogated on GP2, it answers on GP3 with a start pulse at once and a stop pulse
-// after the time of flight, which the world gives (signals.flightPs; negative: no stop pulse).
+// the time of flight after that, which the world gives (signals.flightPs; negative: no stop pulse). Both pulses are equally long. A head with a
+// gate answers with one pulse, from what is the start to what is the stop.
 //
 // The numbers are those of makers' manuals, see firmware/drivers/magnetostrictive.py. A head that is not asked properly does not
 // answer: a pulse shorter than 200 ns is not seen, one of 10 µs or more asks for something else, and an interrogation while the
 // wire still rings is not answered and counted.
 //
 // Control messages: {lose: n} the next n stop pulses do not come; {ringing: [[afterNs, lengthNs], …]} pulses after every
-// interrogation edge, as of a noisy neuter output; {startPulse: {afterNs, lengthNs}}; {stuck: true} the line is broken and
+// interrogation edge, as of a noisy neuter output; {startPulse: {afterNs, lengthNs}}; {start: false} it does not come; {gate: true}; {stuck: true} the line is broken and
 // the receiver's output high; {stuck: false}.
 const INTERROGATION = 2;
 const STOP = 3;
-const STOP_LENGTH_NS = 1000;
 const SHORTEST_NS = 200;
 const LONGEST_NS = 10_000;
 const LONGEST_PERIOD_NS = 1e9; // a longer pause is none
@@ -20,7 +20,9 @@ class Head {
   constructor(pico, signals) {
     this.pico = pico;
     this.signals = signals;
-    this.startPulse = { afterNs: 40, lengthNs: 1000 };
+    this.startPulse = { afterNs: 44, lengthNs: 1000 }; // in the middle of one of the counter's ticks of 8 ns
+    this.start = true;
+    this.gate = false;
     this.ringing = [];
     this.lose = 0;
     this.stuck = false;
@@ -69,16 +71,17 @@ class Head {
       return;
     }
     const flightPs = this.signals.flightPs(this.index, tNs, this.periodNs || 1e9);
-    this.pulse(this.startPulse.afterNs, this.startPulse.lengthNs);
-    for (const [afterNs, lengthNs] of this.ringing) this.pulse(afterNs, lengthNs);
+    const { afterNs, lengthNs } = this.startPulse;
+    if (this.start && !this.gate) this.pulse(afterNs, lengthNs);
+    for (const [ringsNs, ringNs] of this.ringing) this.pulse(ringsNs, ringNs);
     if (flightPs < 0) return;
     if (this.lose > 0) {
       this.lose--;
       return;
     }
     const flightNs = Math.floor(flightPs / 1000); // sampled every 8 ns: less than a ns does not show
-    this.pending = this.pulse(flightNs, STOP_LENGTH_NS);
-    this.readyNs = tNs + flightNs + RECOVERY_NS;
+    this.pending = this.gate ? this.pulse(afterNs, flightNs) : this.pulse(afterNs + flightNs, lengthNs);
+    this.readyNs = tNs + afterNs + flightNs + RECOVERY_NS;
   }
 
   /** The interrogation pulse ends: was it one? */
@@ -97,10 +100,12 @@ export function attach(pico, signals) {
   return {
     head,
     sampling: () => head.edgeNs !== null && pico.nowNs - head.edgeNs < 2 * (head.periodNs || 1e6),
-    control: ({ lose, ringing, startPulse, stuck }) => {
+    control: ({ lose, ringing, startPulse, start, gate, stuck }) => {
       head.lose = lose ?? head.lose;
       head.ringing = ringing ?? head.ringing;
       head.startPulse = startPulse ?? head.startPulse;
+      head.start = start ?? head.start;
+      head.gate = gate ?? head.gate;
       head.stuck = stuck ?? head.stuck;
       head.show();
     },

@@ -33,12 +33,13 @@ RX_MAX = 512
 EDGE = 6
 EDGES_MAX = 32
 THERMOMETER = struct.Struct(">8si")
-THERMOMETERS_MAX = 8  # 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes stay below the 4096 that a pipe passes in one piece
+THERMOMETERS_MAX = 8  # 41 + 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes stay below the 4096 that a pipe passes in one piece
 NO_ANSWER = 0x7FFFFFFF  # of a thermometer
 
 STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
 FAULT_CRC, FAULT_RESET = 1, 2  # faults of a converter sample
+_PIPE_BYTES = 65536  # that a pipe holds
 _ENDS = {2: "reset", 32: "prompt", 64: "boot loader"}
 HEALTHY: Mapping[str, int] = {
     "converter_id": 0x2402,
@@ -208,23 +209,23 @@ class BoxProcess:
         counts = (n_samples, given.index, n_mag, given.mag_index, n_thermometers)
         where = (given.now_us, given.temperature_mdegc, n_edges, given.fault, *counts)
         head = GRANT.pack(b"G", given.flags, len(given.rx), room, *where)
+        body = given.rx + given.samples + given.mag + given.edges + given.thermometers
         try:
-            # two writes of at most 4096 bytes: each arrives in one piece
-            os.write(self._process.stdin.fileno(), head)
-            if body := given.rx + given.samples + given.mag + given.edges + given.thermometers:
-                os.write(self._process.stdin.fileno(), body)
+            os.write(self._process.stdin.fileno(), head + body)  # at most 4096 bytes: they arrive in one piece
         except BrokenPipeError:
             raise BoxDied(self._last_words()) from None
         return self._answer()
 
     def _answer(self) -> Answer:
-        magic, flags, led, osr, mag_period_ns, watchdog_ms, rx_room, starts, n, wake_us = ANSWER.unpack(
-            self._read(ANSWER.size)
-        )
-        if magic != b"D":
-            raise BoxDied("the firmware wrote to standard output: " + repr(magic))
+        data = self._read_to(b"", ANSWER.size)
+        head = ANSWER.unpack_from(data)
+        magic, flags, led, osr, mag_period_ns, watchdog_ms, rx_room, starts, n, wake_us = head
+        if magic == b"D":
+            data = self._read_to(data, ANSWER.size + n)
+        if magic != b"D" or len(data) > ANSWER.size + n:
+            raise BoxDied(f"the firmware wrote to standard output: {data[:80]!r}")
         return Answer(
-            tx=self._read(n) if n else b"",
+            tx=data[ANSWER.size :],
             sampling=bool(flags & 1),
             osr=osr,
             end="".join(end for bit, end in _ENDS.items() if flags & bit),
@@ -239,12 +240,12 @@ class BoxProcess:
             wake_us=wake_us,
         )
 
-    def _read(self, n: int) -> bytes:
+    def _read_to(self, data: bytes, n: int) -> bytes:
+        """``data`` and what follows, at least n bytes; an answer usually comes as a whole."""
         assert self._process.stdout is not None
         fd = self._process.stdout.fileno()
-        data = b""
         while len(data) < n:
-            piece = os.read(fd, n - len(data))
+            piece = os.read(fd, _PIPE_BYTES)
             if not piece:
                 raise BoxDied(self._last_words())
             data += piece

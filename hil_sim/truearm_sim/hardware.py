@@ -43,7 +43,7 @@ class Signals:
 
     def counts(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int32]:
         """The converter's samples k0 ≤ k < k1 as (n, 4); sample 0 is converted ``start_ns`` after boot."""
-        return self.world.samples(k0, k1, self.boot_device_ns + start_ns, period_ns)[0]
+        return self.world.counts(k0, k1, self.boot_device_ns + start_ns, period_ns)
 
     def flight_times(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int64]:
         """Times of flight (n,) [ps] of shots k0 ≤ k < k1, −1 where no stop comes; shot 0 is ``start_ns`` after boot."""
@@ -57,6 +57,8 @@ class Signals:
 
     def thermometers(self, device_us: int) -> tuple[tuple[bytes, int], ...]:
         """Address and m°C of each thermometer on the wire, so long after boot."""
+        if not self.world.has_thermometers:
+            return ()
         t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
         return self.world.thermometers(float(t[0]))
 

@@ -63,7 +63,7 @@ def probe(path: Path) -> Interpreter:
     """Run ``path`` once and read version and word size.
 
     Raises:
-        InterpreterError: it does not run, is no MicroPython or is older than ``MINIMUM``.
+        InterpreterError: it does not run, is not MicroPython or is older than ``MINIMUM``.
     """
     try:
         done = subprocess.run([path, "-c", PROBE], capture_output=True, text=True, timeout=30, stdin=subprocess.DEVNULL)
@@ -72,7 +72,7 @@ def probe(path: Path) -> Interpreter:
     words = done.stdout.split()
     if done.returncode or len(words) != 5 or words[0] != "micropython":
         why = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}, printed {done.stdout[:60]!r}"])[-1]
-        raise InterpreterError(f"{path} is no MicroPython that runs here ({why}); {BY_HAND}")
+        raise InterpreterError(f"{path} is not a MicroPython that runs here ({why}); {BY_HAND}")
     major, minor, patch, maxsize = map(int, words[1:])
     if (major, minor) < MINIMUM:
         raise InterpreterError(f"{path} is MicroPython {major}.{minor}, too old; {BY_HAND}")
@@ -83,16 +83,16 @@ def find(environ: Mapping[str, str] = os.environ, fetched: Path | None = None) -
     """The MicroPython to use, or None.
 
     ``fetched`` is where :func:`get` put its own, by default :func:`default_destination`. An interpreter on PATH or a
-    fetched one that cannot be used is passed over; one that ``$TRUEARM_MICROPYTHON`` names cannot: that is an error.
+    fetched one that cannot be used is skipped; one that ``$TRUEARM_MICROPYTHON`` names cannot: that is an error.
 
     Raises:
-        InterpreterError: ``$TRUEARM_MICROPYTHON`` names something that is no usable MicroPython.
+        InterpreterError: ``$TRUEARM_MICROPYTHON`` names something that is not a usable MicroPython.
     """
     search_path = environ.get("PATH", os.defpath)
     if named := environ.get(VARIABLE):
         found = shutil.which(named, path=search_path)
         if found is None:
-            raise InterpreterError(f"${VARIABLE} is {named!r}, which is no program; {BY_HAND}, or unset it")
+            raise InterpreterError(f"${VARIABLE} is {named!r}, which is not a program; {BY_HAND}, or unset it")
         return probe(Path(found))
     on_path = shutil.which("micropython", path=search_path)
     fetched = fetched or default_destination()

@@ -61,7 +61,7 @@ class Fault:
         if not 0.0 <= self.t_s < 1e9:
             raise ValueError(f"a fault at {self.t_s} s is not within the lab's time")
         if self.kind not in FAULTS:
-            raise ValueError(f"{self.kind!r} is no fault; there are {', '.join(FAULTS)}")
+            raise ValueError(f"{self.kind!r} is not a fault; there are {', '.join(FAULTS)}")
 
 
 class SimulatedBox:
@@ -141,11 +141,12 @@ class SimulatedBox:
         self._short_write |= fault == "short-write"
         room = min(tx_room, SHORT_WRITE) if self._short_write else tx_room
         sent = 0
+        device_us = self.device_us(t_ns)
         assert self._hardware is not None
         for answer in self._hardware.advance(
-            self.device_us(t_ns), rx, self._due_edges(t_ns), room, flags, self._temperature_mdegc(t_ns)
+            device_us, rx, self._due_edges(t_ns), room, flags, self._temperature_mdegc(t_ns)
         ):
-            self._note(answer, t_ns)
+            self._note(answer, device_us)
             sent += len(answer.tx)
             yield self._damage(answer.tx, fault)
             fault = None
@@ -215,11 +216,11 @@ class SimulatedBox:
         self.output = level
         self.output_edges.append((t_ns, level))
 
-    def _note(self, answer: Answer, t_ns: int) -> None:
+    def _note(self, answer: Answer, device_us: int) -> None:
         self._sampling, self.led = answer.sampling, answer.led
         for device_ns, level in answer.toggles:
             self._toggled(self._world.device_clock.to_true_ns(self.boot_device_ns + device_ns), level)
-        wake_us = self.device_us(t_ns) + max(1, answer.wake_us)
+        wake_us = device_us + max(1, answer.wake_us)
         self.wake_ns = self._world.device_clock.to_true_ns(self.boot_device_ns + 1000 * wake_us) + 1
         if answer.sampling:
             adc, mag = (None if first is None else self.boot_device_ns + first for first in answer.first_ns)

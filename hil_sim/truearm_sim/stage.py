@@ -71,10 +71,8 @@ class Stage(World):
         share = np.clip((t - begin[i]) / (end[i] - begin[i]), 0.0, 1.0)
         return np.asarray(origin[i] + quintic(share) * (target[i] - origin[i]))
 
-    def samples(
-        self, k0: int, k1: int, t_start_device_ns: int, period: int
-    ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        """See ``World.samples``."""
+    def counts(self, k0: int, k1: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
+        """See ``World.counts``."""
         device_ns = t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period
         shown_ns = device_ns - sensors.group_delay_ns(period // sensors.MODULATOR_NS)
         position = self.position(self.clocks.device.true(1e-9 * shown_ns))
@@ -84,7 +82,7 @@ class Stage(World):
             still = channel >= len(self.curves)
             level = sensors.RESTING_VOLTS[channel] if still else self.curves[channel].volts(position)
             volts[:, channel] = level + sigma[channel] * _noise(self.seed, channel, k0, k1)
-        return sensors.counts_of_volts(volts), device_ns // 1000
+        return sensors.counts_of_volts(volts)
 
     def flight_times(self, k0: int, k1: int, t_start_device_ns: int, period_ns: int) -> NDArray[np.int64]:
         """See ``World.flight_times``."""

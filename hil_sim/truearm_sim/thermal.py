@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.types import REFERENCE_DEGC, Floats
+from truearm.types import REFERENCE_DEGC, Floats, Rig
 
 STEEL = 11.5e-6  # 1/K
 THERMOMETERS = {"bar": bytes.fromhex("28aa0102030405a7"), "sensor": bytes.fromhex("28bb0102030405cb")}
@@ -37,6 +37,20 @@ class Thermal:
         """Address and m°C of each thermometer on the wire."""
         degc = {name: float(self.degc(name, np.array([share]))[0]) for name in self.thermometers}
         return tuple((THERMOMETERS[name], round(STEP * round(1e3 * value / STEP))) for name, value in degc.items())
+
+    def declared(self, rig: Rig) -> Rig:
+        """``rig`` with what a data sheet says of its bars: these coefficients, to a tenth."""
+        bars = {
+            name: replace(
+                bar,
+                expansion=self.expansion,
+                expansion_sigma=0.1 * abs(self.expansion),
+                gain_drift=self.gain_drift,
+                gain_drift_sigma=0.1 * abs(self.gain_drift),
+            )
+            for name, bar in rig.bars.items()
+        }
+        return replace(rig, bars=bars)
 
     def named(self) -> dict[str, str]:
         """The thermometers as the box's configuration names them."""

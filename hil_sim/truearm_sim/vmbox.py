@@ -105,7 +105,8 @@ class VmBox:
         records = np.empty((k1 - k0, MAG_RECORD), np.uint8)
         records[:, :4] = feed.stamps(k0, k1)
         flights = self._signals.flight_times(k0, k1, feed.first_ns, feed.period_ns)
-        ticks = np.maximum(flights, 0) // TICK_PS  # 0 is shorter than any blanking
+        # The start pulse begins in the middle of a tick, here as in the chip's model. 0 is shorter than any blanking.
+        ticks = (np.maximum(flights, 0) + TICK_PS // 2) // TICK_PS
         records[:, 4:] = ticks.astype("<i4").view(np.uint8).reshape(-1, 4)
         return records.tobytes()
 

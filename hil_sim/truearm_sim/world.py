@@ -224,10 +224,13 @@ class World:
         group delay earlier.
         """
         stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
-        counts = self._blocks(
+        return self.counts(k0, k1, t_start_device_ns, period), stamps
+
+    def counts(self, k0: int, k1: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
+        """Counts (m, 4) of the same samples."""
+        return self._blocks(
             self._counts, np.empty((0, len(sensors.CHANNELS)), np.int32), k0, k1, t_start_device_ns, period
         )
-        return counts, stamps
 
     def flight_times(self, k0: int, k1: int, t_start_device_ns: int, period_ns: int) -> NDArray[np.int64]:
         """Times of flight (m,) [ps] of the magnetostrictive head's shots k0 ≤ k < k1; −1: no stop pulse came.
@@ -292,6 +295,11 @@ class World:
             return np.ones(t.size), np.ones(t.size)
         bar, sensor = (thermal.degc(name, t / self.duration) - REFERENCE_DEGC for name in ("bar", "sensor"))
         return 1.0 + thermal.expansion * bar, 1.0 + thermal.gain_drift * sensor
+
+    @property
+    def has_thermometers(self) -> bool:
+        """Whether there are thermometers on the box's wire."""
+        return self._thermal is not None
 
     def thermometers(self, t: float) -> tuple[tuple[bytes, int], ...]:
         """Address and m°C of each thermometer on the box's wire at true time t."""

@@ -1,7 +1,8 @@
-"""The functions of ``import truearm``: the same work as the commands do, on data in memory.
+"""The functions of ``import truearm``: the commands' work, on data in memory.
 
-Every function checks its arguments and then calls what the command of its name calls. A wrong argument raises TypeError
-or InputError with one line that names it. Lengths are in metres, angles in radians, times in seconds.
+Each function checks its arguments and then runs the same code as the command of that name. A wrong argument raises
+TypeError or InputError with a one-line message that names the argument. Lengths are in metres, angles in radians and
+times in seconds.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from truearm import option_defaults
 from truearm.arguments import checked, floats
 from truearm.bounds import CELL, LINE_POINTS, MINUTES, POSES, OneOf
 from truearm.correct.correction import Correction
@@ -43,7 +45,7 @@ from truearm.workflows.validate import Validation, validated
 
 PathLike = str | os.PathLike[str]
 HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
-RIGID = 1e-6  # how far a rotation matrix of few digits may be from orthonormal
+RIGID = 1e-6  # tolerated deviation from orthonormality of a rotation matrix written with few digits
 RobotArgument = Annotated[Robot, "load_robot"]
 TableArgument = Annotated[ObservationTable, "read_table"]
 ResultArgument = Annotated[Calibration, "identify", "read_result"]
@@ -54,24 +56,24 @@ Joints = Sequence[float] | NDArray[np.float64]
 
 @checked
 def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None) -> Robot:
-    """Load a robot: one that comes with truearm, a robot file or a URDF.
+    """Load a built-in robot, a robot file or a URDF.
 
     Parameters
     ----------
     robot : str or path
-        Name of a built-in robot (``builtin_robots``), or path of a robot file (.toml) or a URDF (.urdf).
+        Name of a built-in robot (see ``builtin_robots``), or path to a robot file (.toml) or a URDF (.urdf).
     base, tip : str, optional
-        Links of a URDF where the chain begins and ends. Default: its root and its only leaf.
+        First and last link of the chain in a URDF. Default: the root link and the only leaf link.
 
     Returns
     -------
     Robot
-        Kinematic chain, parameter sets, and which parameters are free by default.
+        The kinematic chain, its parameter sets, and which parameters are free by default.
 
     Raises
     ------
     RobotError
-        If there is no such robot, or the file is wrong.
+        If the robot does not exist, or the file is invalid.
 
     Examples
     --------
@@ -84,7 +86,7 @@ def load_robot(robot: PathLike, base: str | None = None, tip: str | None = None)
 
 
 def builtin_robots() -> tuple[str, ...]:
-    """Return the names of the robots that come with truearm.
+    """Return the names of the built-in robots.
 
     Examples
     --------
@@ -97,24 +99,24 @@ def builtin_robots() -> tuple[str, ...]:
 
 @checked
 def read_table(path: PathLike, robot: RobotArgument) -> ObservationTable:
-    """Read a table of observations (docs/table-format.md).
+    """Read a table of observations (docs/reference/table-format.md).
 
     Parameters
     ----------
     path : str or path
-        CSV file with one row an observation.
+        CSV file with one row per observation.
     robot : Robot
-        The robot that was measured; its joints must match the table's joint columns.
+        The measured robot. Its joints must match the joint columns of the table.
 
     Returns
     -------
     ObservationTable
-        The rows, in SI units.
+        The observations, in SI units.
 
     Raises
     ------
     TableError
-        With file, row and column of what is wrong.
+        If the table is invalid; the message names file, row and column.
 
     Examples
     --------
@@ -128,21 +130,21 @@ def read_table(path: PathLike, robot: RobotArgument) -> ObservationTable:
 
 @checked
 def write_table(path: PathLike, table: TableArgument, robot: RobotArgument) -> None:
-    """Write observations as a table that ``read_table`` reads. An existing file is replaced.
+    """Write observations to a table that ``read_table`` can read. An existing file is replaced.
 
     Parameters
     ----------
     path : str or path
         CSV file to write.
     table : ObservationTable
-        The rows.
+        The observations.
     robot : Robot
-        Says which joint columns are angles and which are lengths.
+        The measured robot. It determines which joint columns are angles and which are lengths.
 
     Raises
     ------
     TableError
-        If ``read_table`` would refuse a row. Nothing is written then.
+        If ``read_table`` would reject a row. In this case nothing is written.
     InputError
         If the file cannot be written.
 
@@ -159,7 +161,7 @@ def write_table(path: PathLike, table: TableArgument, robot: RobotArgument) -> N
 
 @checked
 def read_rig(path: PathLike) -> Rig:
-    """Read a rig file: chucks, spheres, bars, sockets and devices (docs/rig.md).
+    """Read a rig file: chucks, spheres, bars, sockets and devices (docs/how-to/rig.md).
 
     Parameters
     ----------
@@ -169,12 +171,12 @@ def read_rig(path: PathLike) -> Rig:
     Returns
     -------
     Rig
-        What stands around the robot, in metres and radians.
+        The rig around the robot, in metres and radians.
 
     Raises
     ------
     RigError
-        With file and key of what is wrong.
+        If the file is invalid; the message names file and key.
 
     Examples
     --------
@@ -188,9 +190,9 @@ def read_rig(path: PathLike) -> Rig:
 
 @dataclass(frozen=True)
 class SessionObservations:
-    """What a session gives: observations, the rig they were measured with, and what was lost of a damaged file.
+    """The observations of a session, the rig they were measured with, and what was lost from a damaged file.
 
-    ``rig`` is one rig, or rigs by name where the parts of the session were recorded with different ones.
+    ``rig`` is a single rig, or a mapping of rigs by name if the parts of the session were recorded with different rigs.
 
     Examples
     --------
@@ -213,32 +215,32 @@ def read_session(
     allow_damaged: bool = False,
     line_points: Annotated[int, LINE_POINTS] | None = None,
 ) -> SessionObservations:
-    """Make observations of a recorded session: synchronise the clocks, find dwells and lines.
+    """Build observations from a recorded session: synchronise the clocks, then detect dwells and lines.
 
     Parameters
     ----------
     path : str or path
-        Session file (.mcap); its further parts are read with it.
+        Session file (.mcap). The other parts of the session are read as well.
     rig : str or path, optional
-        Rig file to use in place of the one that was recorded.
+        Rig file to use instead of the recorded rig.
     noise : str or path, optional
-        Noise file of ``truearm characterize``, in place of the rig's figures.
+        Noise file written by ``truearm characterize``, to use instead of the noise in the rig.
     allow_damaged : bool
-        Use what is whole of a damaged file.
+        Use the intact part of a damaged file.
     line_points : int, optional
-        Points of each pass along a line at most. Default: as many as the noise distinguishes.
+        Maximum number of points of each pass along a line. Default: as many as the noise can distinguish.
 
     Returns
     -------
     SessionObservations
-        ``table`` and ``rig`` go to ``identify``.
+        Pass its ``table`` and ``rig`` to ``identify``.
 
     Raises
     ------
     SessionError
-        If the file is no session or is damaged.
+        If the file is not a session, or is damaged.
     RigError
-        If there is no rig.
+        If no rig was recorded or given.
 
     Examples
     --------
@@ -249,7 +251,7 @@ def read_session(
     """
     file = Path(path)
     if not is_session(file):
-        raise SessionError(f"{file}: is no session (.mcap); read_table reads tables")
+        raise SessionError(f"{file}: is not a session (.mcap); use read_table for tables")
     lost: list[str] = []
     sources = Sources(
         inputs=tuple(session_parts(file)),
@@ -278,30 +280,30 @@ def identify(
     Parameters
     ----------
     robot : Robot
-        The robot as described.
+        The nominal robot.
     table : ObservationTable
         The observations.
     rig : Rig or mapping of str to Rig, optional
-        What the rows name, or rigs by the name in the table's column ``rig``. Default: an empty rig.
+        The rig that the rows refer to, or rigs by the names in the table's column ``rig``. Default: an empty rig.
     hold_out : str, float, sequence of str or array of bool
-        Rows to judge by and not to fit: groups such as ``"bar=bar61"``, a fraction such as 0.2, or a mask (n,).
+        Rows to use for validation only: groups such as ``"bar=bar61"``, a fraction such as 0.2, or a mask (n,).
     options : IdentifyOptions, optional
         Free parameters, prior, solver and loss.
     progress : callable, optional
-        Is called with iteration and RMS residual after each step.
+        Called after each step with the iteration and the RMS residual.
 
     Returns
     -------
     Identification
-        A ``Calibration`` that also holds the whole ``estimate``, the table and the rig. Printing it lists the free
-        parameters with their standard deviations.
+        A ``Calibration`` with the complete ``estimate``, the table and the rig. Printing it lists the free parameters
+        and their standard deviations.
 
     Raises
     ------
     InputError
-        If an argument does not fit the others.
+        If the arguments are inconsistent.
     ProblemError
-        If observations and robot make no problem that can be solved.
+        If the observations and the robot do not define a solvable problem.
 
     Examples
     --------
@@ -331,29 +333,30 @@ def identify(
 def validate(
     result: ResultArgument, table: TableArgument, rig: RigsArgument | None = None, keep_rig: bool = False
 ) -> Validation:
-    """Judge a calibration by other observations than it was identified from.
+    """Validate a calibration on observations that it was not identified from.
 
     Parameters
     ----------
     result : Calibration
-        What ``identify`` or ``read_result`` returned.
+        Return value of ``identify`` or ``read_result``.
     table : ObservationTable
-        Observations that were not used to fit.
+        Observations that were not used in the fit.
     rig : Rig or mapping of str to Rig, optional
-        As of ``identify``.
+        As for ``identify``.
     keep_rig : bool
-        Hold what the identification found of the rig (trackers, targets, chucks, bars) and settle only what is left.
+        Keep the identified values of the rig (trackers, targets, chucks, bars) and estimate only the rest of the rig.
 
     Returns
     -------
     Validation
-        ``before`` and ``after``, the errors without and with the calibration in m and rad, by ``regions`` too, what is
-        ``expected``, and the ``verdict`` in words. Printing it shows all, in mm and deg.
+        ``before`` and ``after`` are the errors without and with the calibration [m, rad], also given by ``regions``.
+        ``expected`` is the expected error and ``verdict`` the conclusion in words. Printing it shows everything, in
+        mm and deg.
 
     Raises
     ------
     InputError
-        If an argument does not fit the others, no row can judge, or nothing of the rig can be kept.
+        If the arguments are inconsistent, if no row can be used for validation, or if nothing of the rig can be kept.
 
     Examples
     --------
@@ -372,16 +375,16 @@ def validate(
 def read_result(
     path: PathLike, robot: PathLike | None = None, base: str | None = None, tip: str | None = None
 ) -> Calibration:
-    """Read a result.json (docs/result-format.md) and the robot that it is of.
+    """Read a result.json (docs/reference/result-format.md) and the robot that it belongs to.
 
     Parameters
     ----------
     path : str or path
-        What ``write_result`` or ``truearm identify --out`` wrote.
+        File written by ``write_result`` or ``truearm identify --out``.
     robot : str or path, optional
-        The robot that was identified. Default: the built-in robot of that name.
+        The robot that was identified. Default: the built-in robot named in the file.
     base, tip : str, optional
-        Links of a URDF. Default: as identified.
+        First and last link of the chain in a URDF. Default: as identified.
 
     Returns
     -------
@@ -391,7 +394,7 @@ def read_result(
     Raises
     ------
     InputError
-        If the file is no result, or is of another robot.
+        If the file is not a result, or belongs to another robot.
 
     Examples
     --------
@@ -405,14 +408,14 @@ def read_result(
 
 @checked
 def write_result(path: PathLike, result: ResultArgument) -> None:
-    """Write a calibration as result.json, whole or not at all. An existing file is replaced.
+    """Write a calibration to a result.json atomically. An existing file is replaced.
 
     Parameters
     ----------
     path : str or path
         File to write.
     result : Calibration
-        What ``identify`` or ``read_result`` returned.
+        Return value of ``identify`` or ``read_result``.
 
     Raises
     ------
@@ -437,33 +440,33 @@ def plan_ball_bar(
     result: ResultArgument | None = None,
     options: BallBarOptions | None = None,
 ) -> BallBarPlan:
-    """Plan ball-bar poses before anything is measured.
+    """Plan the poses of a ball-bar measurement.
 
     Parameters
     ----------
     robot : Robot
-        A robot of six joints whose file has a branch.
+        A six-joint robot; its file must have a ``[branch]`` table.
     rig : Rig
         Chucks, spheres and bars.
     poses, minutes : int, float
-        The budget: a number of poses, or an operator's minutes. Give one of them.
+        The budget: a number of poses, or minutes of the operator's time. Give exactly one of them.
     result : Calibration, optional
-        Plan with this model instead of the design.
+        Plan with this calibrated model instead of the nominal one.
     options : BallBarOptions, optional
-        Criterion, region, reserve of travel, seed.
+        Criterion, region, travel reserve and random seed.
 
     Returns
     -------
     BallBarPlan
-        ``route`` in the order of the visits (``route.visits`` is the plan), and ``forecast`` with the standard
-        deviation that each parameter will have.
+        ``route`` lists the poses in the order in which they are visited (``route.visits`` is the plan). ``forecast``
+        holds the predicted standard deviation of each parameter.
 
     Raises
     ------
     InputError
-        If there is no budget, or the bar's travel is too short.
+        If no budget is given, or the travel of the bar is too short.
     PlanError
-        If the robot cannot be planned for.
+        If truearm cannot plan for this robot.
 
     Examples
     --------
@@ -478,9 +481,11 @@ def plan_ball_bar(
         raise InputError("poses, minutes: give one of them as the budget")
     chosen = options or BallBarOptions()
     if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
-        raise InputError(f"result: is of robot {result.chain.name}, its parameters are not those of {robot.chain.name}")
+        raise InputError(
+            f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}"
+        )
     if result is not None:
-        chosen = replace(chosen, reserve=plan.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
+        chosen = replace(chosen, reserve=option_defaults.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
     known = plan.known_of(robot, rig, None if result is None else result)
     return plan.planned_ball_bar(known, Budget(poses, minutes), chosen)
 
@@ -494,31 +499,31 @@ def correct_poses(
     own_frames: bool = False,
     home: Joints | None = None,
 ) -> Correction:
-    """Correct poses, so that the true robot reaches them when the controller uses its nominal model.
+    """Correct poses so that the real robot reaches them although its controller uses the nominal model.
 
     Parameters
     ----------
     result : Calibration
-        What ``identify`` or ``read_result`` returned.
+        Return value of ``identify`` or ``read_result``.
     poses : array (n, 4, 4) or (4, 4)
-        Where the end frame shall be, in the base frame: rotation matrix and position [m].
+        Target poses of the end frame in the base frame: rotation matrix and position [m].
     method : str
         "newton" (full inverse), "false-target", "joints" or "offsets" (Renders 1991).
     own_frames : bool
-        The poses lie in the robot's own base and flange frames: do not correct how base and tool were mounted.
+        The poses are given in the robot's own base and flange frames: do not correct the mounting of base and tool.
     home : sequence of float, optional
-        Joints (j,) near those of the first pose [rad, m], which choose the configuration.
+        Joint readings (j,) near those of the first pose [rad, m]. They select the configuration of the arm.
 
     Returns
     -------
     Correction
-        ``commanded`` (n, 4, 4) is the pose to command, ``q`` (n, j) the joints that it shall go to, ``before`` and
-        ``after`` (n, 2) the error in m and rad.
+        ``commanded`` (n, 4, 4) holds the poses to command and ``q`` (n, j) the joint readings to move to. ``before``
+        and ``after`` (n, 2) are the errors in m and rad.
 
     Raises
     ------
     TargetError
-        If a pose is out of reach or near a singularity.
+        If a pose is out of reach or close to a singularity.
 
     Examples
     --------
@@ -546,34 +551,35 @@ def export_robot(
     adjust: str | Sequence[str] = (),
     over: NDArray[np.float64] | Sequence[Joints] | None = None,
 ) -> export.ExportedRobot:
-    """Write a calibrated robot for another program.
+    """Export a calibrated robot to another program's format.
 
     Parameters
     ----------
     result : Calibration
-        What ``identify`` or ``read_result`` returned.
+        Return value of ``identify`` or ``read_result``.
     format : str
-        "urdf", "ur", "dh", "dh-hayati", "mdh" or "sheth-uicker": the names of ``truearm export --format``.
+        "urdf", "ur", "dh", "dh-hayati", "mdh" or "sheth-uicker", as for ``truearm export --format``.
     path : str or path, optional
-        File to write, replaced if it exists. Default: only the text is returned.
+        File to write; an existing file is replaced. Default: return the text without writing a file.
     own_frames : bool
-        Leave out how base and tool were mounted.
+        Exclude the mounting of base and tool.
     adjust : sequence of str
         Patterns of the parameters that may change, such as ``"joint*.offset"``. Default: all.
     over : array (n, j), optional
-        Joint vectors [rad, m] over which a refit shall be good. Default: anywhere within the limits.
+        Joint vectors [rad, m] over which a refit minimises the error. Default: the full range within the joint limits.
 
     Returns
     -------
     ExportedRobot
-        ``text`` of the file, ``missing``, the identified parameters that the format has no place for, and ``rms`` and
-        ``largest``, the position error [m] against the identified robot that this leaves. Printing it shows them in mm.
+        ``text`` is the text of the file. ``missing`` lists the identified parameters that the format cannot represent.
+        ``rms`` and ``largest`` are the resulting position error [m] relative to the identified robot. Printing it
+        shows them in mm.
 
     Raises
     ------
     InputError
-        If the format does not exist, can hold nothing of what may change, or cannot come nearer to the identified
-        robot than the nominal one is (RobotError); then nothing is written.
+        If the format does not exist, if it can represent none of the parameters that may change, or if the export would
+        be no closer to the identified robot than the nominal robot is (RobotError). In these cases nothing is written.
 
     Examples
     --------
@@ -601,32 +607,32 @@ def error_map(
     cell: Annotated[float, CELL] = 0.025,
     own_frames: bool = False,
 ) -> ErrorMap:
-    """Map the error of the uncalibrated robot over a section of its workspace (Renders 1991, eq. 31).
+    """Map the position error of the uncalibrated robot over a section of its workspace (Renders 1991, eq. 31).
 
     Parameters
     ----------
     result : Calibration
-        What ``identify`` or ``read_result`` returned.
+        Return value of ``identify`` or ``read_result``.
     joints : pair of int
-        The two joints that span the section, from 1 on; their axes are parallel.
+        The two joints that span the section, counted from 1. Their axes must be parallel.
     at : sequence of float, optional
-        Where the joints stand (j,) [rad, m]. Default: 0.
+        Joint readings (j,) [rad, m] at which the other joints are held. Default: 0.
     elbow_up : bool
-        Which of the arm's two configurations.
+        Use the elbow-up configuration of the arm rather than elbow-down.
     cell : float
         Size of a cell [m].
     own_frames : bool
-        Leave out how base and tool were mounted.
+        Exclude the mounting of base and tool.
 
     Returns
     -------
     ErrorMap
-        ``error`` and ``sigma`` [m] of each cell, NaN where the arm does not reach.
+        ``error`` and ``sigma`` [m] of each cell; NaN where the arm cannot reach.
 
     Raises
     ------
     InputError
-        If the robot does not have or cannot take these joints.
+        If the robot does not have these joints, or the section cannot be mapped with them.
 
     Examples
     --------
@@ -641,12 +647,12 @@ def error_map(
 
 
 def _joints(name: str, given: Joints | None, result: Calibration) -> tuple[float, ...] | None:
-    """Joint readings (j,) of the result's robot."""
+    """Return the checked joint readings (j,) for the robot of a result."""
     return None if given is None else tuple(floats(name, given, len(result.joint_units)).tolist())
 
 
 def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
-    """Raise InputError unless all of (n, 4, 4) are rotations with a translation."""
+    """Raise InputError unless all ``poses`` (n, 4, 4) are rigid transforms."""
     if np.abs(poses[:, :3, 3]).max() > UNITS["m"].largest:
         raise InputError(f"{name}: a position is farther than {UNITS['m'].largest:g} m; positions are in m")
     turn = poses[:, :3, :3]
@@ -654,7 +660,7 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
     bad = (off > RIGID) | (np.linalg.det(turn) < 0.0) | (poses[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
     if bad.any():
         raise InputError(
-            f"{name}: number {int(np.argmax(bad))} is no rotation with a translation and a last row 0, 0, 0, 1"
+            f"{name}: number {int(np.argmax(bad))} is not a rotation and a translation over a last row 0, 0, 0, 1"
         )
 
 
@@ -666,12 +672,12 @@ def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable
         raise InputError(f"{name}: has no rows")
     largest = [UNITS[unit].largest for unit in robot.chain.joint_units]
     if (np.abs(value.q) > largest).any():
-        raise InputError(f"{name}: no joint goes so far as {np.nanmax(np.abs(value.q)):g}; q is in rad and m")
+        raise InputError(f"{name}: no joint reaches {np.nanmax(np.abs(value.q)):g}; q is in rad and m")
     return value
 
 
 def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
-    """The rig, or the rigs by name, held against the rows that name them."""
+    """Return the rig, or the rigs by name, checked against the rows that refer to them."""
     if rig is None or isinstance(rig, Rig):
         one = Rig() if rig is None else rig
         try:
@@ -682,7 +688,7 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
     missing = sorted(set(table.rig.tolist()) - set(rig))
     if missing:
         raise InputError(
-            f"rig: has no rig {missing[0]!r}, which rows of the table name; it has {', '.join(sorted(rig)) or 'none'}"
+            f"rig: has no rig {missing[0]!r}, which the table's rows name; it has {', '.join(sorted(rig)) or 'none'}"
         )
     for name, one in rig.items():
         observation_table.check_against_rig(table.select(table.rig == name), one)
@@ -691,9 +697,9 @@ def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
 
 def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bool_]:
     if hold_out.dtype != np.bool_:
-        raise TypeError(f"hold_out: must be an array of bool, is one of {hold_out.dtype}")
+        raise TypeError(f"hold_out: must be an array of bool, is an array of {hold_out.dtype}")
     if hold_out.shape != (len(table),):
-        raise InputError(f"hold_out: must be one bool a row, {len(table)} in all; its shape is {hold_out.shape}")
+        raise InputError(f"hold_out: must be one bool per row, {len(table)} in all; its shape is {hold_out.shape}")
     if hold_out.all():
         raise InputError("hold_out: names every row; nothing would be left to fit")
     return hold_out

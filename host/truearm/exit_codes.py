@@ -1,4 +1,4 @@
-"""Exit codes of all commands, in one table: ``truearm --help`` prints it, docs/exit-codes.md repeats it."""
+"""Exit codes of all commands, in one table: ``truearm --help`` prints it, docs/reference/exit-codes.md repeats it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ExitCode(IntEnum):
     DONE = 0, "done"
     FAILED = 1, "the box, the robot, the disk or the reader of the output failed"
     INPUT = 2, "an option, a file or the data in it is wrong"
-    UNUSABLE = 3, "the fit is not usable (all the same it is written, and marked)"
+    UNUSABLE = 3, "the fit is not usable (it is written all the same, and marked)"
     INCOMPLETE = 4, "the recording is incomplete (what came is kept)"
     INTERRUPTED = 130, "interrupted"
 

@@ -280,7 +280,7 @@ class Choice:
             (o for o in self.options if isinstance(o, type(raw)) and raw == o and not isinstance(raw, bool)), None
         )
         if found is None:
-            raise SchemaError(f"{quoted(raw)} is none of {', '.join(map(quoted, self.options))}")
+            raise SchemaError(f"{quoted(raw)} is not one of {', '.join(map(quoted, self.options))}")
         return found
 
     def format(self, value: Any) -> str:
@@ -345,14 +345,14 @@ class Entries(Generic[T]):
         if not isinstance(raw, list) or not all(isinstance(item, dict) for item in raw):
             raise SchemaError(f"{self.name} must be written as [[{self.name}]] entries")
         if len(raw) > MAX_ENTRIES:
-            raise SchemaError(f"has {len(raw)} [[{self.name}]] entries; the most is {MAX_ENTRIES}")
+            raise SchemaError(f"has {len(raw)} [[{self.name}]] entries; the maximum is {MAX_ENTRIES}")
         found: dict[Hashable, T] = {}
         for i, table in enumerate(raw, start=1):
             with at(f"[[{self.name}]] {i}"):
                 item = self.table.parse(table)
                 index = i if self.index is None else self.index(item)
                 if index in found:
-                    raise SchemaError(f"{_words(index)!r} is already defined; give each its own name")
+                    raise SchemaError(f"{_words(index)!r} is already defined; give each entry its own name")
                 found[index] = item
         return found if self.index else tuple(found.values())
 
@@ -372,7 +372,7 @@ class Table(Generic[T]):
     ``make`` is called with the values of the keys that are there, by field, and may raise SchemaError where they do not
     go together; the default of a key is that of ``make``'s parameter. ``take`` is its inverse: an object's values by
     field. A value that is not there, None (unless it may be unknown) or empty is not written. ``unknown_keys``: those that
-    are not declared are passed over, as of a later version.
+    are not declared are skipped, as of a later version.
     """
 
     keys: tuple[Key, ...]

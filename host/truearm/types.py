@@ -1,4 +1,4 @@
-"""The data that passes between the rooms of the house. SI units; frozen; no behaviour beyond checking shapes.
+"""The data types that modules exchange. All are in SI units and frozen, and only check their shapes.
 
 Shapes: ``n`` rows, ``j`` joints, ``p`` parameters, ``m`` scalar residuals.
 """
@@ -20,42 +20,45 @@ from truearm.errors import Argument, InputError, PlanError
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
-Residuals = Mapping[str, Floats]  # by SI unit: (n,) of rows, signed or a norm; NaN where a row has none of that unit
-Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it can be compared
+Residuals = Mapping[str, Floats]  # by SI unit, one per row (n,): signed or a norm; NaN where there is none
+Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it supports ==
 
-BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted while the ball-bar is read
-REFERENCE_DEGC = 20.0  # of lengths, ISO 1
-LINE_MOUNTED = ("line", "target")  # what is mounted while a line is driven
+BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted for a ball-bar reading
+REFERENCE_DEGC = 20.0  # reference temperature of lengths, ISO 1
+LINE_MOUNTED = ("line", "target")  # what is mounted for a line pass
 
 
 class Move(StrEnum):
-    """What a row of a plan is."""
+    """The type of a row of a plan."""
 
     DWELL = "dwell"  # a pose at which the ball-bar is read at rest
-    VIA = "via"  # a place that is passed or stopped at
-    LINE = "line"  # reached from the row before straight in Cartesian space, measured on the way
+    VIA = "via"  # a waypoint, passed through or stopped at
+    LINE = "line"  # reached in a straight Cartesian line from the row before, measured on the way
 
 
 class LinePlacement(StrEnum):
-    """How a line device without a pose is first placed: by all its points, or by its first two."""
+    """Initial placement of a line device without a known pose: from all its points, or from its first two."""
 
     LEAST_SQUARES = "least_squares"
     TWO_POINT = "two_point"
 
 
 class DwellLabel(NamedTuple):
-    """What was mounted during a dwell, settled after the recording; ``mounted`` is empty where nobody knows. Times are the host's."""
+    """What was mounted during a dwell, determined after the recording.
+
+    ``mounted`` is empty where this is unknown. Times are those of the host clock.
+    """
 
     begin_ns: int
     end_ns: int
     mounted: Mapping[str, str]  # bar, chuck, sphere, shell
     pose: int | None = None  # row of the plan
     probability: float = float("nan")
-    detail: str = ""  # why nobody knows
+    detail: str = ""  # why it is unknown
 
 
 class Message(NamedTuple):
-    """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], bytes as stored."""
+    """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], raw bytes."""
 
     topic: str
     t_host_ns: int
@@ -66,7 +69,8 @@ class Message(NamedTuple):
 class Point:
     """A chuck, sphere or socket: coordinates [m] and their standard deviation [m].
 
-    ``sigma`` 0: known exactly; finite: a parameter with that prior; None: a parameter without prior.
+    ``sigma`` is 0 if the point is known exactly, finite for a parameter with that prior, and None for a parameter
+    without a prior.
 
     Examples
     --------
@@ -87,13 +91,14 @@ class Point:
 class BallBar:
     """A telescoping ball-bar: length = zero + gain · extension, centre to centre [m].
 
-    ``travel`` is the full stroke [m], extension runs over ±travel/2; ``sigma`` [m] is the repeatability of one
-    dwell, declared, added to what the samples say. ``zero_sigma`` [m] and ``gain_sigma`` [1]: 0 known exactly,
-    finite a parameter with that prior.
+    ``travel`` [m] is the full stroke; the extension ranges over ±travel/2. ``sigma`` [m] is the declared repeatability
+    of a dwell, added to the noise estimated from the samples. ``zero_sigma`` [m] and ``gain_sigma`` [1] are 0 if the
+    value is known exactly, and finite for a parameter with that prior.
 
-    ``zero`` holds at ``temperature`` [°C]; by ``expansion`` [1/K] of it the bar is longer for each kelvin that it is warmer. The gain holds at
-    ``sensor_temperature`` [°C]; by ``gain_drift`` [1/K] of it the extension is larger for the same reading for each kelvin that the sensor is
-    warmer. Both count in rows that hold these temperatures; ``expansion_sigma`` and ``gain_drift_sigma`` [1/K] as ``gain_sigma``.
+    ``zero`` is valid at ``temperature`` [°C]; for each kelvin above it, the bar is longer by the fraction ``expansion``
+    [1/K] of ``zero``. The gain is valid at ``sensor_temperature`` [°C]; for each kelvin above it, the extension for the
+    same reading is larger by the fraction ``gain_drift`` [1/K]. Both corrections apply to rows that include these
+    temperatures. ``expansion_sigma`` and ``gain_drift_sigma`` [1/K] work like ``gain_sigma``.
 
     Examples
     --------
@@ -122,7 +127,7 @@ class BallBar:
 
 @dataclass(frozen=True)
 class SocketDistance:
-    """The distance [m] between two sockets of one place, known with ``sigma`` [m]; it holds at every place.
+    """The distance [m] between two sockets of a place, known to ``sigma`` [m]. It is the same at every place.
 
     Examples
     --------
@@ -141,14 +146,15 @@ class SocketDistance:
 
 @dataclass(frozen=True)
 class Device:
-    """A device that measures points in axes of its own: one placement of a line device, or a tracker.
+    """A device that measures points in its own axes: a tracker, or one placement of a line device.
 
-    ``sensor_cov`` S_x [m²] is 3×3 in the device's axes; y is a line's longitudinal axis. ``xyz`` [m] and ``rotation``
-    (a rotation vector, rad) are the device's pose in the base frame; where ``xyz`` is None the device is first placed
-    by its own readings, which turn it away from ``rotation`` no further than they must (a line of finite ``turn_sigma``
-    keeps its roll). ``sigma`` [m] and ``turn_sigma`` [rad] say how well that pose is known, each of its three
-    components: 0 exactly, finite a parameter with that prior, None a parameter without. ``rotation_sigma`` [rad] is
-    the standard deviation of each component of a measured orientation; only rows of kind ``pose`` without their own need it.
+    ``sensor_cov`` S_x [m²] is the 3×3 noise covariance in the device's axes; y is the longitudinal axis of a line.
+    ``xyz`` [m] and ``rotation`` (rotation vector [rad]) are the device's pose in the base frame. If ``xyz`` is None,
+    the device is initially placed from its own readings, which turn it away from ``rotation`` no further than necessary
+    (a line with a finite ``turn_sigma`` keeps its roll). ``sigma`` [m] and ``turn_sigma`` [rad] are the standard
+    deviations of each of the three components of that pose: 0 if known exactly, finite for a parameter with that prior,
+    None for a parameter without a prior. ``rotation_sigma`` [rad] is the standard deviation of each component of a
+    measured orientation. It is needed only for rows of kind ``pose`` that do not have their own.
 
     Examples
     --------
@@ -172,10 +178,11 @@ class Device:
 
 @dataclass(frozen=True)
 class Plane:
-    """A flat that the tool touches. ``xyz`` [m] is a point on it, ``normal`` points to the side where distances count up.
+    """A flat that the tool touches.
 
-    Both in the base frame. ``sigma`` [m] is of one touch; ``offset_sigma`` [m] and ``tilt_sigma`` [rad] say how well
-    the flat's place along its normal and its two tilts are known: 0 exactly, finite a prior, None not at all.
+    ``xyz`` [m] is a point on it and ``normal`` points to the side of positive distances, both in the base frame.
+    ``sigma`` [m] is the standard deviation of one touch. ``offset_sigma`` [m] and ``tilt_sigma`` [rad] are those of the
+    flat's position along its normal and of its two tilts: 0 if known exactly, finite for a prior, None if unknown.
 
     Examples
     --------
@@ -197,21 +204,23 @@ class Plane:
 
 @dataclass(frozen=True)
 class Rig:
-    """What stands around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers, flats.
+    """The rig around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers and flats.
 
-    Chucks are in the chuck fixture's frame, which is the chain's base frame; spheres and targets (the points that
-    lines and trackers measure and flats are touched with) are in the chain's end frame. ``seat_sigma`` [m] is the
-    standard deviation of each coordinate of a ball seated in a socket. ``sockets`` [base frame] are those of which
-    something is known; all others are placed by their own seats.
+    Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
+    points that lines and trackers measure and that touch flats) are given in the end frame of the chain. ``seat_sigma``
+    [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base frame) holds the
+    sockets with prior information; all others are placed by their own seats.
 
-    A rig without ``lines`` takes any line that a row names, with ``line_sigma`` [m] along the device's x, y, z (Renders
-    1991, III-C); with some, it must have them all. ``line_placement``: how a line without a pose is first
-    placed. ``line_travel`` [m]: full range of the device's
-    transverse sensors, which run over ±line_travel/2; None: as far as they say anything. ``time_offset`` τ [s]: the joints were truly at
-    q(t) = q_reading(t + τ), of which only rows with velocities tell; ``time_offset_sigma`` as a Device's sigma. ``joint_cov`` S_q [rad², m²] is the covariance
-    of the joint readings, j×j, empty for none; where a joint came from either side and nobody knows which, half its ``backlash`` either way
-    is part of it. ``backlash`` (j) [rad, m], empty for none: the links lie half of it behind their encoders, on the side that the joint came from;
-    ``backlash_sigma`` (j): how well it is known.
+    If ``lines`` is empty, rows may name any line, with noise ``line_sigma`` [m] along the device's x, y, z (Renders
+    1991, III-C); otherwise ``lines`` must contain every line that rows name. ``line_placement`` is how a line without
+    a pose is initially placed. ``line_travel`` [m] is the full range of the device's transverse sensors, which read
+    ±line_travel/2; None means any reading is used.
+
+    ``time_offset`` τ [s] means that the joints were truly at q(t) = q_reading(t + τ); only rows with velocities depend
+    on it. ``time_offset_sigma`` works like the ``sigma`` of a Device. ``joint_cov`` S_q [rad², m²] is the covariance
+    (j, j) of the joint readings, empty for none. It includes half the ``backlash`` in either direction where the
+    approach direction of a joint is unknown. ``backlash`` (j,) [rad, m] is empty for none: each link lags its encoder
+    by half of it, on the side that the joint came from. ``backlash_sigma`` (j,) is its standard deviation.
 
     Examples
     --------
@@ -244,38 +253,46 @@ class Rig:
         check_fields(self)
 
     def named(self, field: str) -> Any:
-        """The entries of a type, by the name of the field that they stand in: a field of this class, or one of ``entries``."""
+        """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
 
     def with_named(self, field: str, entries: Mapping[str, Any]) -> Rig:
-        """The rig with other entries of a type."""
+        """Return the rig with the entries of one type replaced."""
         own: dict[str, Any] = {field: entries}
         return replace(self, **(own if field in self.__dataclass_fields__ else {"entries": {**self.entries, **own}}))
 
 
 def _absent() -> Any:
-    """Stands for a column that was not given; ObservationTable fills it in."""
+    """Return a placeholder for a column that was not given; ObservationTable fills it."""
     return None
 
 
-_NUMBERS = ("value", "sigma", "time", "temperature")  # columns (n,) of a table that are no text
+_NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of a table
 
 
 @dataclass(frozen=True)
 class ObservationTable:
-    """Observations of one or several kinds, a row each (hop 5): what tables and sessions both become.
+    """Observations of one or several kinds, one per row (hop 5). Tables and sessions are both read into this type.
 
-    ``kind`` is one of ``kinds.registry.NAMES``. ``value`` [m]: the measured length
-    of a ball-bar row, the distance from the flat of a plane row (NaN: touched, 0), NaN for other kinds. ``xyz`` [m]: the
-    measured point of a line, position or pose row in the device's axes; ``rotation`` [rad]: the measured rotation vector
-    of a pose row; ``q_rate``: the joints' velocities, NaN where the robot stood or nobody measured; ``side``: in which direction
-    each joint last moved before the robot stood, −1 or 1, NaN where nobody knows. ``sigma``: the
-    standard deviation of each residual in the (first) unit of the row's kind, m or rad, NaN where the rig's figure is to be used; ``xyz_sigma`` [m]: of this point's own
-    noise along the device's axes, beside that figure, NaN for none. ``time`` [s]: when it was measured, by any clock; ``temperature`` [°C]: of the box then;
-    NaN where nobody knows. The identifier columns hold ""
-    where a row has none. ``rig`` says which of several rigs a row belongs to, ``source`` where a row comes from, for
-    messages ("poses.csv row 17"; not given, "table[16]"). ``more`` are the columns that only other kinds have, (n,) or (n, c), by the name that the kind
-    declares. Columns that are not given are filled with NaN or "". Raises TypeError and InputError for a column that has another type or shape.
+    - ``kind``: one of ``kinds.registry.NAMES``.
+    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the flat of a plane row (NaN: touched,
+      0). NaN for other kinds.
+    - ``xyz`` [m]: the measured point of a line, position or pose row, in the device's axes.
+    - ``rotation`` [rad]: the measured rotation vector of a pose row.
+    - ``q_rate``: joint velocities, NaN where the robot was at rest or they were not measured.
+    - ``side``: direction in which each joint last moved before the robot stopped, −1 or 1, NaN where unknown.
+    - ``sigma`` [m or rad]: standard deviation of each residual in the (first) unit of the row's kind, NaN to use the
+      figure from the rig.
+    - ``xyz_sigma`` [m]: standard deviation of this point's own noise along the device's axes, in addition to that
+      figure. NaN for none.
+    - ``time`` [s]: time of the measurement on any clock. ``temperature`` [°C]: temperature of the box at that time. NaN
+      where unknown.
+    - Identifier columns hold "" where a row has no such identifier. ``rig`` is the rig that a row belongs to.
+    - ``source``: where a row comes from, for messages ("poses.csv row 17"; by default "table[16]").
+    - ``more``: columns that only other kinds have, (n,) or (n, c), by the name that the kind declares.
+
+    Columns that are not given are filled with NaN or "". Raises TypeError or InputError for a column of the wrong type
+    or shape.
 
     Examples
     --------
@@ -342,23 +359,23 @@ class ObservationTable:
 
     @classmethod
     def fields(cls) -> tuple[str, ...]:
-        """The columns that every table has."""
+        """Return the columns that every table has."""
         return tuple(column.name for column in fields(cls) if column.name != "more")
 
     def column(self, name: str, absent: float | str = "") -> NDArray[Any]:
-        """A column, one of ``more`` too; filled with ``absent`` where the table does not have it."""
+        """Return a column, including those in ``more``; filled with ``absent`` if the table does not have it."""
         if name in self.fields():
             return np.asarray(getattr(self, name))
         return self.more[name] if name in self.more else np.full(len(self), absent)
 
     def select(self, rows: NDArray[Any]) -> ObservationTable:
-        """The rows of a boolean mask or an index array."""
+        """Return the rows selected by a boolean mask or an index array."""
         columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in self.fields()}
         return ObservationTable(**columns, more={name: column[rows] for name, column in self.more.items()})
 
     @classmethod
     def joined(cls, tables: Sequence[ObservationTable]) -> ObservationTable:
-        """The rows of several tables one after the other. Raises ValueError where their joints differ in number."""
+        """Return the rows of several tables, concatenated. Raises ValueError if their numbers of joints differ."""
         columns: dict[str, Any] = {
             name: np.concatenate([getattr(table, name) for table in tables]) for name in cls.fields()
         }
@@ -370,7 +387,7 @@ class ObservationTable:
 
 
 def _column(name: str, given: Any, text: bool) -> NDArray[Any]:
-    """A column as an array of text or of floats. Raises TypeError."""
+    """Return a column as an array of text or of floats. Raises TypeError."""
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
@@ -381,21 +398,24 @@ def _column(name: str, given: Any, text: bool) -> NDArray[Any]:
 
 
 def _like(column: NDArray[Any], own: NDArray[Any] | None, n: int) -> NDArray[Any]:
-    """A table's ``own`` column; where it has none, n rows without a value."""
+    """Return a table's ``own`` column, or n rows without a value if it has none."""
     blank = np.nan if column.dtype.kind == "f" else ""
     return np.full((n, *column.shape[1:]), blank) if own is None else own
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a robot visits, row by row: joint vectors, and what is measured there or on the way there.
+    """The rows that a robot visits: joint vectors, and what is measured at each or on the way to it.
 
-    ``move`` says what a row is. ``dwell``: a pose at which the ball-bar is read at rest. ``via``: a place that is passed or
-    stopped at; with the bar on if the row names bar, chuck and sphere, with it off if it names none. ``line``: reached from the
-    row before straight in Cartesian space, ``target`` at constant ``speed`` along the ``line`` device while its sensors
-    measure; such a row names no bar. Columns that are not given: all rows are dwells.
+    ``move`` is the type of a row:
 
-    Raises PlanError where the shapes disagree.
+    - ``dwell``: a pose at which the ball-bar is read at rest.
+    - ``via``: a waypoint, passed through or stopped at. The bar is mounted if the row names bar, chuck and sphere, and
+      dismounted if it names none of them.
+    - ``line``: reached in a straight Cartesian line from the row before. ``target`` moves at constant ``speed`` along
+      the ``line`` device while its sensors measure. Such a row names no bar.
+
+    If ``move`` is not given, all rows are dwells. Raises PlanError if the shapes are inconsistent.
     """
 
     IDS: ClassVar[tuple[str, ...]] = ("shell", *BAR_MOUNTED)
@@ -406,10 +426,10 @@ class Plan:
     chuck: Strings  # (n,)
     sphere: Strings  # (n,)
     move: Strings = field(default_factory=_absent)  # (n,) of Move
-    line: Strings = field(default_factory=_absent)  # (n,) the line device's placement, "" but on lines
-    target: Strings = field(default_factory=_absent)  # (n,) the tool point on the line, "" but on lines
-    speed: Floats = field(default_factory=_absent)  # (n,) m/s, NaN but on lines
-    robot: Strings = field(default_factory=_absent)  # (n,) the robot that the row was planned for, "" where nobody says
+    line: Strings = field(default_factory=_absent)  # (n,) the line device's placement, "" except on lines
+    target: Strings = field(default_factory=_absent)  # (n,) the tool point on the line, "" except on lines
+    speed: Floats = field(default_factory=_absent)  # (n,) m/s, NaN except on lines
+    robot: Strings = field(default_factory=_absent)  # (n,) the robot that the row was planned for, "" if unknown
 
     def __post_init__(self) -> None:
         n = self.q.shape[:1]
@@ -425,40 +445,40 @@ class Plan:
 
     @classmethod
     def columns(cls) -> tuple[str, ...]:
-        """Names of all columns, ``q`` first."""
+        """Return the names of all columns, ``q`` first."""
         return tuple(column.name for column in fields(cls))
 
     @property
     def dwells(self) -> NDArray[np.bool_]:
-        """(n,) the rows at which the ball-bar is read."""
+        """Return a mask (n,) of the rows at which the ball-bar is read."""
         return np.asarray(self.move == Move.DWELL)
 
     @property
     def lines(self) -> NDArray[np.bool_]:
-        """(n,) the rows on the way to which the line device is read."""
+        """Return a mask (n,) of the rows that are approached along the line device while it is read."""
         return np.asarray(self.move == Move.LINE)
 
     def of_robot(self, name: str) -> Plan:
-        """The plan as one for a robot."""
+        """Return the plan labelled as a plan for this robot."""
         return replace(self, robot=np.full(len(self), name))
 
     def select(self, rows: NDArray[Any]) -> Plan:
-        """The rows of a boolean mask or an index array."""
+        """Return the rows selected by a boolean mask or an index array."""
         return Plan(**{name: getattr(self, name)[rows] for name in self.columns()})
 
 
 def rms(values: Floats) -> float:
-    """Root mean square of all values; NaN of none."""
+    """Return the root mean square of all values; NaN if there are none."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
 def rms_of_columns(values: Floats) -> Floats:
-    """Root mean square (k,) of each column of values (n, k)."""
+    """Return the root mean square (k,) of each column of values (n, k)."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
 class Figures(NamedTuple):
-    """RMS, mean and largest size of the residuals of n rows, in one SI unit; NaN of no rows.
+    """RMS, mean and largest magnitude of the residuals of n rows in one SI unit; NaN if there are no rows.
 
     Examples
     --------
@@ -478,7 +498,7 @@ class Figures(NamedTuple):
 
     @classmethod
     def of(cls, residual: Floats) -> Figures:
-        """Of residuals of one unit, those that are NaN left out."""
+        """Return the figures of residuals in one unit, ignoring NaN."""
         size = np.abs(residual[~np.isnan(residual)])
         if not size.size:
             return cls(math.nan, math.nan, math.nan, 0)
@@ -486,7 +506,7 @@ class Figures(NamedTuple):
 
     @classmethod
     def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:
-        """Of some rows, for each SI unit that any of them has."""
+        """Return the figures of the selected rows for each SI unit that any of them has."""
         every = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
         return {unit: figures for unit, figures in every.items() if figures.n}
 
@@ -495,8 +515,9 @@ class Figures(NamedTuple):
 class HeldOut:
     """Errors on ``n`` rows that were not used to fit, by SI unit.
 
-    ``n_settled`` unknowns of the rig (the places of sockets that no fitted row touches) were estimated on these very rows;
-    ``n_left_out`` rows are not among the ``n``, because they fit such unknowns whatever they say.
+    ``n_settled`` unknowns of the rig (such as the positions of sockets that no fitted row touches) were estimated from
+    these same rows. ``n_left_out`` rows are excluded from ``n``, because such unknowns fit them exactly whatever the
+    reading.
 
     Examples
     --------
@@ -516,14 +537,14 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class NullDirection:
-    """A combination of free parameters that the observations cannot see: names and weights (largest 1)."""
+    """A combination of free parameters that the observations cannot determine: names and weights (the largest is 1)."""
 
     names: tuple[str, ...]
     weights: tuple[float, ...]
 
 
 class Observability(NamedTuple):
-    """How well the identified parameters are seen; ``estimate.identifiability`` defines the four."""
+    """Observability indices of the identified parameters; ``estimate.identifiability`` defines the four."""
 
     o1: float
     o2: float
@@ -532,50 +553,52 @@ class Observability(NamedTuple):
 
 
 class Addition(NamedTuple):
-    """Something more to measure, and what of the robot would be seen then."""
+    """A further measurement, and which parameters of the robot it would make identifiable."""
 
-    kind: str  # as the kind of observation calls it that proposes it: "poses", "pairing"
-    names: tuple[str, ...]  # identifiers of the rig that it is about; empty for what is new
-    rank: int  # of the robot's free parameters, with it
-    parameters: tuple[str, ...]  # those that could be told apart in addition
-    text: str  # what to do, as a command to a person
+    kind: str  # name used by the kind of observation that proposes it: "poses", "pairing"
+    names: tuple[str, ...]  # identifiers of the rig that it involves; empty for new ones
+    rank: int  # of the robot's free parameters, including it
+    parameters: tuple[str, ...]  # those that would become distinguishable
+    text: str  # what to do, as an instruction to a person
 
 
 class Relabelling(NamedTuple):
-    """Rows that fit other things of the rig than they name."""
+    """Rows that fit other parts of the rig better than those that they name."""
 
     rows: tuple[int, ...]  # of the table
     columns: tuple[str, ...]  # of a table, such as chuck and sphere
     was: tuple[str, ...]  # names in these columns
     fits: tuple[str, ...]
-    rms_before: float  # m, of the whole fit with the labels as they are
-    rms_after: float  # m, with this label and all others found beside it put right
+    rms_before: float  # m, of the complete fit with the labels as given
+    rms_after: float  # m, with this label and all others found with it corrected
 
 
 class WrongInput(StrEnum):
-    """What of the inputs may be read wrongly (``estimate.wrong_inputs``)."""
+    """Which input may be interpreted wrongly (``estimate.wrong_inputs``)."""
 
     UNITS = "units"
     ROBOT = "robot"
     JOINTS = "joints"
     LABELS = "labels"
     SET_UP = "set-up"
-    HELD = "held parameters"  # no mistake: few were freed
+    STUCK = "stuck joint"
+    HELD = "held parameters"  # not a mistake: too few were free
 
 
 class Unusable(StrEnum):
     """Why a fit is not usable."""
 
     NOT_CONVERGED = "not converged"
-    WRONG_INPUTS = "wrong inputs"  # residuals that another reading of the inputs explains
-    RESIDUALS = "residuals"  # that nothing explains
+    WRONG_INPUTS = "wrong inputs"  # residuals that another interpretation of the inputs explains
+    RESIDUALS = "residuals"  # residuals that nothing explains
 
 
 class Explanation(NamedTuple):
-    """Another reading of the inputs that explains the observations far better.
+    """Another interpretation of the inputs that explains the observations far better.
 
-    ``rms_given`` and ``rms`` are those of quick fits of some rows, by SI unit, as given and so read. ``apply`` are rows to leave out,
-    "" where that is no help. ``chance`` that a right reading seems so wrong.
+    ``rms_given`` and ``rms`` are the RMS residuals of quick fits of some rows, by SI unit, with the inputs as given and
+    as reinterpreted. ``apply`` lists rows to leave out, "" if that does not help. ``chance`` is the probability that
+    correct inputs appear this wrong.
     """
 
     what: WrongInput
@@ -588,28 +611,28 @@ class Explanation(NamedTuple):
 
 
 class DriftWith(StrEnum):
-    """What a drift is linear in."""
+    """The variable that a drift is linear in."""
 
-    TIME = "time"  # of the rows; their order, where they have no times
+    TIME = "time"  # of the rows; their order if they have no times
     TEMPERATURE = "temperature"  # of the box
 
     @property
     def ending(self) -> str:
-        """How names of a drift's parameters end."""
+        """Return the suffix of the names of drift parameters."""
         return ".drift" if self is DriftWith.TIME else ".thermal_drift"
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A systematic error: ``what`` is off in the rows ``first`` to before ``last`` (None: to the end), counted from 0.
+    """A systematic error of ``what`` in the rows from ``first`` up to but excluding ``last`` (None: to the end), from 0.
 
-    ``what`` is a thing of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". It is off by an offset in these rows or, if
-    it ``drifts_with`` something, by a part that is linear in that.
+    ``what`` is an item of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". The error is an offset in these rows
+    or, if it ``drifts_with`` something, linear in that variable.
 
     Examples
     --------
-    >>> import truearm
-    >>> str(truearm.Effect("chuck.c2", first=182))
+    >>> from truearm.types import Effect
+    >>> str(Effect("chuck.c2", first=182))
     'chuck.c2@183'
     """
 
@@ -622,14 +645,14 @@ class Effect:
         return self.parameter(self.what)
 
     def parameter(self, number: str) -> str:
-        """The name of the parameter that says by how much a ``number`` of the thing is off; rows count from 1 there."""
+        """Return the name of the parameter for the error of ``number``. Rows in the name count from 1."""
         end = "" if self.last is None else f":{self.last}"
         rows = f"@{self.first + 1}{end}" if self.first or end else ""
         return f"{number}{self.drifts_with.ending if self.drifts_with else ''}{rows}"
 
 
 class OffBy(NamedTuple):
-    """By how much a number is off: the rig's, a joint's or the base's; NaN where the observations cannot tell."""
+    """The error of one number of the rig, of a joint or of the base; NaN where the observations cannot determine it."""
 
     name: str
     unit: str
@@ -638,7 +661,7 @@ class OffBy(NamedTuple):
 
 
 class ErrorForm(StrEnum):
-    """How something is off."""
+    """The form of a systematic error."""
 
     OFFSET = "offset"
     DRIFT = "drift"
@@ -647,17 +670,19 @@ class ErrorForm(StrEnum):
 
 @dataclass(frozen=True)
 class SystematicError:
-    """Something that is off beyond chance in the rows of a fit (``estimate.systematic``).
+    """A systematic error in the rows of a fit that chance does not explain (``estimate.systematic``).
 
-    ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows``: the first, and the one after the
-    last. ``size`` ± ``sigma`` is the norm of those ``off_by`` that share the first one's ``unit``. ``drop`` is by how much χ² falls if it is a parameter (or these rows are left out), with ``freedom`` degrees of freedom;
-    ``chance`` that clean data give such a finding anywhere. ``rivals`` explain the same nearly as well.
+    ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows`` are the first row and
+    the one after the last. ``size`` ± ``sigma`` is the norm of those values in ``off_by`` that have the ``unit`` of the
+    first one. ``drop`` is the reduction of χ² if the error becomes a parameter (or if these rows are left out), with
+    ``freedom`` degrees of freedom. ``chance`` is the probability that clean data give such a finding anywhere.
+    ``rivals`` explain the data nearly as well.
     """
 
     effect: Effect | None
     rows: tuple[int, int]
     off_by: tuple[OffBy, ...]
-    unit: str  # SI; "" of a block of rows
+    unit: str  # SI; "" for a block of rows
     size: float
     sigma: float
     drop: float
@@ -667,7 +692,7 @@ class SystematicError:
 
     @property
     def form(self) -> ErrorForm:
-        """How it is off."""
+        """Return the form of the error."""
         if self.effect is None:
             return ErrorForm.ROWS
         return ErrorForm.DRIFT if self.effect.drifts_with else ErrorForm.OFFSET
@@ -675,11 +700,11 @@ class SystematicError:
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """All that was found to be off in a fit, and what the fit would be with it as parameters, to first order.
+    """All systematic errors found in a fit, and the fit to first order if they become parameters.
 
-    ``shift`` (P,) is by how much the parameters would move, ``moves`` [m] by how much the end then moves over the fitted
-    poses, in the root mean square. ``held_out_ratio`` is the RMS, in σ, of rows that are held out in whole stretches of the order of
-    measurement, over what it is without them as parameters; rows that would be left out do not count.
+    ``shift`` (P,) is the resulting change of the parameters and ``moves`` [m] the resulting RMS displacement of the end
+    over the fitted poses. ``held_out_ratio`` is the RMS, in σ, of rows held out in contiguous stretches of the
+    measurement order, relative to the RMS without these errors as parameters; rows that would be left out do not count.
     """
 
     found: tuple[SystematicError, ...]
@@ -690,20 +715,21 @@ class SystematicErrors:
 
 
 class StillJoint(NamedTuple):
-    """A joint that does not move enough to show its axis; rad or m."""
+    """A joint that does not move enough to determine its axis; rad or m."""
 
     joint: str
     unit: str
-    spread: float  # from the least to the largest reading
+    spread: float  # largest minus smallest reading
     at: float  # the median reading
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """What an identification holds or believes because the user did not say otherwise, as names of the robot's parameters.
+    """Defaults of an identification, where the user chose nothing else, as names of the robot's parameters.
 
-    ``base`` and ``tool`` are held since they are a choice of frame, along the directions ``frames``; ``lost`` since the joints ``still`` do not move enough;
-    ``believed`` have a prior, the weak one, since the data tell them less well.
+    ``base`` and ``tool`` are fixed because they are a choice of frame, along the directions ``frames``. ``lost`` are
+    fixed because the joints ``still`` do not move enough. ``believed`` have the weak prior because the data determine
+    them less well than it does.
     """
 
     base: tuple[str, ...] = ()
@@ -715,7 +741,7 @@ class Defaults:
 
 
 class MeanError(NamedTuple):
-    """The mean error of ``n`` poses that were not fitted, held out or left out in turn, and where it lies with 95 %."""
+    """The mean error of ``n`` poses that were not fitted (held out, or left out in turn) and its 95 % interval."""
 
     mean: float
     low: float
@@ -725,22 +751,22 @@ class MeanError(NamedTuple):
 
 
 class ResidualParts(NamedTuple):
-    """RMS of the fitted rows' residuals in one SI unit: what the declared noise makes of them, and what it does not explain."""
+    """RMS residual of the fitted rows in one SI unit, split into the part due to declared noise and the unexplained part."""
 
     declared: float
     unexplained: float
 
 
 class PoseError(NamedTuple):
-    """Errors that the rows of one pose share (``estimate.pose_effect``): what several rows of a pose say beside noise of their own."""
+    """Errors that the rows of one pose share, in addition to each row's own noise (``estimate.pose_effect``)."""
 
     sigma: float  # m, of each component of a translation of the end
-    row: float  # variance of a row's own noise over the declared one, 1 or more
+    row: float  # variance of a row's own noise relative to the declared one, at least 1
     n: int  # poses with several rows
 
 
 class WithOutliers(NamedTuple):
-    """The fit of all rows, where ``n`` of them were found to be bad and the estimate rests on the others."""
+    """The fit of all rows, where ``n`` of them are outliers and the estimate is based on the others."""
 
     n: int
     value: Floats  # (p,) of all parameters
@@ -750,7 +776,7 @@ class WithOutliers(NamedTuple):
 
 @dataclass(frozen=True)
 class CurveKnots:
-    """The error curve of one joint: ``count`` coefficients, a ``spacing`` apart [rad]; it repeats where ``periodic``."""
+    """The error curve of one joint: ``count`` coefficients at intervals of ``spacing`` [rad], repeating if ``periodic``."""
 
     joint: int
     first: float
@@ -760,13 +786,13 @@ class CurveKnots:
 
     @property
     def size(self) -> int:
-        """Its parameters."""
+        """The number of its parameters."""
         return self.count
 
 
 @dataclass(frozen=True)
 class SagMasses:
-    """The sag of one joint: the frames at whose origins unit masses sit, and the direction of gravity in the base frame."""
+    """The sag of one joint: the frames with unit masses at their origins, and the direction of gravity in the base frame."""
 
     joint: int
     frames: tuple[int, ...]
@@ -774,7 +800,7 @@ class SagMasses:
 
     @property
     def size(self) -> int:
-        """Its parameters."""
+        """The number of its parameters."""
         return len(self.frames)
 
 
@@ -782,7 +808,7 @@ Law = CurveKnots | SagMasses
 
 
 class Period(NamedTuple):
-    """A sine in an error curve: its cycles a turn and its amplitude [rad]."""
+    """A sinusoidal component of an error curve: cycles per turn and amplitude [rad]."""
 
     cycles: float
     amplitude: float
@@ -790,10 +816,11 @@ class Period(NamedTuple):
 
 @dataclass(frozen=True)
 class TriedLaw:
-    """A law that was tried. ``nats``: by how much it raises the log evidence; it is ``kept`` where that is enough.
+    """A joint law that was tried. It raises the log evidence by ``nats`` and is ``kept`` if that is enough.
 
-    ``rms`` [rad] is of what it adds to the joint's angle over the fitted poses, about its mean, and ``covered`` [rad] the
-    least and the largest reading; both of kept ones only, else NaN. ``periods``: the strongest of a curve.
+    ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses. ``covered``
+    [rad] is the smallest and the largest reading. Both are NaN unless the law is kept. ``periods`` are the strongest
+    components of a curve.
     """
 
     joint: str
@@ -806,7 +833,7 @@ class TriedLaw:
 
 
 class LawStep(NamedTuple):
-    """A fit beside the others: "geometry", "sag" or "curves", with its RMS of the fitted rows and its held-out error."""
+    """A fit for comparison ("geometry", "sag" or "curves"): RMS residual of the fitted rows, and held-out error."""
 
     name: str
     rms_after: Mapping[str, float]  # by SI unit
@@ -815,11 +842,12 @@ class LawStep(NamedTuple):
 
 @dataclass(frozen=True)
 class JointLaws:
-    """What an identification learned of joint laws beyond offset and gain.
+    """The joint laws beyond offset and gain in an identification.
 
-    ``kept`` are the laws whose parameters follow the robot's own in the estimate; ``reasons`` say in sentences why others,
-    or all, were not tried. The noise a pose is what evidence makes of the residuals: a factor on the declared variances, a displacement
-    shared by the rows of a pose [m] and an error of every joint [rad], both standard deviations.
+    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
+    why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
+    factor on the declared variances, and the standard deviations of a displacement shared by the rows of a pose [m] and
+    of an error of each joint [rad].
     """
 
     mode: str  # one of ``estimate.solvers.LawMode``
@@ -828,17 +856,17 @@ class JointLaws:
     steps: tuple[LawStep, ...]
     reasons: tuple[str, ...]
     gravity: tuple[float, float, float]
-    gravity_known: bool  # from the robot file; else z is taken to be up
+    gravity_known: bool  # from the robot file; otherwise z is assumed to point up
     noise_factor: float = math.nan
     noise_shared: float = math.nan
     noise_joint: float = math.nan
 
 
 class PredictedError(NamedTuple):
-    """How far the measured point of the robot's end errs by the parameters' covariance, over poses that were measured.
+    """Predicted error of the measured point on the end, from the parameters' covariance, over the measured poses.
 
-    ``relative``: without the part that moves all poses as one body, which observations by a device of unknown pose, or in
-    sockets, cannot see.
+    If ``relative``, it excludes the part that moves all poses as one rigid body, which observations in sockets or by a
+    device of unknown pose cannot determine.
     """
 
     rms: float  # m, over the poses
@@ -850,12 +878,13 @@ class PredictedError(NamedTuple):
 
 @dataclass(frozen=True)
 class Estimate:
-    """The result of an identification (hop 7).
+    """The result of an identification.
 
-    Arrays run over all parameters of the problem: the robot's first, then the rig's (nuisance) parameters.
-    ``sigma`` is NaN where the observations see nothing of a parameter or it was not free. ``covariance`` is (p, p),
-    zero rows where not free; ``identifiable`` is False where a parameter takes part in a null direction. ``distance``
-    is standardised: χ of the row's number of residuals for a clean row, NaN where a row was held out.
+    Arrays cover all parameters of the problem: first those of the robot, then those of the rig (nuisance parameters).
+    ``sigma`` is NaN where the observations do not depend on a parameter or it was not free. ``covariance`` is (p, p),
+    with zero rows for parameters that were not free. ``identifiable`` is False where a parameter takes part in a null
+    direction. ``distance`` is standardised: for a clean row it has the χ distribution with the row's number of
+    residuals; it is NaN where a row was held out.
 
     Examples
     --------
@@ -884,45 +913,52 @@ class Estimate:
     rank: int
     rank_gap: float  # smallest kept / largest dropped singular value
     null_space: tuple[NullDirection, ...]
-    rms_before: Mapping[str, float]  # by SI unit, of the fitting rows, once base and tool are placed
+    rms_before: Mapping[str, float]  # by SI unit, of the fitted rows, once base and tool are placed
     rms_after: Mapping[str, float]
-    rms_history: Mapping[str, tuple[float, ...]]  # one an iteration, first is rms_raw
+    rms_history: Mapping[str, tuple[float, ...]]  # one per iteration, first is rms_raw
     chi2_reduced: float
     held_out: HeldOut | None
     held_out_before: HeldOut | None
-    residual: Residuals  # after; a kind's one component of a unit with its sign, the norm of several
+    residual: Residuals  # after; signed if a kind has one component in a unit, otherwise the norm
     residual_before: Residuals
     fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
     seconds: float
-    rms_raw: Mapping[str, float] = field(
-        default_factory=dict
-    )  # of the robot as described, where the rig says it stands
+    rms_raw: Mapping[str, float] = field(default_factory=dict)  # of the nominal robot, placed where the rig specifies
     loss: str = "linear"
     chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
-    chi2_freedom: float = float("nan")  # effective: residuals less what the fit follows them with
-    distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) of a row from what all others say of it, in σ
-    weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else a robust loss's
+    chi2_freedom: float = float("nan")  # effective: residuals minus the trace of the hat matrix
+    distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) from the prediction by all other rows, in σ
+    weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else by a robust loss
     suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
     observability: Observability | None = None  # of the suggested free set
     suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
-    hardly_seen: tuple[NullDirection, ...] = ()  # seen, but to less than a drawing tells (estimate.identifiability)
-    additions: tuple[Addition, ...] = ()  # where something free is unseen, else where it is hardly seen
+    hardly_seen: tuple[NullDirection, ...] = ()  # determined less well than by a drawing (estimate.identifiability)
+    additions: tuple[Addition, ...] = ()  # if free parameters are unidentifiable or hardly identifiable
     relabellings: tuple[Relabelling, ...] = ()
-    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.relabel)
-    explanations: tuple[Explanation, ...] = ()  # of a fit that is absurd, the most probable first
-    unusable: Unusable | None = None  # why, if it is (estimate.wrong_inputs)
+    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.label_search)
+    explanations: tuple[Explanation, ...] = ()  # of an absurd fit, the most probable first
+    unusable: Unusable | None = None  # the reason, if unusable (estimate.wrong_inputs)
     left_out: NDArray[np.bool_] = field(
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out
-    systematic: SystematicErrors | None = None  # what is off beyond chance; None: nothing, or it was not looked for
-    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by SI unit, where χ² is above its band
-    with_outliers: WithOutliers | None = None  # all rows, where bad ones were left out of the fit (estimate.outliers)
+    systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
+    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by SI unit, where χ² is above its range
+    with_outliers: WithOutliers | None = None  # all rows, if outliers were left out (estimate.outliers)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
-    pose_error: PoseError | None = None  # what the rows of a pose share beyond chance; ``covariance`` holds it
-    joint_laws: JointLaws | None = None  # what was learned beyond offset and gain; None: nothing was asked for
+    pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
+    joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the fitted rows that were not left out as outliers.
+
+        ``rms_before`` and ``rms_after`` cover these rows. Where every row was left out, they cover all fitted rows.
+        """
+        kept = self.fitted & ~(self.weight == 0.0) if self.weight.size else self.fitted
+        return kept if kept.any() else self.fitted
 
     @property
     def law_parameters(self) -> range:
-        """Where the parameters of joint laws stand, the last of the robot's."""
+        """Return the indices of the joint-law parameters, the last of the robot's parameters."""
         laws = self.joint_laws.kept if self.joint_laws else ()
         return range(self.n_robot_parameters - sum(law.size for law in laws), self.n_robot_parameters)

@@ -64,6 +64,7 @@ US = Scale("us", "µs", "s", 1e-6, 1e6)
 NS = Scale("ns", "ns", "s", 1e-9, 1e9)
 M_S = Scale("m_s", "m/s", "m/s", 1.0, 1.0)
 MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3, 1e3)
+M_S2 = Scale("m_s2", "m/s²", "m/s2", 1.0, 1.0)
 RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0, 1.0)
 DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE, 1.0 / DEGREE)
 DEGC = Scale("degc", "°C", "degc", 1.0, 1.0)  # temperatures stay in °C: only their differences are computed with
@@ -75,7 +76,7 @@ SUFFIXES: Mapping[str, Scale] = {
     scale.suffix: scale
     for scale in (
         *(M, CM, MM, UM, INCH, RAD, DEG, MRAD, URAD, ONE, PPM),
-        *(S, MS, US, NS, M_S, MM_S, RAD_S, DEG_S, DEGC, MDEGC, PER_K, PPM_PER_K),
+        *(S, MS, US, NS, M_S, MM_S, M_S2, RAD_S, DEG_S, DEGC, MDEGC, PER_K, PPM_PER_K),
     )
 }
 
@@ -121,6 +122,7 @@ UNITS: Mapping[str, Unit] = {
         Unit("s", MS, 4, 100.0, 1e-3),
         Unit("m/s", MM_S, 3, 100.0),
         Unit("rad/s", DEG_S, 4, 20.0 * math.pi),
+        Unit("m/s2", M_S2, 3, 100.0),
         Unit("degc", DEGC, 1, 200.0),
         Unit("1/K", PPM_PER_K, 2, 1e-2, 1e-5, 1e-4, 1e-4),
     )
@@ -131,7 +133,7 @@ def suffixes(
     si: str,
     of: Iterable[str] = (
         *("m", "mm", "rad", "deg", "s", "ms", "m_s", "mm_s", "rad_s", "deg_s"),
-        *("degc", "per_k", "ppm_per_k"),
+        *("m_s2", "degc", "per_k", "ppm_per_k"),
     ),
 ) -> dict[str, float]:
     """The suffixes ``of`` that a quantity in an SI unit may have, each with the factor that makes it SI; SI's own first."""

@@ -1,4 +1,4 @@
-"""The converter's driver on the emulated chip for tests: scripts that sample, and what they printed held against what the model did."""
+"""The converter's driver on the emulated chip for tests: scripts that sample, and what they printed checked against what the model did."""
 
 import struct
 
@@ -73,7 +73,7 @@ class Blocks:
         found = {}
         for index, stamp, _, _, samples in self.blocks:
             for k, sample in enumerate(samples):
-                assert sample in by_value, f"sample {index + k} is no conversion of the model"
+                assert sample in by_value, f"sample {index + k} is not a conversion of the model"
                 t_ns = by_value[sample]
                 late_ns = (stamp - t_ns // 1000 + 2**31) % 2**32 - 2**31 + k * osr * 0.24
                 late_ns = late_ns * 1000 - t_ns % 1000

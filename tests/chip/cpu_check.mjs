@@ -1,5 +1,5 @@
 // Random programs on rp2040js's processor and on cpu.mjs: registers, flags, memory, time after every instruction must be the same.
-// What rp2040js has wrong (additions with carry) is held against big integers. Arguments: seed, number of instructions. Prints JSON:
+// What rp2040js has wrong (additions with carry) is checked against big integers. Arguments: seed, number of instructions. Prints JSON:
 // {instructions, difference: null or what differs first}.
 import { Clock } from '../../hil_sim/chip/clock.mjs';
 import { Cpu } from '../../hil_sim/chip/cpu.mjs';

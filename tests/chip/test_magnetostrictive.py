@@ -31,9 +31,14 @@ def flights_ps(seed, n, low_us=12, high_us=480):
     return [rng.randrange(low_us * 10**6, high_us * 10**6) for _ in range(n)]
 
 
+def counted(flight, start_ns=44):
+    """What a head gives that answers after start_ns: the tick of the stop less that of the start."""
+    return (start_ns * 1000 + flight) // 8000 - start_ns // 8 if flight >= 0 else 0
+
+
 def check(shots, truth, first=0):
-    """Counts are the floor of the flight in ticks, indices run on, stamps are those of the interrogation edges."""
-    assert [ticks for ticks, *_ in shots] == [max(0, flight // 8000) for _, _, flight, _ in truth]
+    """Counts are flights in ticks, indices run on, stamps are those of the interrogation edges."""
+    assert [ticks for ticks, *_ in shots] == [counted(flight) for _, _, flight, _ in truth]
     assert [index for _, index, *_ in shots] == list(range(first, first + len(shots)))
     late_us = [stamp - edge_ns / 1000 for (_, _, stamp, _), (_, edge_ns, _, _) in zip(shots, truth, strict=True)]
     assert min(late_us) > -1
@@ -48,7 +53,7 @@ def runs():
     steps = {
         "make": {"script": MAKE},
         "words": {
-            "script": "from drivers import magnetostrictive as d\nfor p in (d.pacer_program(rp2, 14), d.counter_program(rp2)):\n print(list(p[0]))"
+            "script": "from drivers import magnetostrictive as d\nfor p in (d.pacer_program(rp2, 14), d.counter_program(rp2), d.gate_program(rp2)):\n print(list(p[0]))"
         },
         "plain": {
             "script": "m.configure(10000, 500000)\nm.start(983040)\nfound = shots(150, 149)\nm.stop()\nshow(found)\nprint([m.lost(), m.missing])",
@@ -64,19 +69,35 @@ def runs():
             "flightsPs": flights_ps(3, 10),
             "controls": [{"part": "mag", "stuck": True}],
         },
-        "falling": {  # first with the line unstuck: the start pulse, and stop pulses of 1 µs whose ends count
-            "script": "m.configure(10000, 500000, 1)\nm.start(983040)\nfound = shots(60, 60)\nm.stop()\nm.configure(10000, 500000)\nshow(found)",
-            "flightsPs": flights_ps(7, 60, 12, 470),
-            "controls": [{"part": "mag", "stuck": False, "ringing": []}],
-        },
-        "fast": {  # 4 kHz, as a short rod allows; a start pulse that outlasts the blanking
-            "script": "m.configure(5000, 200000)\nm.start(250000)\nfound = shots(200, 51)\nm.stop()\nshow(found)",
-            "flightsPs": flights_ps(4, 33, 13, 199),
+        "startless": {
+            "script": "m.start(983040)\nfound = shots(20, 20)\nm.stop()\nshow(found)",
+            "flightsPs": flights_ps(3, 10),
             "controls": [
-                {"part": "mag", "stuck": False, "ringing": [], "startPulse": {"afterNs": 50, "lengthNs": 5000}}
+                {"part": "mag", "stuck": False, "ringing": [], "start": False},
+                {"part": "mag", "start": True, "afterMs": 15},
             ],
         },
-        "lapped": {  # nobody looks for 1300 shots of 100 µs
+        "second": {  # start pulses of 4 µs, as of Balluff's heads, and stop pulses that are as long
+            "script": "m.configure(10000, 500000, d.SECOND)\nm.start(983040)\nfound = shots(60, 60)\nm.stop()\nshow(found)",
+            "flightsPs": flights_ps(7, 60, 12, 470),
+            "controls": [{"part": "mag", "startPulse": {"afterNs": 300, "lengthNs": 4000}}],
+        },
+        "gate": {
+            "script": "m.configure(10000, 500000, d.GATE)\nm.start(983040)\nfound = shots(60, 60)\nm.stop()\nshow(found)",
+            "flightsPs": flights_ps(8, 60, 12, 470),
+            "controls": [{"part": "mag", "startPulse": {"afterNs": 123, "lengthNs": 4000}, "gate": True}],
+        },
+        "first": {  # the counters of pulses once more
+            "script": "m.configure(10000, 500000)\nm.start(983040)\nfound = shots(30, 30)\nm.stop()\nshow(found)",
+            "flightsPs": flights_ps(9, 30, 12, 470),
+            "controls": [{"part": "mag", "startPulse": {"afterNs": 44, "lengthNs": 1000}, "gate": False}],
+        },
+        "fast": {  # 4 kHz, as a short rod allows; a start pulse that outlasts the blanking
+            "script": "m.configure(5000, 200000)\nm.start(250000)\nfound = shots(200, 40)\nm.stop()\nshow(found)",
+            "flightsPs": flights_ps(4, 33, 13, 199),
+            "controls": [{"part": "mag", "startPulse": {"afterNs": 44, "lengthNs": 5000}}],
+        },
+        "lapped": {  # nobody looks for 1300 shots of 100 µs; a ring has 256
             "script": "m.configure(5000, 80000)\nm.start(100000)\nfound = shots(3, 0)\ntime.sleep_ms(130)\n"
             "print([m.waiting(), m.lost()])\nfound += shots(5, 1)\nm.stop()\nshow(found)",
             "flightsPs": flights_ps(5, 7, 13, 60),
@@ -103,7 +124,11 @@ def runs():
 
 
 def test_the_chips_assembler_and_ours_agree(runs):
-    programs = (magnetostrictive.pacer_program(Assembler, 14), magnetostrictive.counter_program(Assembler))
+    programs = (
+        magnetostrictive.pacer_program(Assembler, 14),
+        magnetostrictive.counter_program(Assembler),
+        magnetostrictive.gate_program(Assembler),
+    )
     assert runs["words"]["out"] == [program.words for program in programs]
 
 
@@ -117,10 +142,10 @@ def test_every_shot_is_measured_and_stamped(runs):
 
 
 def test_positions_are_within_what_the_resolution_allows(runs):
-    """Half a tick is added, as the ident's calibration does: an error is within ± half a tick, 11 µm, and uniform."""
+    """Starts come in the middle of a tick: an error is within ± half a tick, 11 µm, and uniform."""
     shots = runs["plain"]["out"][0]
     errors = [
-        ((ticks + 0.5) * 8e-9 - flight * 1e-12) * M_PER_S
+        (ticks * 8e-9 - flight * 1e-12) * M_PER_S
         for (ticks, *_), (_, _, flight, _) in zip(shots, runs["plain"]["shots"], strict=False)
     ]
     assert max(abs(e) for e in errors) <= 4e-9 * M_PER_S * 1.001 < 30e-6
@@ -129,11 +154,21 @@ def test_positions_are_within_what_the_resolution_allows(runs):
         assert abs(sum(errors[k : k + 100]) / 100) < 4 * sigma / 10 < 5e-6
 
 
-def test_the_falling_edge_is_timed_where_it_is_the_stop(runs):
-    """A stop pulse of the model lasts 1 µs: its end is 125 ticks later, to the tick."""
-    (shots,) = runs["falling"]["out"]
-    flights = [flight for _, _, flight, _ in runs["falling"]["shots"][:60]]
-    assert [ticks for ticks, *_ in shots] == [flight // 8000 + 125 for flight in flights]
+@pytest.mark.parametrize(("edge", "start_ns"), [("second", 4300), ("gate", 123), ("first", 44)])
+def test_the_edges_that_a_head_means_are_timed(runs, edge, start_ns):
+    """Second edges of pulses of 4 µs, begin and end of a gate, and first edges again: to the tick."""
+    (shots,) = runs[edge]["out"]
+    flights = [flight for _, _, flight, _ in runs[edge]["shots"][: len(shots)]]
+    assert [ticks for ticks, *_ in shots] == [counted(flight, start_ns) for flight in flights]
+
+
+def test_a_shot_without_a_start_is_none_and_the_next_is_whole(runs):
+    (shots,) = runs["startless"]["out"]
+    truth = runs["startless"]["shots"][:20]
+    without = [ticks for ticks, *_ in shots].count(0)
+    assert 5 < without < 15
+    assert [ticks for ticks, *_ in shots] == [0] * without + [counted(flight) for _, _, flight, _ in truth[without:]]
+    assert [flags for *_, flags in shots] == [4] * without + [0] * (20 - without)
 
 
 def test_missing_stops_are_zero_counted_and_flagged(runs):

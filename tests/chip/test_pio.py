@@ -22,7 +22,7 @@ from .pio_reference import Block
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "firmware"))
 
-from drivers import ads131m04_dma, magnetostrictive, triggers  # noqa: E402
+from drivers import ads131m04_dma, ds18b20, magnetostrictive, triggers  # noqa: E402
 
 BENCH = Path(__file__).with_name("pio_bench.mjs")
 TICK = 8.0  # ns
@@ -67,12 +67,16 @@ def test_the_assembler_makes_the_published_words(source, side, words):
 
 
 def test_both_blocks_have_room_for_the_programs():
-    magnetic = len(magnetostrictive.pacer_program(Assembler, 14).words) + len(
-        magnetostrictive.counter_program(Assembler).words
+    pacer = len(magnetostrictive.pacer_program(Assembler, 14).words)
+    for counter in (magnetostrictive.counter_program, magnetostrictive.gate_program):
+        assert pacer + len(counter(Assembler).words) <= 32
+    others = (
+        ads131m04_dma.program,
+        ads131m04_dma.counter_program,
+        triggers.program,
+        ds18b20.program,
     )
-    assert magnetic <= 32
-    converter = len(ads131m04_dma.program(Assembler).words) + len(ads131m04_dma.counter_program(Assembler).words)
-    assert converter + len(triggers.program(Assembler).words) <= 32
+    assert sum(len(program(Assembler).words) for program in others) <= 32
 
 
 def test_each_request_paces_one_dma_channel():
@@ -96,7 +100,7 @@ print([setup[3] >> 15 & 63 for source in sources for setup in source._setups])
 
 
 class Head:
-    """Drives the stop pin: rising edges at given times after the interrogation edge, in ticks, each one long."""
+    """Drives the stop pin: pulses at given times after the interrogation edge, in ticks."""
 
     def __init__(self, pulses):
         self.pulses = pulses  # (begin, end) in ticks after the edge
@@ -107,23 +111,25 @@ class Head:
         return self.edge is not None and any(self.edge + begin < time <= self.edge + end for begin, end in self.pulses)
 
 
-def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000):
-    """Run the three state machines for len(heads) shots. Returns [(x0, x1)], B + 2 N, edges and ends of the pulses (ticks)."""
+def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000, edge=magnetostrictive.FIRST):
+    """Run the three state machines for len(heads) shots. Returns the counts of each, what they count from, edges and ends of the pulses (ticks)."""
     block = Block()
     rounds = magnetostrictive.pulse_rounds(pulse_ns)
-    busy, y, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
+    busy, y, first, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
     rest = period_ns // 8 - busy
-    counter = magnetostrictive.counter_program(Assembler)
+    gated = edge == magnetostrictive.GATE
+    counter = (magnetostrictive.gate_program if gated else magnetostrictive.counter_program)(Assembler)
+    inverted = edge != magnetostrictive.FIRST
     pacer = magnetostrictive.pacer_program(Assembler, rounds)
     for i in range(2):
-        block.load(i, counter, 0, osr=n, osr_count=0, jmp_pin=STOP)
+        block.load(i, counter, 0, y=first, osr=n, osr_count=0, jmp_pin=STOP)
     block.load(2, pacer, len(counter.words), side_base=INTERROGATION, y=y, osr=rest, x=(1 << 32) - 1, isr=(1 << 32) - 1)
     for machine in block.machines[:3]:
         machine.enabled = True
     edges, ends, was = [], [], 0
     for _ in range(len(heads) * period_ns // 8 - 20):  # the last shot's next edge is not wanted
         head = heads[max(0, len(edges) - 1)]
-        block.pads = head.level(block.now) << STOP  # what the edge at the begin of this cycle samples
+        block.pads = (head.level(block.now) ^ inverted) << STOP  # what the edge at the begin of this cycle samples
         block.cycle()
         for machine in block.machines:
             machine.rx.clear()  # as DMA does
@@ -136,57 +142,95 @@ def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000):
         was = now
     counts = [[word for _, i, word in block.pushed if i == k] for k in range(3)]
     assert counts[2] == [(1 << 32) - 1 - k for k in range(len(heads))]  # the shots' numbers
-    return list(zip(counts[0], counts[1], strict=True)), top, edges, ends
+    pairs = [[x - (1 << 32) if x >> 31 else x for x in pair] for pair in zip(counts[0], counts[1], strict=True)]
+    return list(zip(pairs[::2], pairs[1::2], strict=True)), top, edges, ends
 
 
-def ticks_of(pair, top):
-    """What the driver's `unload` makes of two counts."""
-    x0, x1 = (x - (1 << 32) if x >> 31 else x for x in pair)
-    return top - x0 - x1 if x0 >= 0 and x1 >= 0 and x1 - x0 in (0, 1) else 0
+def ticks_of(counted, top):
+    """What the driver's `unload` makes of the counts of start and stop."""
+    if any(x0 < 0 or x1 - x0 not in (0, 1) for x0, x1 in counted):
+        return 0
+    start, stop = counted
+    return top + sum(start) - sum(stop)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_flight_is_measured_to_a_tick_whatever_blanking_period_and_pulse(seed):
+EDGES = {"first": magnetostrictive.FIRST, "second": magnetostrictive.SECOND, "gate": magnetostrictive.GATE}
+
+
+def pulses(edge, start, flight, length=125):
+    """What a head of this kind sends for a start and a time of flight."""
+    if edge == magnetostrictive.GATE:
+        return [(start, start + flight)]
+    if edge == magnetostrictive.SECOND:  # their ends are start and stop
+        start -= length
+    return [(start, start + length), (start + flight, start + flight + length)]
+
+
+@pytest.mark.parametrize("edge", EDGES.values(), ids=EDGES)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_flight_is_measured_to_a_tick_whatever_blanking_period_and_pulse(seed, edge):
     rng = random.Random(seed)
     blanking_ns = rng.choice([5000, 5008, 8000, 10000, 13336, 21000])
     timeout_ns = blanking_ns + rng.randrange(3000, 9000, 8)
     period_ns = timeout_ns + magnetostrictive.REARM_NS + rng.randrange(0, 2000, 8)
-    flights = [rng.uniform(blanking_ns / 8 + 0.01, timeout_ns / 8 - 3) for _ in range(25)]
-    heads = [Head([(5, 130), (flight, flight + 125)]) for flight in flights]
+    starts = [rng.uniform(130 if edge == magnetostrictive.SECOND else 4, blanking_ns / 8 - 130) for _ in range(20)]
+    flights = [rng.uniform(blanking_ns / 8 + 0.01, timeout_ns / 8 - 3) - start for start in starts]
+    heads = [Head(pulses(edge, start, flight)) for start, flight in zip(starts, flights, strict=True)]
     pulse_ns = rng.choice([1000, 2000, 3000])
-    pairs, top, edges, ends = shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns)
+    counted, top, edges, ends = shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns, edge)
     assert {b - a for a, b in itertools.pairwise(edges)} == {period_ns // 8}  # to the cycle
     assert {b - a for a, b in zip(edges, ends, strict=True)} == {
         magnetostrictive.pulse_ticks(magnetostrictive.pulse_rounds(pulse_ns))
     }
-    assert [ticks_of(pair, top) for pair in pairs] == [int(flight) for flight in flights]
-    errors = [(ticks_of(pair, top) + 0.5 - flight) * TICK for pair, flight in zip(pairs, flights, strict=True)]
-    assert max(abs(e) for e in errors) <= TICK / 2
-    # a uniform error of ± half a tick has σ = tick / √12, the mean of n of them σ / √n: four of those
-    assert abs(sum(errors) / len(errors)) < 4 * TICK / (12 * len(errors)) ** 0.5
+    true = [int(start + flight) - int(start) for start, flight in zip(starts, flights, strict=True)]
+    assert [ticks_of(pair, top) for pair in counted] == true
+    errors = [(ticks_of(pair, top) - flight) * TICK for pair, flight in zip(counted, flights, strict=True)]
+    assert max(abs(e) for e in errors) < TICK
+    # the difference of two uniform errors of ± half a tick has σ = tick / √6, the mean of n of them σ / √n: four of those
+    assert abs(sum(errors) / len(errors)) < 4 * TICK / (6 * len(errors)) ** 0.5
+
+
+START = (6.5, 130)  # a start pulse; its tick is 6
 
 
 def test_edges_at_the_borders_of_blanking_and_time_out():
     blanking, timeout = 625, 1000  # ticks
-    flights = [blanking - 1, blanking - 0.5, blanking + 0.001, blanking + 1, timeout - 2, timeout + 1.5, timeout + 5]
-    heads = [Head([(flight, flight + 60)]) for flight in flights]
-    pairs, top, _, _ = shots(8 * timeout + 10000, 8 * blanking, 8 * timeout, heads)
-    found = [ticks_of(pair, top) for pair in pairs]
+    ends = [blanking - 1, blanking - 0.5, blanking + 0.001, blanking + 1, timeout - 2, timeout + 1.5, timeout + 5]
+    heads = [Head([START, (end, end + 60)]) for end in ends]
+    counted, top, _, _ = shots(8 * timeout + 10000, 8 * blanking, 8 * timeout, heads)
+    found = [ticks_of(pair, top) for pair in counted]
     # within the blanking; in its last tick; just behind it; ...; behind the time-out
-    assert found == [0, 0, blanking, blanking + 1, timeout - 2, 0, 0]
+    assert found == [0, 0, blanking - 6, blanking + 1 - 6, timeout - 2 - 6, 0, 0]
 
 
 def test_an_edge_counts_and_not_a_level():
     heads = [
-        Head([]),  # no stop
+        Head([START]),  # no stop
         Head([(5, 700), (800, 925)]),  # a start pulse longer than the blanking
         Head([(-1e9, 1e9)]),  # a broken line: the receiver's output is high
-        Head([(600, 640), (660, 670), (900, 1000)]),  # ringing within the blanking, and after it: the first edge counts
-        Head([(750, 751), (850, 950)]),  # 8 ns: one counter alone sees it
-        Head([(700.5, 800), (810, 900)]),
+        Head(
+            [START, (600, 640), (660, 670), (900, 1000)]
+        ),  # ringing within the blanking, and after it: the first edge counts
+        Head([START, (750, 751), (850, 950)]),  # 8 ns: one counter alone sees it
+        Head([(750, 875)]),  # no start pulse
+        Head([(620, 640), (750, 875)]),  # one that comes too late
+        Head([START, (700.5, 800), (810, 900)]),
     ]
-    pairs, top, _, _ = shots(18400, 5000, 8000, heads)
-    assert [ticks_of(pair, top) for pair in pairs] == [0, 800, 0, 660, 0, 700]
+    counted, top, _, _ = shots(18400, 5000, 8000, heads)
+    assert [ticks_of(pair, top) for pair in counted] == [0, 795, 0, 654, 0, 0, 0, 694]
+
+
+def test_a_gate_that_does_not_begin_or_end_is_none():
+    heads = [
+        Head([]),
+        Head([(6.5, 2300)]),  # it does not end
+        Head([(6.5, 800)]),
+        Head([(700, 800)]),  # it begins behind the blanking
+        Head([(-1e9, 1e9)]),
+        Head([(20.5, 900)]),
+    ]
+    counted, top, _, _ = shots(18400, 5000, 8000, heads, edge=magnetostrictive.GATE)
+    assert [ticks_of(pair, top) for pair in counted] == [0, 0, 794, 0, 0, 880]
 
 
 # -- the trigger program

@@ -48,11 +48,10 @@ class Stage(World):
         zero, gain, bend = self.POLY
         return float(min(np.roots([bend, gain, zero - self.position]), key=abs))
 
-    def samples(self, k0, k1, t_start_device_ns, period):
+    def counts(self, k0, k1, t_start_device_ns, period):
         noise = self._noise(k0, k1)
         volts = np.array([self.volts(), 0.3, -0.1, 0.75]) + NOISE_V * noise
-        stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
-        return np.rint(volts / VOLTS_PER_COUNT).astype(np.int32), stamps
+        return np.rint(volts / VOLTS_PER_COUNT).astype(np.int32)
 
     def flight_times(self, k0, k1, t_start_device_ns, period_ns):
         noise = NOISE_PS * self._noise(k0, k1)[:, 0]

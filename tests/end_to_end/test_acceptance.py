@@ -59,12 +59,12 @@ def test_every_count_is_the_worlds(session):
     assert all(b.flags == 0 for b in session.blocks(0))
 
 
-def test_every_shot_is_the_worlds_rounded_down(session):
+def test_every_shot_is_the_worlds_rounded_to_a_tick(session):
     blocks = session.blocks(1)
     ticks, _, index = samples(blocks, 1)
     assert np.array_equal(index, np.arange(len(index)))
     flights = session.world.flight_times(0, len(index), session.box.first_ns[1], MAG_PERIOD_NS)
-    assert np.array_equal(ticks[:, 0], np.maximum(flights, 0) // sensors.TICK_PS)
+    assert np.array_equal(ticks[:, 0], (np.maximum(flights, 0) + sensors.TICK_PS // 2) // sensors.TICK_PS)
     missing = int((flights < 0).sum())
     assert 0 < missing < 0.03 * len(index)
     flagged = [bool(b.flags & wire.FLAG_MISSING_STOP) for b in blocks]

@@ -1,4 +1,4 @@
-"""Joint readings that were taken down elsewhere give the same dwells and lengths as those that the recorder saw arrive."""
+"""Joint readings that were recorded elsewhere give the same dwells and lengths as those that the recorder saw arrive."""
 
 import hashlib
 import json
@@ -154,7 +154,7 @@ class TestWhatIsWrong:
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):
         table.write_text(table.read_text() + "1,2,3\n")
-        assert "joints.csv row 102: is no reading" in self.fails(capsys, out, recorded.bare, table)
+        assert "joints.csv row 102: is not a reading" in self.fails(capsys, out, recorded.bare, table)
 
     def test_a_bag_that_is_cut_off(self, recorded, tmp_path, out, capsys):
         states = ((t, joint_state(t, NAMES, q)) for t, q in zip(recorded.utc_ns, recorded.q, strict=True))
@@ -164,11 +164,11 @@ class TestWhatIsWrong:
         assert "bag.mcap: " in self.fails(capsys, out, recorded.bare, bag, "--joints", ",".join(NAMES))
 
     def test_a_session_that_is_none(self, table, out, capsys):
-        assert "is no MCAP file" in self.fails(capsys, out, table, table)
+        assert "is not an MCAP file" in self.fails(capsys, out, table, table)
 
     def test_no_output_over_an_input(self, recorded, table, out, capsys):
         table.rename(out)
-        assert "is also read" in self.fails(capsys, out, recorded.bare, out)
+        assert "is already an input" in self.fails(capsys, out, recorded.bare, out)
         assert "exists; choose another name" in self.fails(capsys, out, recorded.bare, recorded.bare)
 
 
@@ -190,8 +190,8 @@ def test_the_order_of_the_joints_from_a_robot(tmp_path):
     ("joints", "robot", "says"),
     [
         ("a,b", PANDA, "give one"),
-        ("a,,b", None, "no list of different names"),
-        ("a,b,a", None, "no list of different names"),
+        ("a,,b", None, "must be a list of different names"),
+        ("a,b,a", None, "must be a list of different names"),
     ],
 )
 def test_names_that_are_none(joints, robot, says):
@@ -200,7 +200,7 @@ def test_names_that_are_none(joints, robot, says):
 
 
 def test_a_table_has_its_order(tmp_path):
-    with pytest.raises(InputError, match="a table's columns are in order"):
+    with pytest.raises(InputError, match="a table's columns are already in order"):
         readings_of_file(tmp_path / "joints.csv", FileOptions("/joint_states", ["a"]))
 
 

@@ -82,11 +82,11 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
         (["config", "set", "osr=2047"], 2, "osr: must be one of"),
         (["config", "set", "gone.toml"], 2, "gone.toml: no such file"),
         (["config", "set", "osr"], 2, "osr: no such file"),
-        (["gauge", "nothing"], 2, "no channel 'nothing'; there are lvdt"),
+        (["gauge", "nothing"], 2, "no channel 'nothing'; it has lvdt"),
         (["gauge", "magnetostrictive"], 2, "its stream is off"),
         (["gauge", "lvdt", "--unit", "parsec"], 2, "--unit 'parsec' is not one of mm, um, in"),
         (["gauge", "lvdt", "--order", "9"], 2, "order"),
-        (["monitor", "--duration", "0"], 2, "no time"),
+        (["monitor", "--duration", "0"], 2, "is not a duration"),
     ],
 )
 def test_bad_input_is_one_line(arguments, code, says, tmp_path, monkeypatch, capsys):
@@ -100,7 +100,7 @@ def test_bad_input_is_one_line(arguments, code, says, tmp_path, monkeypatch, cap
 
 def test_no_box_there(capsys):
     assert box("info", "--box", "/dev/gone") == 1
-    assert "is not there" in capsys.readouterr().err
+    assert "not found; is the box" in capsys.readouterr().err
     assert box("info", "--box", "ftp://x") == 2
     assert box("info") == 2
     assert "--box" in capsys.readouterr().err
@@ -163,7 +163,7 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
         assert [row["device"] for row in rows] == [device, "/dev/gone"]
         assert rows[0]["box"]["firmware"] == __version__
         assert rows[1]["box"] is None
-        assert "is not there" in rows[1]["answer"]
+        assert "not found; is the box" in rows[1]["answer"]
 
 
 def test_nothing_to_list(no_ports, capsys):

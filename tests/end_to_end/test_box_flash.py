@@ -54,7 +54,7 @@ def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
     path.write_bytes(image(mark=b"MicroPython alone"))
     drive.mkdir()
     assert box("flash", path, "--drive", drive) == 2
-    assert "is no boot drive" in capsys.readouterr().err
+    assert "is not a boot drive" in capsys.readouterr().err
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO.replace("RPI-RP2", "RP2350"))
     assert box("flash", path, "--drive", drive) == 2
     assert "'RP2350', the image is for RPI-RP2" in capsys.readouterr().err
@@ -84,10 +84,10 @@ def test_a_damaged_image_reaches_no_drive(tmp_path, capsys, monkeypatch):
     drive.mkdir()
     (drive / "INFO_UF2.TXT").write_text(BootDrive.INFO)
     assert box("flash", path, "--drive", drive) == 2
-    assert "the file is not whole" in capsys.readouterr().err
+    assert "the file is incomplete" in capsys.readouterr().err
     monkeypatch.setattr("truearm.box.flash.__version__", "0.0.0")  # of which there is no image
     assert box("flash", "--drive", drive) == 2
-    assert "holds no truearm-0.0.0.uf2; give the image to flash" in capsys.readouterr().err
+    assert "truearm-0.0.0.uf2 is not part of this installation; give the image to flash" in capsys.readouterr().err
     assert box("flash", "--stock") == 2
     assert [p.name for p in drive.iterdir()] == ["INFO_UF2.TXT"]
 
@@ -151,7 +151,7 @@ def test_files_onto_a_stock_micropython(fake_mpremote, no_ports, capsys):
         ({"answer": "is micropython 1 24 Raspberry Pi Pico with RP2040"}, 2, "1.25 or newer is needed"),
         ({"answer": "is circuitpython 9 2 Raspberry Pi Pico with RP2040"}, 2, "runs circuitpython"),
         ({"answer": "is micropython 1 25 ESP32 module"}, 2, "the box is a Raspberry Pi Pico"),
-        ({"answer": "is micropython 1 25 Raspberry Pi Pico W with RP2040"}, 2, "without W"),
+        ({"answer": "is micropython 1 25 Raspberry Pi Pico W with RP2040"}, 2, "not a Pico W"),
         ({"answer": "is micropython 1 26 Raspberry Pi Pico2 with RP2350"}, 2, "the box is a Raspberry Pi Pico"),
         ({"answer": "hello"}, 1, "no MicroPython answers"),
         ({"code": 1}, 1, "mpremote: "),
@@ -169,7 +169,7 @@ def test_without_mpremote(monkeypatch, capsys):
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert box("flash", "--stock", "--box", "/dev/ttyACM9") == 2
-    assert "take mpremote; install it: pip install 'truearm[stock]'" in capsys.readouterr().err
+    assert "needs mpremote; install it: pip install 'truearm[stock]'" in capsys.readouterr().err
 
 
 def test_a_flash_image_holds_folders(tmp_path):

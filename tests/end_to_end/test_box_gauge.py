@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.end_to_end.box_server import MAG_PERIOD_NS, Stage, box, served
 
+from truearm.box.gauge_run import motion
 from truearm_sim import sensors
 from truearm_sim import stage as stages
 
@@ -35,10 +36,11 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     with served() as (device, world, _):
         lines = [*((mm, f"{mm}") for mm in references), (3.0, "7"), "undo", "seven", "", "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.3", "--serial", "LV-1") == 0
+        by = ("--instrument", "micrometer 164-163", "--uncertainty-um", "2", "--operator", "A. B.")
+        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.3", "--serial", "LV-1", *by) == 0
         said = capsys.readouterr().out
         assert "dropped place 13" in said
-        assert "'seven' is no reading of a reference; type a number of mm" in said
+        assert "'seven' is not a reading of a reference; type a number of mm" in said
         assert "order 2:" in said.split("← taken")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored and in force"
@@ -57,6 +59,16 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     assert "<svg" in page
     assert "residual [µm]" in page
     assert "<script" not in page
+    facts = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page))
+    assert facts["sensor"] == "lvdt, serial LV-1"
+    assert facts["operator"] == "A. B."
+    assert facts["reference instrument"] == "micrometer 164-163"
+    assert facts["its uncertainty (k = 2)"] == "2.00 µm"
+    assert (
+        facts["of a calibrated length, with the reference (k = 2)"] == "2.00 µm"
+    )  # the sensor's own 0.01 µm adds nothing
+    assert facts["places"] == "12, from -30.0000 mm to 30.0000 mm"
+    assert re.fullmatch(r"\w+, firmware .+", facts["box"])
 
 
 def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys):
@@ -141,7 +153,7 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
     assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2
-    assert "is nothing that truearm wrote; give another name" in capsys.readouterr().err
+    assert "was not written by truearm; give another name" in capsys.readouterr().err
     assert session.read_bytes() == b"an afternoon"
 
 
@@ -183,6 +195,8 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         assert "5 places, sigma" in said
         assert box("info", "--box", device, "--json") == 0
         entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
+    m, e = entry["calibration"]["sigma"]
+    assert m * 10.0**e > 0.1e-6  # the simulator's means all have one error here, and five residuals show none of it
     found = np.array([m * 10.0**e for m, e in entry["calibration"]["poly"]])
     curve, at = stage.curves[0], 1e-3 * np.linspace(-10.0, 10.0, 9)
     # a sample's 3 µm over √305 is 0.17 µm a place; five places, a parabola: 0.17 µm times 0.94 at the ends, four times that
@@ -195,3 +209,30 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         ).max()
         > 2e-5
     )
+
+
+@pytest.mark.parametrize("n", [16, 60, 500, 2000])
+def test_a_sensor_that_stands_still_is_never_said_to_move(n):
+    """White noise, noise below one step of the converter, and slow noise of a third of a sample's own: 400 draws each."""
+    rng = np.random.default_rng(3)
+    for _ in range(400):
+        white = 77e-6 * rng.standard_normal(n)
+        slow = 26e-6 * np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
+        assert motion(0.4 + white) == motion(0.4 + white + 0.3 * slow) == 0.0
+    assert motion(np.full(n, 0.4)) == motion(np.where(np.arange(n) % 7 == 3, 0.4, 0.4 + 1e-7)) == 0.0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("n", [60, 500])
+def test_a_sensor_that_moves_during_any_part_is_seen(n, share):
+    """It arrives, or leaves, after a tenth, half or nine tenths of the samples; it goes there and comes back."""
+    rng = np.random.default_rng(4)
+    t = np.linspace(0.0, 1.0, n)
+    for path in (
+        np.clip(t - share, 0.0, None),
+        np.clip(share - t, 0.0, None),
+        np.where(abs(t - share) < 0.1, 0.1, 0.0),
+    ):
+        moved = motion(0.05 * path + 77e-6 * rng.standard_normal(n))
+        assert abs(moved) > 1e-3
+    assert motion(0.05 * np.clip(t - share, 0.0, None)) > 0.0 > motion(-0.05 * np.clip(t - share, 0.0, None))

@@ -53,8 +53,8 @@ def test_every_planned_dwell_is_used_and_sigma_is_as_foretold(planned, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["n_observations"] == plan.dwells.sum() == forecast["poses"]
     assert result["rank"] == forecast["rank"] == 36
-    foretold = {p["name"]: p["sigma"] for p in forecast["parameters"]}
-    ratio = [p["sigma"] / foretold[p["name"]] for p in result["parameters"] if p["sigma"]]
+    predicted = {p["name"]: p["sigma"] for p in forecast["parameters"]}
+    ratio = [p["sigma"] / predicted[p["name"]] for p in result["parameters"] if p["sigma"]]
     assert len(ratio) == 36
     # The forecast looks from the design, the identification from the true robot: 20 mm of a metre, 2 % of a lever.
     assert np.abs(np.array(ratio) - 1.0).max() < 0.1

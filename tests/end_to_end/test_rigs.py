@@ -13,7 +13,7 @@ from truearm.files.rig_file import write_rig
 from truearm.types import Point
 from truearm_sim.world import standard_rig
 
-SHIFT = np.array([0.004, -0.003, 0.002])  # m, of the spheres that were mounted anew on Tuesday
+SHIFT = np.array([0.004, -0.003, 0.002])  # m, of the spheres that were mounted again on Tuesday
 
 
 def moved_rig():
@@ -101,15 +101,15 @@ def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
 def test_names_that_fit_nothing_are_told(days, tmp_path):
     write_rig(tmp_path / "m.toml", standard_rig())
     rig = tmp_path / "m.toml"
-    assert "no session is called so" in told(days, "--rig", f"wednesday={rig}")
+    assert "no session has that name" in told(days, "--rig", f"wednesday={rig}")
     other = tmp_path / "monday.mcap"
     other.write_bytes((days / "tuesday.mcap").read_bytes())
     two = truearm("identify", days / "monday.mcap", other, "--model", "puma560")
     assert (two.returncode, two.stdout) == (2, "")
-    assert "another session is called monday too, but has another rig" in two.stderr
+    assert "another session is also named monday but has another rig" in two.stderr
     table = tmp_path / "t.csv"
     table.write_text(
         "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sphere\n"
         "ball_bar,0,0,0,0,0,0,460,bar46,c1,s1\n"
     )
-    assert "t.csv row 2: names no rig in its column rig; given: monday, tuesday" in told(days, table)
+    assert "t.csv row 2: names no rig in its column rig; the rigs given are monday, tuesday" in told(days, table)

@@ -103,7 +103,7 @@ def test_nothing_is_allocated_while_streaming(chip):
 
 
 def test_a_link_that_is_never_idle_does_not_exhaust_the_heap(chip):
-    """Commands allocate; on a link that takes less than what is streamed no moment is idle, and memory is collected all the same."""
+    """Commands allocate; on a link that takes less than what is streamed no moment is idle, and memory is collected anyway."""
     chip.start()
     answers = 0
     for i in range(2000):
@@ -205,7 +205,7 @@ def test_a_command_is_executed_once(bench):
     again = bench.give(rx=command(50, 2))
     assert again[0][:1] == [REPLY]
     assert again[0][2] == 2
-    assert data_of(bench.sample(13))[0][3] == 26, "the repeated start did not begin anew"
+    assert data_of(bench.sample(13))[0][3] == 26, "the repeated start did not begin again"
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_rubbish_is_counted_and_harmless(bench):
     ]
     rubbish += [
         frame.frame(bytes([0x82, 0x18, 0x20, 0x1B, 1, 2, 3, 4, 5, 6, 7, 8])),  # an id beyond 2^30
-        frame.frame(bytes([0x82, 0x18, 0x20, 0x49]) + b"\xff" * 9),  # an id that is no integer
+        frame.frame(bytes([0x82, 0x18, 0x20, 0x49]) + b"\xff" * 9),  # an id that is not an integer
     ]
     for run in rubbish:
         assert bench.give(rx=run) == []
@@ -360,7 +360,7 @@ GOOD = {"name": "lvdt", "unit": "V", "scale": [1, -7]}
     [
         ({"osr": 5, "channels": [GOOD] * 4}, "osr is not one of"),
         ({"osr": 4096.0, "channels": [GOOD] * 4}, "osr is not one of"),
-        ([], "it is no table"),
+        ([], "it is not a table"),
         ({"osr": 1024, "channels": [GOOD] * 3}, "four channels"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": 1.43e-7}] * 4}, "mantissa, exponent"),
         ({"osr": 1024, "channels": [{**GOOD, "scale": [1.5, -7]}] * 4}, "mantissa, exponent"),

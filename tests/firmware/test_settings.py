@@ -77,7 +77,7 @@ def test_a_configuration_is_put_told_kept_and_in_force(boot):
 
 
 def test_position_of_the_head_by_hand(boot):
-    """9.05 µs an inch: 100 µs less 1.2 µs of delay and 4 ns that rounding down takes are 277.2961 mm."""
+    """9.05 µs an inch: 100 µs less 1.2 µs of delay are 277.2951 mm."""
     box = boot()
     (mag,) = [
         s
@@ -86,8 +86,8 @@ def test_position_of_the_head_by_hand(boot):
     ]
     zero, speed = poly(mag)
     assert speed == pytest.approx(25400 / 9.05, rel=1e-13)
-    assert zero + speed * 8e-9 * 12_500 == pytest.approx((100e-6 - 1.2e-6 + 4e-9) * 0.0254 / 9.05e-6, rel=1e-13)
-    assert zero + speed * 8e-9 * 12_500 == pytest.approx(0.2773063, abs=1e-7)
+    assert zero + speed * 8e-9 * 12_500 == pytest.approx((100e-6 - 1.2e-6) * 0.0254 / 9.05e-6, rel=1e-13)
+    assert zero + speed * 8e-9 * 12_500 == pytest.approx(0.2772950, abs=1e-7)
 
 
 @pytest.mark.parametrize("gain", [1, 2, 32, 64, 128])

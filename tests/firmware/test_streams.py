@@ -247,7 +247,7 @@ def test_the_led_says_what_the_box_does(bench):
     assert bench.answer.led == LED["streaming"]
     bench.give(us=1_000_000, tx_room=0)
     bench.give(us=1_000_000, tx_room=0)
-    assert bench.answer.led == LED["streaming"], "a second is no absence"
+    assert bench.answer.led == LED["streaming"], "a second is not an absence"
     bench.give(us=2_000_001, tx_room=0)
     assert bench.answer.led == LED["host gone"]
     bench.give()

@@ -67,6 +67,8 @@ def test_a_pin_of_the_board_file_that_moves_is_found(made):
     moved = board.replace("HEAD_PINS = (2, 3)", "HEAD_PINS = (2, 4)")
     assert moved != board
     assert any("GP4" in text for text in pico(made, moved))
+    elsewhere = board.replace("THERMOMETER_PIN = 9", "THERMOMETER_PIN = 11")
+    assert any("GP11" in text for text in pico(made, elsewhere))
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ OPERATORS = {
     "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
 }  # fmt: skip
 LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
-TURNS = 10_000  # of all loops together: a program that goes on is no test
+TURNS = 10_000  # of all loops together: a program that goes on is not a test
 
 
 def tokens_of(text):
@@ -52,7 +52,7 @@ def tokens_of(text):
     while at < len(text):
         match = TOKEN.match(text, at)
         if match is None:
-            raise ProgramFault(f"{text[at : at + 20]!r} is no RAPID")
+            raise ProgramFault(f"{text[at : at + 20]!r} is not RAPID")
         if match.lastgroup == "name" and len(match[0]) > 32:
             raise ProgramFault(f"{match[0]} has more than 32 characters")
         if match.lastgroup == "string" and len(match[0]) > 82:
@@ -132,14 +132,14 @@ class Machine:
     def new_name(self):
         kind, name = self.take()
         if kind != "name" or name in RESERVED - {"main"} or name in self.names | set(DATA):
-            raise ProgramFault(f"{name!r} is no new name")
+            raise ProgramFault(f"{name!r} is not a new name")
         self.names.add(name)
         return name
 
     def local_name(self):
         kind, name = self.take()
         if kind != "name" or name in RESERVED:
-            raise ProgramFault(f"{name!r} is no name")
+            raise ProgramFault(f"{name!r} is not a name")
         return name
 
     def module(self):
@@ -428,7 +428,7 @@ class Machine:
         """What gives the cell of a variable, an element or a component."""
         kind, name = self.take()
         if kind != "name" or self.word() == "(":
-            raise ProgramFault(f"{name!r} is no variable")
+            raise ProgramFault(f"{name!r} is not a variable")
 
         def root(frame):
             if name in frame:

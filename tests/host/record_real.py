@@ -43,8 +43,9 @@ def real_time_box():
 
 
 @contextmanager
-def box_on_a_socket():
-    """A box behind ``socket://``; yields it and the device."""
+def box_on_a_socket(waits=False):
+    """A box behind ``socket://``; yields it and the device. ``waits``: it is plugged in at the recorder's first byte, after
+    pyserial emptied the input of the port that it opened."""
     listener = socket.create_server(("127.0.0.1", 0))
     stop = threading.Event()
     lab, box = real_time_box()
@@ -52,6 +53,8 @@ def box_on_a_socket():
     def serve():
         peer, _ = listener.accept()
         with peer, listener:  # nobody comes a second time
+            if waits:
+                peer.recv(1, socket.MSG_PEEK)
             play(box, lab, peer.fileno(), stop)
 
     thread = threading.Thread(target=serve, daemon=True)

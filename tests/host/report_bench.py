@@ -220,6 +220,7 @@ CERTIFICATE = Certificate(
             "0.4.0",
             (Sensor("lvdt", f"serial{i}", "2026-01-01", "at 23.4 °C"),),
             400,
+            24,
             (("no plan match", 13), ("moved", 2)),
             4,
             1_234_567,

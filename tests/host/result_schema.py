@@ -1,4 +1,4 @@
-"""docs/result-format.md, as far as a machine can hold it."""
+"""docs/reference/result-format.md, as far as a machine can hold it."""
 
 from typing import Any
 
@@ -43,6 +43,7 @@ PARAMETER = {
 LISTS = {
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
     *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
+    "all_held_out",
     "explanations",
 }
 OBJECTS = {
@@ -60,13 +61,14 @@ OBJECTS = {
     "joint_range",
     "joint_laws",
     "made_with",
+    "hold_out_proposal",
 }
 RMS = ("rms_before", "rms_after")
 RAW = ("rms_raw", "rms_declared", "rms_unexplained")
 
 
 def check_schema(result: dict[str, Any]) -> None:
-    """docs/result-format.md, as far as a machine can hold it."""
+    """docs/reference/result-format.md, as far as a machine can hold it."""
     units = result["residual_units"]
     assert units
     assert set(units) <= {"mm", "deg"}
@@ -107,7 +109,7 @@ def check_schema(result: dict[str, Any]) -> None:
     held = {name for key in ("base", "tool", "lost") for name in result["defaults"][key]}
     assert held <= names - set(free)
     assert set(result["defaults"]["believed"]) <= set(free)
-    assert all(set(joint) == {"joint", "unit", "spread"} for joint in result["defaults"]["still"])
+    assert all(set(joint) == {"joint", "unit", "spread", "at"} for joint in result["defaults"]["still"])
     predicted = result["predicted_error"]
     assert predicted is None or set(predicted) == {"rms_mm", "max_mm", "at", "n", "relative"}
     for key in ("held_out", "held_out_before"):

@@ -96,7 +96,7 @@ def test_functions_have_numpydoc(name):
 
 
 def test_every_name_is_there_and_in_the_page():
-    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
     for name in truearm.__all__:
         assert getattr(truearm, name) is not None
         assert f"`{name}`" in page, name
@@ -132,7 +132,7 @@ def test_an_exported_robot_says_what_it_costs(result):
         ({"q": np.nan}, "q1_rad"),
         ({"value": -0.46}, "length_m: '-0.46' must be greater than 0"),
         ({"chuck": ""}, "needs a chuck"),
-        ({"kind": "bar"}, "is no kind of observation"),
+        ({"kind": "bar"}, "is not an observation kind"),
     ],
 )
 def test_a_table_that_could_not_be_read_again_is_not_written(change, complaint, tmp_path, robot, table):
@@ -208,8 +208,8 @@ WRONG = {
         "robot: must be a Robot (see load_robot)",
     ),
     "no robot": (lambda f, r, t, g, c: truearm.load_robot("nobody"), RobotError, "nobody"),
-    "no file name": (lambda f, r, t, g, c: truearm.read_rig(3), TypeError, "path: must be a text or a path, is 3"),
-    "no file": (lambda f, r, t, g, c: truearm.read_rig("missing.toml"), InputError, "missing.toml"),
+    "not a file name": (lambda f, r, t, g, c: truearm.read_rig(3), TypeError, "path: must be a text or a path, is 3"),
+    "not a file": (lambda f, r, t, g, c: truearm.read_rig("missing.toml"), InputError, "missing.toml"),
     "table as path": (
         lambda f, r, t, g, c: truearm.identify(r, "poses.csv", g),
         TypeError,
@@ -232,7 +232,7 @@ WRONG = {
     "hold-out's mask": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=np.zeros(3, bool)),
         InputError,
-        "hold_out: must be one bool a row",
+        "hold_out: must be one bool per row",
     ),
     "options": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options="map"),
@@ -266,15 +266,15 @@ WRONG = {
         InputError,
         "poses: must be an array (n, 4, 4), its shape is (2,)",
     ),
-    "poses that are no poses": (
+    "poses that are not poses": (
         lambda f, r, t, g, c: truearm.correct_poses(c, [np.eye(4), 2.0 * np.eye(4)]),
         InputError,
-        "poses: number 1 is no rotation",
+        "poses: number 1 is not a rotation",
     ),
     "a mirrored pose": (
         lambda f, r, t, g, c: truearm.correct_poses(c, np.diag([1.0, 1.0, -1.0, 1.0])),
         InputError,
-        "poses: number 0 is no rotation",
+        "poses: number 0 is not a rotation",
     ),
     "pattern as text": (
         lambda f, r, t, g, c: truearm.identify(r, t, g, options=truearm.IdentifyOptions(free="joint*.offset")),
@@ -286,7 +286,7 @@ WRONG = {
         InputError,
         "max_iterations: must be a number from 1 to 10000, is 0",
     ),
-    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is no session"),
+    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is not a session"),
     "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses: must be"),
     "far pose": (
         lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]),

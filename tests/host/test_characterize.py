@@ -190,7 +190,7 @@ class Calibration:
     def expected(self, noise, fit):
         """Mean and σ of χ² (n − 36 of it) and of NEES, by theory: from the true backlash, sides and noise, and the sigmas that were told.
 
-        Whitened, the lengths' errors are e = ε + ν: ε what the links lie behind their encoders by, which is no chance once the sides are
+        Whitened, the lengths' errors are e = ε + ν: ε what the links lie behind their encoders by, which is not chance once the sides are
         drawn, and ν of variance w. With the projection H on what 36 parameters can do, χ² = eᵀ(I − H)e and NEES = eᵀHe.
         """
         rig, table = with_noise(standard_rig(), noise), self.table(noise, sides=False)
@@ -351,7 +351,7 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     write_plan(plan, world(1).controller.plan)
     code, _, err = run("characterize", path, "--model", "puma560")
     assert (code, err.count("\n")) == (2, 1)
-    assert "0 dwells can be used" in err
+    assert "0 dwells are usable" in err
     code, text, _ = run("characterize", path, "--model", "puma560", "--plan", plan, "--json")
     assert (code, json.loads(text)["poses"]) == (0, 4)
 
@@ -360,7 +360,7 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     ("more", "says"),
     [
         (("--model", "panda"), "6 joints, the robot given has 7"),
-        (("--model", "puma560", "--out", "-"), "no file name"),
+        (("--model", "puma560", "--out", "-"), "not a file name"),
         (("--model", "puma560", "--rig", "none.toml"), "none.toml"),
         (("--model", "puma560", "--within-mm", "nan"), "within-mm"),
     ],

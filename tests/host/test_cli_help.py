@@ -3,7 +3,6 @@
 import re
 
 import pytest
-import typer
 
 from truearm.cli import main as cli
 
@@ -15,7 +14,7 @@ def commands(command, name=""):
         yield from commands(sub, f"{name} {each}".strip())
 
 
-COMMANDS = dict(commands(typer.main.get_command(cli.app)))
+COMMANDS = dict(commands(cli.command_tree()))
 
 
 @pytest.mark.parametrize("name", COMMANDS)

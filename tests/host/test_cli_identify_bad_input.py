@@ -37,7 +37,7 @@ def test_bad_tables(run: Run, good: list[object], tmp_path: Path, header: str, r
 
 BAD_ARGUMENTS = {
     "no such option": (["--nonsense"], "--nonsense"),
-    "no number": (["--max-iterations", "many"], "--max-iterations"),
+    "not a number": (["--max-iterations", "many"], "--max-iterations"),
     "below its range": (["--max-iterations", "0"], "--max-iterations"),
     "no such prior": (["--prior", "strong"], "'--prior': 'strong' is not one of"),
     "no such solver": (["--solver", "magic"], "renders-1991"),

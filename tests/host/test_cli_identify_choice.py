@@ -68,14 +68,14 @@ def test_the_seed_decides_the_draw() -> None:
         (["place=d"], r"no row has that place; there is a, b, c"),
         (["d"], r"no place or shell has that name; there is place=a, place=b, place=c"),
         (["shell=s61"], "the observations have no shell column"),
-        (["colour=a"], "'colour' is no group"),
+        (["colour=a"], "'colour' is not a group"),
         (["place="], "no row has that place"),
         ([""], "no place or shell has that name"),
         (["0.2", "a"], "not both"),
         (["0.2", "0.3"], "not both"),
         (["1.5"], "between 0 and 1"),
         (["nan"], "between 0 and 1"),
-        (["0.01"], "not one row of 10"),
+        (["0.01"], "less than one row of 10"),
         (["0.99"], "every row"),
         (["a", "b", "c"], "every row"),
     ],
@@ -96,7 +96,7 @@ def test_a_wrong_group_to_fit_is_told_by_its_own_option(wanted: str) -> None:
 
 def test_a_name_that_is_a_place_and_a_shell_must_say_which() -> None:
     table = parse_table("kind,q1_rad,place,socket,shell\nseat,0,a,0,b\nseat,0,b,0,c\n", "t.csv")
-    with pytest.raises(InputError, match="say place=b or shell=b"):
+    with pytest.raises(InputError, match="write place=b or shell=b"):
         held_out_rows(table, ["b"], 0)
 
 

@@ -47,7 +47,7 @@ def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -
 
 
 def test_every_field_is_documented() -> None:
-    text = (ROOT / "docs" / "result-format.md").read_text()
+    text = (ROOT / "docs" / "reference" / "result-format.md").read_text()
     nested = {
         "chucks",
         "spheres",
@@ -86,7 +86,7 @@ def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
     ("change", "message"),
     [
         (lambda d: d.pop("parameters"), "needs parameters"),
-        (lambda d: d.update(format="other"), "is no result"),
+        (lambda d: d.update(format="other"), "is not a result"),
         (lambda d: d.update(format_version=99), "format version 99"),
         (lambda d: d.update(format_version=True), "format version True"),
         (lambda d: d.pop("format_version"), "has no format_version"),
@@ -116,10 +116,10 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
     mine = tmp_path / "mine.json"
     mine.write_text('{"my": "notes"}')
     for more, text in (
-        (["--out", table], "is also read"),
-        (["--save-table", table], "is also read"),
-        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "two outputs in one file"),
-        (["--out", mine], "nothing that truearm wrote"),
+        (["--out", table], "is already an input"),
+        (["--save-table", table], "is already an input"),
+        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "is named for two outputs"),
+        (["--out", mine], "was not written by truearm"),
         ([table], "is given twice"),
     ):
         outcome = run(*map(str, [*good, *more]))
@@ -160,10 +160,10 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
     assert run(*good, "--report", page).code == 0
     told(run(*good, "--report", page), "r.html: exists; choose another name or give --force")
     assert run(*good, "--report", page, "--force").code == 0
-    told(run(*good, "--report", diary, "--force"), "nothing that truearm wrote")
-    told(run(*good, "--report", diary), "nothing that truearm wrote")
+    told(run(*good, "--report", diary, "--force"), "was not written by truearm")
+    told(run(*good, "--report", diary), "was not written by truearm")
     new = tmp_path / "new"
-    told(run(*good, "--report", new, "--out", new), "two outputs in one file")
-    told(run(*good, "--report", good[1]), "is also read")
+    told(run(*good, "--report", new, "--out", new), "is named for two outputs")
+    told(run(*good, "--report", good[1]), "is already an input")
     told(run(*good, "--report", tmp_path / "none" / "r.html"), "does not exist")
     assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"

@@ -51,7 +51,7 @@ def identified(tmp_path, capsys):
 
 
 def held_as_a_choice_of_frame(result, text, n_base, rank):
-    """What no pose could show with these fixtures is held; all else is seen."""
+    """What no pose could show with these fixtures is held; everything else is seen."""
     assert result["rank"] == result["n_free"] == rank
     assert len(result["defaults"]["base"]) == n_base
     assert result["null_space"] == []
@@ -203,7 +203,7 @@ def refused(tmp_path, capsys, rows, rig, *options):
 
 
 def test_one_row(tmp_path, capsys):
-    assert "t.csv row 2: 1 row identifies nothing" in refused(
+    assert "t.csv row 2: 1 row cannot identify a robot" in refused(
         tmp_path, capsys, random_table(1, np.random.default_rng(4), SIGMA), RIG
     )
 
@@ -238,4 +238,4 @@ def test_rows_that_determine_nothing(tmp_path, capsys):
     names = np.array([str(i) for i in range(6)])
     seats = ObservationTable(q=rows.q, kind=np.full(6, "seat"), socket=names, place=np.full(6, "front"))
     err = refused(tmp_path, capsys, seats, replace(RIG, spheres={"s0": RIG.spheres["s0"]}))
-    assert "determine nothing of the robot" in err
+    assert "say nothing about the robot" in err

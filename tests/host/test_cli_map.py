@@ -153,10 +153,10 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--task", "ax10"), "needs width and height"),
         (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
         (("map", result, "--task", "9x9", "--within", "nan:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
-        (("map", result, "--within", "0:1,0:1"), "give that too"),
+        (("map", result, "--within", "0:1,0:1"), "--within needs --task"),
         (("map", result, "--cell", "0.1"), "--cell"),
         (("map", tmp_path / "bad.json"), "null_space: item 1: weights: item 1: 'much' is not a number"),
-        (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is nothing"),
+        (("map", result, "--picture", tmp_path / "mine.svg"), "exists and was not written"),
     ]
     for arguments, says in cases:
         code, said, err = run(*arguments)
@@ -184,4 +184,4 @@ def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
 def test_too_many_cells_are_refused(result, run):
     code, _, err = run("map", result, "--cell", "1")
     assert code == 2
-    assert "choose larger ones" in err
+    assert "choose larger cells" in err

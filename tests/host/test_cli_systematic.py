@@ -68,12 +68,12 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--allow", "chuck.c9"], "'chuck.c9' cannot be off here; these can: chuck.c1,"),
+        (["--allow", "chuck.c9"], "'chuck.c9' cannot have an error here; these can: chuck.c1,"),
         (["--allow", "chuck.c1@0"], "--allow 'chuck.c1@0' is not NAME"),
         (["--allow", "chuck.c1@9:3"], "--allow 'chuck.c1@9:3' is not NAME"),
-        (["--allow", "chuck.c1@361"], "there are rows 1 to 360"),
+        (["--allow", "chuck.c1@361"], "the table has rows 1 to 360"),
         (["--leave-out", "x"], "--leave-out 'x' is not FIRST:LAST"),
-        (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out: there are rows 1 to 360"),
+        (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out: the table has rows 1 to 360"),
         (["--leave-out", "1:360"], "no observations are left to fit"),
     ],
 )

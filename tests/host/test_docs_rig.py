@@ -1,4 +1,4 @@
-"""The numbers of docs/rig.md: computed again by the project's own forecast, on the demo's rig."""
+"""The numbers of docs/how-to/rig.md: computed again by the project's own forecast, on the demo's rig."""
 
 import re
 from dataclasses import replace
@@ -16,7 +16,7 @@ from truearm.plan.region import around, poses_in
 from truearm.types import Plan
 from truearm_sim.world import standard_plan
 
-PAGE = Path(__file__).parents[2] / "docs" / "rig.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "rig.md"
 ROW = re.compile(r"^\| ([^|]+?) +\| +([\d.]+)(\*?) +\|", re.M)
 RIG = bench.RIGS["puma560"]
 
@@ -114,6 +114,6 @@ def test_names_in_the_text_are_keys_of_the_rig_file():
     text = PAGE.read_text(encoding="utf-8")
     for key in ("zero_sigma_mm", "gain_sigma", "sigma_mm", '"unknown"'):
         assert key in text
-    table = (PAGE.parent / "table-format.md").read_text(encoding="utf-8")
+    table = (PAGE.parents[1] / "reference" / "table-format.md").read_text(encoding="utf-8")
     for key in ("zero_sigma_mm", "gain_sigma", "sigma_mm"):
         assert key in table

@@ -78,10 +78,10 @@ def test_rows_of_three_residuals_have_it_too():
 @pytest.mark.parametrize(
     ("rig", "says"),
     [
-        (replace(WORN, joint_cov=()), "and joint_cov"),
+        (replace(WORN, joint_cov=()), "joint_cov and a width"),
         (replace(WORN, backlash=WORN.backlash[:3]), "for each joint"),
         (replace(WORN, backlash_sigma=()), "for each joint"),
-        (replace(WORN, backlash=tuple(3.0 * B)), "half of it at least"),
+        (replace(WORN, backlash=tuple(3.0 * B)), "at least half of it"),
     ],
 )
 def test_what_does_not_fit_is_said(rig, says):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.estimate.information import Information, covariance, fold, spectrum, with_prior
-from truearm.estimate.lm import minimise
+from truearm.estimate.lm import after_step, minimise
 
 # NIST StRD, nonlinear regression, Misra1a (lower difficulty) and its certified values.
 MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]
@@ -130,3 +130,9 @@ def test_a_prior_is_a_row():
     assert both.chi2 == pytest.approx(f @ f + 0.36 + 0.01)
     assert both.n_residuals == 12
     np.testing.assert_allclose(covariance(spectrum(both.root)), np.linalg.inv(normal), atol=1e-12)
+
+
+def test_a_step_that_brings_far_more_than_was_foretold_is_no_overflow():
+    """What was predicted may be lost in rounding; the damping is then that of a step that came as predicted."""
+    for refused in (False, True):
+        assert after_step(1e-3, 1e200, refused) == after_step(1e-3, 1.0, refused) > 0.0

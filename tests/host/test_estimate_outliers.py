@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.host.puma_bench import CHAIN, FREE, RIG, SIGMA, SPHERES, TRUTH, random_table
 
+from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.model.chain import point_forward
 
@@ -36,6 +37,35 @@ def test_bad_rows_are_named_exactly(count):
     assert e.with_outliers.n == count
     assert e.with_outliers.chi2_reduced == pytest.approx(bent.chi2_reduced)
     np.testing.assert_array_equal(e.with_outliers.value, bent.value)
+
+
+@pytest.mark.parametrize("length", [1e-9, 1.46, 99.0])
+def test_a_gross_row_is_named_alone(length):
+    """A sensor that read nothing, a metre too much, another unit: the fit is that without the row, and so is the choice of a prior."""
+    rng = np.random.default_rng(8)
+    t, bad = random_table(N, rng, SIGMA), 200
+    others = t.select(np.arange(N) != bad)
+    t.value[bad] = length
+    none = np.zeros(54, dtype=bool)
+    free, sigma, _ = choose_defaults(CHAIN, RIG, t, FREE, none, True)
+    clean_free, clean_sigma, _ = choose_defaults(CHAIN, RIG, others, FREE, none, True)
+    np.testing.assert_array_equal(free, clean_free)
+    np.testing.assert_array_equal(sigma, clean_sigma)
+    e, clean = (identify(CHAIN, RIG, of, free=free, prior_sigma=sigma, options=REJECT) for of in (t, others))
+    assert np.flatnonzero(e.suspect).tolist() == np.flatnonzero(e.weight == 0.0).tolist() == [bad]
+    np.testing.assert_allclose(e.value, clean.value, atol=1e-3 * np.nanmin(clean.sigma[:54]))  # where steps end
+    assert e.rms_after["m"] == pytest.approx(clean.rms_after["m"], rel=1e-6)
+    assert e.rms_before["m"] == pytest.approx(clean.rms_before["m"], rel=1e-3)
+    assert e.with_outliers.n == 1
+    assert e.with_outliers.rms_after["m"] > 1e-3
+
+
+def test_more_gross_rows_than_single_ones_are_no_bad_rows():
+    """Four that follow each other are a fault of the session, not of rows: none is left out."""
+    t = random_table(N, np.random.default_rng(8), SIGMA)
+    t.value[200:204] += 0.5
+    e = identify(CHAIN, RIG, t, free=FREE, options=REJECT)
+    assert (e.weight == 1.0).all()
 
 
 def test_clean_rows_stay():

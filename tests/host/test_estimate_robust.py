@@ -117,7 +117,7 @@ def test_iterations_count_on_over_the_stages():
     assert heard == list(range(1, e.iterations + 1))
     short = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss="cauchy", max_iterations=2))
     assert (short.status, short.iterations) == ("max_iterations", 6)  # two for each of three stages
-    assert short.message == "cauchy loss: not converged after 2 iterations"
+    assert short.message == "cauchy loss: 2 iterations were not enough"
 
 
 @pytest.mark.parametrize("solver", ["lm", "map"])

@@ -272,7 +272,7 @@ def test_every_format_says_what_it_holds(name):
 
 
 def test_the_docs_list_every_format():
-    page = (Path(__file__).parents[2] / "docs" / "robot-format.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "robot-format.md").read_text()
     for name, form in FORMATS.items():
         mountings = "yes" if form.mountings else "no"
         assert f"| `{name}` | `{form.suffix}` | {', '.join(form.holds)} | {mountings} |" in page
@@ -424,11 +424,11 @@ def test_a_kinematics_file_predicts_the_robot_without_its_mountings():
 def test_kinematics_files_are_of_universal_robots_alone():
     chain = builtin_robot("irb120").chain
     described = link_frames(chain, chain.params_nominal, chain.params_nominal)
-    with pytest.raises(RobotError, match="irb120: its axes do not lie as those of Universal Robots"):
+    with pytest.raises(RobotError, match="irb120: its axes are not arranged like those of a Universal Robots"):
         ur_yaml(described, described)
     panda = builtin_robot("panda").chain
     described = link_frames(panda, panda.params_nominal, panda.params_nominal)
-    with pytest.raises(RobotError, match="of six turning joints"):
+    with pytest.raises(RobotError, match="has six revolute joints"):
         ur_yaml(described, described)
 
 

@@ -159,7 +159,7 @@ def test_without_a_rig(made, tmp_path):
     store(tmp_path / "s.mcap", messages, rig=False)
     tables, said = export(tmp_path / "s.mcap", tmp_path / "x")
     assert "observations" not in tables
-    assert said["not_paired"] == "was recorded without a rig; give a rig to have observations"
+    assert said["not_paired"] == "was recorded without a rig; give a rig to get observations"
     assert len(tables["dwells"]["q1_rad"]) >= 3
     write_rig(tmp_path / "rig.toml", RIG)
     tables, said = export(tmp_path / "s.mcap", tmp_path / "y", "npz", "--rig", str(tmp_path / "rig.toml"))
@@ -277,7 +277,7 @@ class TestRefusals:
     def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
         (tmp_path / "x").mkdir()
         (tmp_path / "x" / "mine").write_text("precious")
-        assert "no empty folder" in self.refused(capsys, made[1], "--out", tmp_path / "x")
+        assert "not an empty folder" in self.refused(capsys, made[1], "--out", tmp_path / "x")
         assert os.listdir(tmp_path / "x") == ["mine"]
         (tmp_path / "y").mkdir()
         export(made[1], tmp_path / "y")

@@ -67,7 +67,7 @@ def test_it_stands_in_for_the_rigs_figures():
         ("backlash_si = [1e-4]", "needs joint_sigma_rad"),
         (
             "joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]",
-            "backlash_sigma_si: needs a list of 1 value, one a joint, has 0",
+            "backlash_sigma_si: needs a list of 1 value, one per joint, has 0",
         ),
         (
             "joint_sigma_rad = [1e-4]\nbacklash_si = 3\nbacklash_sigma_si = [0]",
@@ -75,7 +75,7 @@ def test_it_stands_in_for_the_rigs_figures():
         ),
         ("joint_sigma_rad = [1e-4]\nbacklash_si = [nan]\nbacklash_sigma_si = [0]", "finite"),
         ("joint_sigma_rad = [1e-4]\nbacklash_si = [1e-4]\nbacklash_sigma_si = [-1]", "between"),
-        ("joint_sigma_rad = [1e-4]\nbacklash_si = [3e-4]\nbacklash_sigma_si = [0]", "less than half its backlash"),
+        ("joint_sigma_rad = [1e-4]\nbacklash_si = [3e-4]\nbacklash_sigma_si = [0]", "below half its backlash"),
     ],
 )
 def test_what_is_wrong_is_refused_in_one_line(text, says):

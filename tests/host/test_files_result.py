@@ -130,6 +130,7 @@ def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
         residual_before={"m": np.array([1.0, np.nan, 2.0]), "rad": np.array([1.0, 1.0, np.nan])},
         rms_before={"m": 1.0, "rad": 1.0},
         rms_after={"m": 1.0, "rad": 1.0},
+        weight=np.array([1.0, 0.5, math.nan]),
     )
     (counts,) = document_of(estimate, TABLE, ROBOT, [])["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
@@ -142,6 +143,9 @@ def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
         "rms_after_deg": pytest.approx(math.degrees(math.sqrt(0.125))),
         "rms_held_out_deg": None,
     }
+    (counts,) = document_of(replace(estimate, weight=np.array([1.0, 0.0, math.nan])), TABLE, ROBOT, [])["observations"]
+    assert counts["fitted"] == 1, "a row that was left out is not fitted"
+    assert counts["rms_after_mm"] == pytest.approx(3.0)
 
 
 json_values = st.recursive(

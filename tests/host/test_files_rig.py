@@ -116,7 +116,7 @@ def test_devices_are_read_in_si() -> None:
 
 
 def test_the_rig_of_the_document_is_one() -> None:
-    text = (Path(__file__).parents[2] / "docs" / "table-format.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "table-format.md").read_text(encoding="utf-8")
     rig = parse_rig(re.findall(r"```toml\n(.*?)```", text, re.DOTALL)[0], "table-format.md")
     for name in (
         "chucks",
@@ -207,7 +207,7 @@ WRONG = {
     "unknown key": (BAR + "scale = 1.0\n", "[[bar]] 1: unknown key 'scale'"),
     "no name": ("[[chuck]]\nxyz_m = [0, 0, 0]\n", "[[chuck]] 1: needs name"),
     "odd name": ('[[chuck]]\nname = "a b"\nxyz_m = [0, 0, 0]\n', "[[chuck]] 1: name: 'a b' is not a name"),
-    "twice": (BAR + BAR, "[[bar]] 2: 'b' is already defined; give each its own name"),
+    "twice": (BAR + BAR, "[[bar]] 2: 'b' is already defined; give each entry its own name"),
     "no length": ('[[bar]]\nname = "b"\n', "needs zero_m (or zero_mm)"),
     "both units": (BAR + "zero_mm = 400\n", "both zero_m and zero_mm"),
     "text": (BAR.replace("0.4", '"0.4"'), "[[bar]] 1: zero_m: '0.4' is not a number"),
@@ -225,7 +225,7 @@ WRONG = {
     ),
     "two coordinates": ('[[sphere]]\nname = "s"\nxyz_m = [0, 0]\n', "xyz_m: needs a list of 3 values, has 2"),
     "one socket": ('[[socket_distance]]\nsockets = ["0"]\n', "sockets: needs a list of 2 values, has 1"),
-    "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: a pose known exactly (sigma 0) needs xyz_m"),
+    "line known nowhere": (LINE + "position_sigma_m = 0\n", "[[line]] 1: an exactly known pose (sigma 0) needs xyz_m"),
     "one sigma of three": (LINE.replace("[0.1, 0.1, 0.1]", "0.1"), "sigma_mm: needs a list of 3 values, has 0.1"),
     "exact sensor": (LINE.replace("[0.1,", "[0.0,"), "sigma_mm: item 1: 0 mm is not greater than 0"),
     "sigma twice": (
@@ -237,18 +237,18 @@ WRONG = {
         "covariance_m2: needs a list of 3 values, has 2",
     ),
     "skewed": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [0, 1, 0], [0, 0, 1]]\n', "must be symmetric"),
-    "no covariance": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]\n', "eigenvalue of -1"),
+    "not a covariance": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 2, 0], [2, 1, 0], [0, 0, 1]]\n', "eigenvalue of -1"),
     "singular sensor": ('[[line]]\nname="l"\ncovariance_m2 = [[1, 1, 0], [1, 1, 0], [0, 0, 1]]\n', "not a covariance"),
     "ragged joints": ("joint_cov_si = [[1, 0], [0]]\n", "joint_cov_si: is not square: 2 rows need 2 values each"),
     "wild joints": ("joint_cov_si = [[-1.0]]\n", "eigenvalue of -1"),
     "joints twice": ("joint_cov_si = [[1.0]]\njoint_sigma_rad = [1.0]\n", "both joint_cov_si and joint_sigma_rad"),
     "unknown placement": (
         'line_placement = "by eye"\n',
-        "line_placement: 'by eye' is none of 'least_squares', 'two_point'",
+        "line_placement: 'by eye' is not one of 'least_squares', 'two_point'",
     ),
     "no line travel": ("line_travel_mm = 0\n", "line_travel_mm: 0 mm is not greater than 0"),
     "travel twice": ("line_travel_mm = 15\nline_travel_m = 0.015\n", "keep one"),
-    "listed placement": ("line_placement = [1]\n", "line_placement: a list is none of"),
+    "listed placement": ("line_placement = [1]\n", "line_placement: a list is not one of"),
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal must not be zero"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0' is already defined"),
     "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place: 'a b' is not a name"),

@@ -136,7 +136,7 @@ WRONG = {
     "no rows": ("kind,q1_rad,place,socket\n", "no rows"),
     "no header": ("seat,0.5,front,0\n", "'seat'"),
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
-    "no kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
+    "not an observation kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),
     "no unit": ("kind,q1\nseat,0\n", "name it q1_rad or q1_deg"),
@@ -145,7 +145,7 @@ WRONG = {
     "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "'deg'"),
     "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "q1 is given twice"),
     "both lengths": ("kind,q1_rad,length_m,length_mm\nball_bar,0,1,1\n", "length is given twice"),
-    "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "stands twice"),
+    "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "appears twice"),
     "no joints": ("kind,place,socket\nseat,a,0\n", "no joint columns"),
     "a gap in q": ("kind,q1_rad,q3_rad,place,socket\nseat,0,0,a,0\n", "none for q2"),
     "text for a number": (SEAT.replace("0.5", "half"), "row 2 column q1_rad: 'half' is not a number"),
@@ -163,7 +163,7 @@ WRONG = {
     "length of a seat": ("kind,q1_rad,length_m,place,socket\nseat,0,1,a,0\n", "has no length"),
     "line without its name": (LINE.replace("left", ""), "a line row needs a line"),
     "line without a point": ("kind,q1_rad,line\nline,0,left\n", "a line row needs x_mm, y_mm, z_mm"),
-    "half a point": (LINE.replace("250.5", ""), "row 2: needs x, y and z, or none of them"),
+    "half a point": (LINE.replace("250.5", ""), "row 2: needs x, y and z or none of them"),
     "point of a seat": (
         SEAT.replace("socket", "socket,x_m,y_m,z_m").replace("front,0", "front,0,1,1,1"),
         "has no x_mm",
@@ -191,11 +191,12 @@ WRONG = {
     "speed of a slide": ("kind,q1_rad,qd1_mm_s,place,socket\nseat,0,0,a,0\n", "qd1_mm_s: does not fit q1_rad"),
     "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use one of rad_s"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
+    "a length of nothing": (GOOD.replace("460.25", "1e-300"), "row 2 column length_mm: '1e-300' is too small"),
     "mm called m": (GOOD.replace("length_mm", "length_m"), "in another unit"),
     "negative length": (GOOD.replace("460.25", "-1"), "greater than 0"),
     "zero sigma": (GOOD.replace("0.1,", "0,"), "greater than 0"),
-    "odd identifier": (SEAT.replace("front", "front left"), "no identifier"),
-    "escape sequence": (SEAT.replace("front", "\x1b[31m"), "no identifier"),
+    "odd identifier": (SEAT.replace("front", "front left"), "not an identifier"),
+    "escape sequence": (SEAT.replace("front", "\x1b[31m"), "not an identifier"),
     "open quote": (SEAT + '"seat,0.5,front,0\n', "is not CSV"),
     "wide": (",".join(["kind", *(f"x_{i}" for i in range(300))]) + "\n", "301 columns"),
     "tall": ("kind,q1_rad\n" + "a,1\n" * 200_001, "more than 200000 rows"),
@@ -263,9 +264,9 @@ def test_seats_that_do_not_fit_the_rig_are_told() -> None:
         check_against_rig(seats, Rig(spheres=balls))
     check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "1"), 0.05, 1e-4),)))
     check_against_rig(seats, Rig(sockets={("front", "1"): Point("1", (0.0, 0.0, 0.0))}))
-    with pytest.raises(TableError, match="the rig's socket 1 at place 'back' is of no use: no row is seated in it"):
+    with pytest.raises(TableError, match="the rig's socket 1 at place 'back' is unused: no row is seated in it"):
         check_against_rig(seats, Rig(sockets={("back", "1"): Point("1", (0.0, 0.0, 0.0))}))
-    with pytest.raises(TableError, match="socket distance 0 to 2 is of no use: the seats are in sockets 0, 1, 2"):
+    with pytest.raises(TableError, match="socket distance 0 to 2 is unused: the seats are in sockets 0, 1, 2"):
         check_against_rig(seats, Rig(socket_distances=(SocketDistance(("0", "2"), 0.05, 1e-4),)))
 
 

@@ -61,7 +61,7 @@ def test_recording(disk, tmp_path):
     """The recorder stops, and what came until then is in the file, frame by frame."""
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG + "".join(f"# {random.Random(k).getrandbits(256):x}\n" for k in range(150)))
-    with box_on_a_socket() as (box, device):
+    with box_on_a_socket(waits=True) as (box, device):
         arguments = ["--unchecked", "--box", device, "--rig", rig, "--out", disk.path / "s.mcap", "--duration", "30"]
         done = disk.run("record", *arguments)
         sent = box.sent
@@ -73,7 +73,7 @@ def test_recording(disk, tmp_path):
     assert "Traceback" not in done.stderr
     file = disk.copy / "s.mcap"
     assert file.stat().st_size <= KIB << 10
-    mended = tmp_path / "mended.mcap"
+    mended = tmp_path / "recovered.mcap"
     recovered = subprocess.run(
         [sys.executable, "-c", RUN, "recover", file, "--out", mended], capture_output=True, text=True, timeout=60
     )

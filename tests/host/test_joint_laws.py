@@ -11,10 +11,11 @@ from ur10_bench import RIG, ROBOT
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
-from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, learned, weigh
+from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_curves import sampled_curves
 from truearm.estimate.problem import build_problem
+from truearm.files.observation_table import format_table, parse_table
 from truearm.files.result_file import format_document, parse_result
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.position import nearest_rotation
@@ -101,33 +102,34 @@ def test_evidence_is_that_of_the_gaussian_it_stands_for():
             s[blocks[i].columns] = variances[i]
         return stats.multivariate_normal.logpdf(y, np.zeros(len(y)), np.eye(len(y)) + (jac * s) @ jac.T)
 
-    here = weigh(marginal, blocks, variances)
+    here = weigh(seen_by(marginal, blocks), blocks, variances)
     assert here.nats == pytest.approx(log_density(0, 1) - log_density(), rel=1e-9)
     assert block_nats(here, blocks[1], variances[1]) == pytest.approx(log_density(0, 1) - log_density(0), rel=1e-6)
-    coefficients, covariance = here.posterior()
+    found = coefficients(marginal, here, blocks, variances)
     prior = np.concatenate([np.full(10, 0.05), np.full(20, 0.02)])
     information = jac.T @ jac + np.diag(1.0 / prior)
-    np.testing.assert_allclose(covariance, np.linalg.inv(information), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(coefficients, np.linalg.solve(information, jac.T @ y), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.value, np.linalg.solve(information, jac.T @ y), rtol=1e-9, atol=1e-12)
 
 
 def test_learned_variances_are_a_maximum_of_the_evidence_with_its_hyperprior():
     rng = np.random.default_rng(5)
     _, _, marginal = random_marginal(rng)
     blocks = [PriorBlock(slice(0, 10), np.eye(10)[None], 10.0), PriorBlock(slice(10, 30), np.eye(20)[None], 10.0)]
-    found = learned(marginal, blocks, [np.array([1.0]), np.array([1.0])], 200, 1e-8)
+    seen = seen_by(marginal, blocks)
+    found = learned(seen, blocks, [np.array([1.0]), np.array([1.0])], 200, 1e-8)
 
     def cost(*factors):
         scaled = [v * factor for v, factor in zip(found, factors, strict=True)]
         prior = sum(float(v.sum()) / (2.0 * b.cap**2) for v, b in zip(scaled, blocks, strict=True))
-        return weigh(marginal, blocks, scaled).nats - prior
+        return weigh(seen, blocks, scaled).nats - prior
 
     best = cost(1.0, 1.0)
     assert all(cost(*f) < best for f in ((1.05, 1.0), (0.95, 1.0)))
     assert cost(1.0, 1.5) <= best + 1e-9
 
 
-def world(rng, n, curves=True, masses=True):
+def world(rng, n, curves=True, masses=True, gravity=DOWN):
     """A UR10 with its design geometry moved, seen by a tracker; curves and masses are not drawn from the prior."""
     chain = ROBOT.chain
     truth = chain.params_nominal + ROBOT.free * rng.normal(
@@ -145,7 +147,7 @@ def world(rng, n, curves=True, masses=True):
             wrist = frames[:, 3, :3, 3]
             for joint, compliance in ((1, 4e-5), (2, 6e-5)):
                 axis = frames[:, joint, :3, 2]
-                torque = 8.0 * np.cross(axis, wrist - frames[:, joint, :3, 3]) @ DOWN
+                torque = 8.0 * np.cross(axis, wrist - frames[:, joint, :3, 3]) @ gravity
                 true_q[:, joint] += compliance * torque
         return point_forward(chain, truth, true_q, POINT)
 
@@ -189,7 +191,7 @@ def test_known_curves_and_sag_are_found(learned_arm):
 
 
 def test_the_covariance_covers_points_that_were_not_measured(learned_arm):
-    """k = 2 of a predicted coordinate: 0.95 is due; 100 poses share their parameters, so that 0.85 is no surprise."""
+    """k = 2 of a predicted coordinate: 0.95 is due; 100 poses share their parameters, so that 0.85 is not a surprise."""
     found, true_points = learned_arm
     estimate, table = found.estimate, found.table
     held = np.flatnonzero(~estimate.fitted)
@@ -242,6 +244,24 @@ def test_too_few_rows_and_still_joints_are_said():
     found = identified_with(table, np.zeros(12, dtype=bool), "curve")
     assert found.estimate.joint_laws.kept == ()
     assert "too few" in found.estimate.joint_laws.reasons[0]
+
+
+def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
+    """On a base that leans by 40°: with gravity along -z the torques are others. Rows of two mountings have no one direction."""
+    leaning = np.array([np.sin(0.7), 0.0, -np.cos(0.7)])
+    table, _ = world(np.random.default_rng(12), 160, curves=False, gravity=leaning)
+    told = replace(table, more={"gravity": np.tile(9.81 * leaning, (160, 1))})
+    read = parse_table(format_table(told, ("rad",) * 6), "rows.csv", ("rad",) * 6)
+    without, found = (identified_with(rows, np.arange(160) >= 110, "sag").estimate for rows in (table, read))
+    assert found.joint_laws.gravity == pytest.approx(tuple(leaning))
+    assert (without.joint_laws.gravity_known, found.joint_laws.gravity_known) == (False, True)
+    floor = np.sqrt(8.0 / np.pi) * NOISE  # mean norm of the noise alone
+    assert found.held_out.figures["m"].mean < 1.5 * floor
+    assert without.held_out.figures["m"].mean > 1.5 * found.held_out.figures["m"].mean
+    turned = np.where(np.arange(160)[:, None] % 2, 9.81 * leaning, (0.0, 0.0, -9.81))
+    both = identified_with(replace(table, more={"gravity": turned}), np.zeros(160, dtype=bool), "sag").estimate
+    assert both.joint_laws.kept == ()
+    assert "gravity differs by up to 20.1 deg" in both.joint_laws.reasons[0]
 
 
 def test_a_curve_is_stored_as_it_is_with_a_band_that_opens_outside(learned_arm):

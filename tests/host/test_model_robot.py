@@ -69,7 +69,11 @@ def test_units_of_a_file_become_si():
         ('name = "tiny"', 'name = "a\\nb"', r"name: 'a\\nb' is not text of at most"),
         ('name = "tiny"', "", "robot file: needs name"),
         ('name = "tiny"', 'name = "tiny"\nsource = ["x"]', "source: a list is not text"),
-        ("sheth_uicker", "hayati", "convention: 'hayati' is none of 'sheth_uicker', 'dh', 'modified_dh', 'elementary'"),
+        (
+            "sheth_uicker",
+            "hayati",
+            "convention: 'hayati' is not one of 'sheth_uicker', 'dh', 'modified_dh', 'elementary'",
+        ),
         ("sheth_uicker", "dh", "unknown key 'link1'"),
         ("[link1]", '["li\\nnk1"]', r"unknown key 'li\\nnk1'; did you mean link1"),
         ("[link2]", "[link3]", "unknown key 'link3'; did you mean link2"),
@@ -103,8 +107,8 @@ def test_units_of_a_file_become_si():
             'nominal = "drawing"',
             r"has no value 'drawing'; every parameter needs the same sets of values \(design, drawing\)",
         ),
-        ("prismatic", "ball", "joint1: kind: 'ball' is none of 'revolute', 'prismatic'"),
-        ('kind = "prismatic"', "kind = []", "joint1: kind: a list is none of"),
+        ("prismatic", "ball", "joint1: kind: 'ball' is not one of 'revolute', 'prismatic'"),
+        ('kind = "prismatic"', "kind = []", "joint1: kind: a list is not one of"),
         ("gain = { design = 1.0 }", "gain = 1.0", "joint1: gain: must be a table of values"),
         ("gain = { design = 1.0 }", "gain = { design = 0.0 }", "none of them 0"),
         ("[joint1]", "[joint2]", "unknown key 'joint2'; did you mean joint1"),
@@ -201,7 +205,7 @@ def test_a_link_may_be_constant_in_part():
         ("[joint2]", "[link1]\n[joint2]", "unknown key 'link1'"),
         ("[joint2]", "[[joint2]]", "joint2: must be a table, is a list"),
         ('source = "made up"', 'source = ""', "source: '' is not text of at most"),
-        ('convention = "dh"', 'convention = "modified dh"', "convention: 'modified dh' is none of"),
+        ('convention = "dh"', 'convention = "modified dh"', "convention: 'modified dh' is not one of"),
     ],
 )
 def test_a_row_with_a_hole_is_one_clear_line(old, new, says):
@@ -214,7 +218,7 @@ def test_a_file_without_parameters_is_refused():
     fixed = "".join(line.split("{")[0] + "0.0\n" if "{" in line else line for line in DH.splitlines(keepends=True))
     with pytest.raises(RobotError, match="joint1: gain: must be a table"):
         parse_robot(fixed)
-    with pytest.raises(RobotError, match="nothing can be identified"):
+    with pytest.raises(RobotError, match="no parameter can be identified"):
         parse_robot(fixed.replace("gain = 0.0\n", ""))
 
 
@@ -259,8 +263,8 @@ def test_transforms_by_hand():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('motion = "tz"', 'motion = "ta"', "transform: item 1: motion: 'ta' is none of 'tx'"),
-        ('motion = "tz"', "motion = []", "transform: item 1: motion: a list is none of 'tx'"),
+        ('motion = "tz"', 'motion = "ta"', "transform: item 1: motion: 'ta' is not one of 'tx'"),
+        ('motion = "tz"', "motion = []", "transform: item 1: motion: a list is not one of 'tx'"),
         ('name = "column.height"\n', "", "transform: item 1: a parameter needs a name and a table of values"),
         (
             "amount_deg = -90.0",
@@ -320,7 +324,7 @@ ARM = builtin_text("irb120")
         (
             "lower_deg = [-155.0, -80.0, -60",
             "lower_deg = [-60",
-            "branch: lower: needs a list of 6 values, one a joint, has 4",
+            "branch: lower: needs a list of 6 values, one per joint, has 4",
         ),
         ("lower_deg = [-155.0, -80.0", 'lower_deg = ["a", -80.0', "branch: lower_deg: item 1: 'a' is not a number"),
         ("lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "bounds of joint 2 must lie within its limits"),

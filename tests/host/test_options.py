@@ -1,4 +1,4 @@
-"""The words of options: docs/options.md says what each means, every command follows it, and earlier words are refused."""
+"""The words of options: docs/reference/options.md says what each means, every command follows it, and earlier words are refused."""
 
 import re
 import subprocess
@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer
 
-from truearm.cli.main import app, main
+from truearm.cli.main import command_tree, main
 from truearm.cli.options import EARLIER_WORDS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "options.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
     word: tuple(value.split(" or "))
     for words, value in re.findall(r"^\| (`--.*?) \| (.*?) ?\|", PAGE, re.MULTILINE)
@@ -20,8 +19,8 @@ ROWS = {
 
 
 def commands(command=None, name="truearm"):
-    """Every command that is no group, by what is typed."""
-    command = command or typer.main.get_command(app)
+    """Every command that is not a group, by what is typed."""
+    command = command or command_tree()
     below = getattr(command, "commands", None)
     if below is None:
         return {name: command}
@@ -41,7 +40,7 @@ def test_an_option_takes_the_value_that_the_page_names():
 
 
 def test_an_option_of_several_commands_has_one_kind_of_value():
-    """Where the page does not name it: what it takes is the same all the same."""
+    """Where the page does not name it: what it takes is the same anyway."""
     takes = {}
     for name, word, one in options():
         if word.startswith("--") and word not in ROWS and not name.startswith("truearm box"):

@@ -1,4 +1,4 @@
-"""Plans of lines: inside the workspace and the device's reach, where the error is large, and foretold as identified."""
+"""Plans of lines: inside the workspace and the device's reach, where the error is large, and predicted as identified."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -223,8 +223,8 @@ def test_foretold_is_what_identification_reports(known):
     # From the design, 1 mm and 4 mrad from this robot: of four robots the ratio was 0.83 to 1.08. From what was identified, as
     # a second plan is made, nothing but the noise is between the two: 0.1 % in the mean, a few times that at worst.
     again = forecast(replace(known, rig=planned.rig, params=found.value[: found.n_robot_parameters]), table)
-    for foretold, off in ((told, 0.2), (again, 0.02)):
-        ratio = foretold.sigma[seen] / found.sigma[seen]
+    for predicted, off in ((told, 0.2), (again, 0.02)):
+        ratio = predicted.sigma[seen] / found.sigma[seen]
         assert ratio.min() > 1.0 - off
         assert ratio.max() < 1.0 + off
     assert told.relative

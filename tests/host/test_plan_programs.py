@@ -147,7 +147,7 @@ def test_names_cannot_break_out_of_a_program(text):
 
 
 def test_what_is_no_program_is_said():
-    with pytest.raises(PlanError, match=r"no program is written as '\.txt'"):
+    with pytest.raises(PlanError, match=r"programs cannot be written as '\.txt'"):
         program(STOPS, ".txt", Task("x"))
     five = [stop._replace(q=stop.q[:5]) for stop in STOPS]
     with pytest.raises(PlanError, match="six joints, the robot has 5"):

@@ -20,6 +20,7 @@ from tests.host.urscript_machine import run_urscript
 from truearm.correct.correction import MARGIN
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
+from truearm.errors import ProgramError
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module
@@ -166,6 +167,51 @@ def test_the_configuration_is_the_one_in_which_the_program_comes(tmp_path, form)
     np.testing.assert_allclose(forward(CHAIN, DESIGN, flipped(Q[1])[None])[0], POSES[1], atol=1e-12)
     text = program(*FROM_JOINTS[form])
     assert misses(text, corrected(tmp_path, text, home=None)).max() < 1e-6
+
+
+TWO_WAYS = {
+    "qnear": (f"W = {six(POSES[1])}", f"movej(get_inverse_kin(W, qnear={written(Q[1])}))", f"movej(get_inverse_kin(W, qnear={written(flipped(Q[1]))}))"),
+    "joints before": (f"W = {six(POSES[1])}", f"movej({written(Q[2])})", "movel(W)", f"movej({written(flipped(Q[2]))})", "movel(W)"),
+    "round a loop": (f"movej({written(Q[2])})", "while True:", f"  movel({six(POSES[1])})", f"  movej({written(flipped(Q[2]))})", "end"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", TWO_WAYS)
+def test_a_target_reached_with_either_wrist_is_refused(tmp_path, form):
+    """One pose, but each wrist needs other numbers in it."""
+    lines = TWO_WAYS[form]
+    text = program(*lines)
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text, home=Q[1])
+    last = max(k for k, line in enumerate(lines, start=2) if "W)" in line or "W," in line or "movel" in line)
+    assert [(one.line, one.remedy) for one in caught.value.refused] == [(last, "")]
+    assert "in another configuration than in line" in caught.value.refused[0].why
+    found = outcome(tmp_path, text, home=Q[1], partial=True)
+    assert [one.line for one in found.refused] == [last]
+    if form != "round a loop":
+        done = misses(text, found.text.decode("latin-1"))
+        assert (done[:-1] < 1e-6).all()
+        assert done[-1, 0] > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "says"),
+    [
+        (program(f"movel({six(POSES[1])})"), {"tools": {"grip": TOOLS[1]}}, "no tools or work objects by name, such as grip"),
+        (program(f"movel({six(POSES[1])})"), {"works": {"table": TOOLS[1]}}, "no tools or work objects by name, such as table"),
+        ("MODULE m\nPROC main()\nMoveL p,v10,fine,tool0;\nENDPROC\nENDMODULE", {"tool": TOOLS[1]}, "each move of a RAPID program names its tool"),
+        ("MODULE m\nPERS tooldata grip:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nPROC main()\nMoveL p,v10,fine,grip;\nENDPROC\nENDMODULE", {"tools": {"Grip": TOOLS[1]}}, "p.mod line 2: grip is declared here"),
+    ],
+)  # fmt: skip
+def test_a_tool_that_would_not_be_used_is_refused(tmp_path, text, options, says):
+    with pytest.raises(ProgramError, match=says):
+        outcome(tmp_path, text, **options)
+
+
+def test_a_target_reached_twice_with_one_wrist_is_corrected(tmp_path):
+    lines = (f"W = {six(POSES[1])}", f"movej(get_inverse_kin(W, qnear={written(Q[1])}))", f"movej({written(Q[2])})", "movel(W)", f"movej(get_inverse_kin(W, qnear={written(Q[3])}))")  # fmt: skip
+    text = program(*lines)
+    assert misses(text, corrected(tmp_path, text)).max() < 1e-6
 
 
 def test_a_pose_whose_elements_are_set_is_split(tmp_path):

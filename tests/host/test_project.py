@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -40,18 +41,24 @@ def recorded(path, dwells=12):
 
 
 def test_a_urdf_begins_with_its_branch(tmp_path, run, monkeypatch):
-    """A URDF has no [branch]: without one nothing is written, and with one the project keeps it for the commands that draw poses."""
-    urdf = Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf"
-    known = ["--model", urdf, "--base", "panda_link0", "--tip", "panda_link8", "--minutes", 0]
+    """A URDF has no [branch]: without one nothing is written, and with one the project keeps it for the commands that draw poses.
+
+    The file is named from where it is typed, and found from the project's folder afterwards.
+    """
+    shutil.copy(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf", tmp_path / "arm.urdf")
+    monkeypatch.chdir(tmp_path)
+    known = ["--model", "arm.urdf", "--base", "panda_link0", "--tip", "panda_link8", "--minutes", 0]
     code, _, err = run("init", tmp_path / "cell", *known)
     assert code == 2
     assert "--branch" in err
     assert not [path for path in (tmp_path / "cell").rglob("*") if path.is_file()]
     bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
-    assert run("init", tmp_path / "cell", *known, f"--branch={bounds}").code == 0
-    assert read_project(tmp_path / "cell" / FILE).branch == bounds
+    assert run("init", "cell", *known, f"--branch={bounds}").code == 0
+    project = read_project(tmp_path / "cell" / FILE)
+    assert (project.model, project.branch) == ("../arm.urdf", bounds)
     monkeypatch.chdir(tmp_path / "cell")
     assert defaults(Path())["plan"]["ballbar"]["branch"]() == bounds
+    assert Path(defaults(Path())["identify"]["robot"]()).is_file()
 
 
 def test_a_project_is_found_from_below(tmp_path):
@@ -141,7 +148,7 @@ def test_init_writes_over_nothing(project, run):
     (project / "rig.toml").write_text("# mine")
     code, _, err = run("init", project, "--model", "ur5e", "--minutes", 0)
     assert code == 2
-    assert "is there already" in err
+    assert "already exists" in err
     assert (project / "rig.toml").read_text() == "# mine"
 
 
@@ -156,8 +163,23 @@ def test_status_says_what_comes_next(project, run):
             "file": str(project / "sessions" / "2026-01-01.mcap"),
             "size_bytes": (project / "sessions" / "2026-01-01.mcap").stat().st_size,
             "complete": True,
+            "written": False,
         }
     ]
+
+
+def test_status_of_a_recording_that_was_cut_off(project, run):
+    """It is recovered, and from then on the recovered one counts."""
+    (project / "sessions").mkdir(exist_ok=True)
+    path = project / "sessions" / "2026-01-01.mcap"
+    recorded(path)
+    path.write_bytes(path.read_bytes()[:-30])
+    command = json.loads(run("status", "--json").out)["next"]
+    assert command == "truearm recover sessions/2026-01-01.mcap"
+    assert run(*command.split()[1:]).code == 0
+    state = json.loads(run("status", "--json").out)
+    assert state["next"].startswith("truearm identify")
+    assert [Path(one["file"]).name for one in state["sessions"]] == ["2026-01-01-recovered.mcap"]
 
 
 def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
@@ -206,4 +228,4 @@ def test_a_rehearsal_needs_no_options(project, run):
 
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert "truearm init makes one" in run("status").err
+    assert "create one with truearm init" in run("status").err

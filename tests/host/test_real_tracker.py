@@ -1,4 +1,4 @@
-"""A real UR10 in front of a laser tracker, identified by default: what a user gets who asks for nothing in particular."""
+"""The geometry of a real UR10 in front of a laser tracker: what a user gets who asks for nothing but that there be no joint laws."""
 
 import re
 from dataclasses import replace
@@ -14,6 +14,7 @@ from truearm.files.observation_table import concatenate
 from truearm.report.usability_words import usability_sentences
 from truearm.workflows.selection import held_out_rows
 
+GEOMETRY = truearm.IdentifyOptions(joint_laws="none")
 FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
 
 
@@ -23,7 +24,7 @@ FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
 )
 def test_defaults_converge_and_predict(series, kind, largest):
     """In 20 iterations, to the held-out error that the data allow (mm); before is after base and tool are placed."""
-    found = truearm.identify(ROBOT, tracked(series, kind), RIG, hold_out=0.2)
+    found = truearm.identify(ROBOT, tracked(series, kind), RIG, hold_out=0.2, options=GEOMETRY)
     assert found.estimate.status == "converged"
     assert found.estimate.iterations <= 20
     errors = 1e3 * found.estimate.residual["m"][~found.estimate.fitted]
@@ -47,11 +48,11 @@ def test_defaults_converge_and_predict(series, kind, largest):
 def test_what_the_prior_holds_is_still_called_hardly_seen():
     """The positions tell joint 5's place along itself against its neighbours' only to centimetres."""
     table = tracked("c", "position")
-    found = truearm.identify(ROBOT, table, RIG)
+    found = truearm.identify(ROBOT, table, RIG, options=GEOMETRY)
     assert set(found.document["defaults"]["believed"]) == {f"joint5.{k}" for k in ("offset", "d", "a", "alpha")}
     hardly = {name for direction in found.document["hardly_seen"] for name in direction["names"]}
     assert {"joint5.d", "joint5.alpha"} <= hardly
-    free = truearm.identify(ROBOT, table, RIG, options=truearm.IdentifyOptions(prior="none", max_iterations=4))
+    free = truearm.identify(ROBOT, table, RIG, options=replace(GEOMETRY, prior="none", max_iterations=4))
     assert free.document["prior"] == "none"
     assert free.document["defaults"]["believed"] == []
 
@@ -98,7 +99,7 @@ def test_an_axis_that_stands_still_is_held(tmp_path, jitter):
     table = tracked("c", "position", every=3)
     axis = 0.4 + jitter * np.random.default_rng(0).normal(size=len(table))
     on_axis = replace(table, q=np.column_stack([axis, table.q]), q_rate=None, side=None)
-    found = truearm.identify(robot, on_axis, RIG, hold_out=0.2)
+    found = truearm.identify(robot, on_axis, RIG, hold_out=0.2, options=GEOMETRY)
     assert found.estimate.status == "converged"
     assert found.estimate.iterations <= 20
     (still,) = found.document["defaults"]["still"]

@@ -87,7 +87,7 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     said = capsys.readouterr()
     fault = "channel 'c0' of stream adc: scale must be [mantissa, exponent]"
     warnings = [line.split("s: ", 1)[1] for line in said.err.splitlines() if "warning" in line]
-    assert f"warning: {fault}; its samples are recorded all the same" in warnings
+    assert f"warning: {fault}; its samples are recorded anyway" in warnings
     assert len(set(warnings)) == len(warnings) == 2  # and that no channel is calibrated
     assert said.out.splitlines()[-1] == f"{out}: {fault}"
     assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
@@ -138,14 +138,14 @@ class TestRefused:
         [
             (["--rate", "5"], "--rate 5 Hz is not within"),
             (["--rate", "nan"], "--rate must be a finite number, is nan"),
-            (["--duration", "-1"], "--duration -1 is no time"),
+            (["--duration", "-1"], "--duration -1 is not a duration"),
             (["--duration", "inf"], "--duration must be a finite number"),
             (["--mounted", "bar46"], "is not KEY=NAME"),
-            (["--mounted", "bar=a,bar=b"], "names a bar twice"),
+            (["--mounted", "bar=a,bar=b"], "bar is named twice"),
             (["--plan", "none.csv"], "no such file"),
             (["--rig", "none.toml"], "no such file"),
-            (["--box", "ftp://x"], "is no device"),
-            (["--address", "x:1"], "is no address"),
+            (["--box", "ftp://x"], "is not a device"),
+            (["--address", "x:1"], "is not the address of a robot"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
     )

@@ -91,7 +91,7 @@ class TestWhatIsThereStays:
         monkeypatch.setattr("truearm.record.session_writer.MAX_HELD_BYTES", 1 << 16)
         with server(random_bytes) as address:
             assert main(["record", "--box", f"socket://{address}", "--out", str(out)]) == 1
-        assert "before the box said what it is" in capsys.readouterr().err
+        assert "before the box identified itself" in capsys.readouterr().err
         assert not out.exists()
 
     def test_once_the_box_has_started_it_is_overwritten(self, out):
@@ -194,12 +194,12 @@ class TestTheRobotIsNone:
     @pytest.mark.parametrize(
         ("piece", "pause_s", "says"),
         [
-            (None, 0.0, "no joint reading of the robot in 0.5 s"),
+            (None, 0.0, "no joint reading from the robot within 0.5 s"),
             (b"", 0.0, "the robot closed its stream without a joint reading"),
-            (b"hello there\n", 0.01, "no joint reading of the robot in 0.5 s"),
-            (b'{"t": 1, "q": [NaN, 1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
-            (b"[" * 5000 + b"\n", 0.01, "no joint reading of the robot in 0.5 s"),
-            (b'{"t": ' + b"9" * 6000 + b', "q": [1]}\n', 0.01, "no joint reading of the robot in 0.5 s"),
+            (b"hello there\n", 0.01, "no joint reading from the robot within 0.5 s"),
+            (b'{"t": 1, "q": [NaN, 1]}\n', 0.01, "no joint reading from the robot within 0.5 s"),
+            (b"[" * 5000 + b"\n", 0.01, "no joint reading from the robot within 0.5 s"),
+            (b'{"t": ' + b"9" * 6000 + b', "q": [1]}\n', 0.01, "no joint reading from the robot within 0.5 s"),
             (b"x" * (1 << 20), 0.0, "bytes without a joint reading"),
         ],
         ids=["nothing", "closes", "text", "nan", "nested", "huge", "endless"],

@@ -173,6 +173,7 @@ def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "the robot sends more than can be stored" in done.stderr
+    assert "silent" not in done.stdout + done.stderr
     end = open_session(out).metadata["session-end"]
     exchanges = [json.loads(m.data) for m in open_session(out).messages("/sync")]
     answered = [row for row in exchanges if "t3_ns" in row]

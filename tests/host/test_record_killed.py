@@ -69,7 +69,7 @@ def test_at_any_moment(tmp_path, capsys, n):
         # right after the file came to be, in the first chunk, and anywhere later
         after_s = rng.choice([0.0, rng.uniform(0.0, 1.0), rng.uniform(1.0, LONGEST_S)]) if k else 3.0
         out, sent, killed_ns = killed(folder, after_s)
-        mended = folder / "mended.mcap"
+        mended = folder / "recovered.mcap"
         assert main(["recover", str(out), "--out", str(mended)]) == 0
         session = open_session(mended)
         assert session.attachments["rig.toml"] == RIG.encode()

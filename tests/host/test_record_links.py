@@ -175,7 +175,7 @@ class TestTerminal:
 
     def test_no_serial_port(self, tmp_path):
         (tmp_path / "file").write_text("x")
-        with pytest.raises(LinkError, match="no serial port"):
+        with pytest.raises(LinkError, match="not a serial port"):
             SerialLink(str(tmp_path / "file"), HostClock())
 
 

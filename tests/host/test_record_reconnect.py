@@ -52,7 +52,7 @@ class TestRobot:
         assert (joints.lost, joints.restarts, len(joints.clocks)) == (len(missing), 1, 2)
 
     def test_a_close_in_order_is_a_loss_too(self, lab, path):
-        """So a controller that is started anew closes its connection, and so does the kernel those of a program that crashed."""
+        """So a controller that is started again closes its connection, and so does the kernel those of a program that crashed."""
         robot = Robot(lab, 6.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 4.0, LinkClosed("closed"))
         summary = run(lab, Box(lab), path, None, robot=robot.link)
@@ -66,7 +66,7 @@ class TestRobot:
     def test_a_close_in_order_that_was_the_end(self, lab, path):
         robot = Robot(lab, 2.0, LinkClosed("closed"), link=ComingBack)
         summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
-        assert (summary.reason, summary.text) == ("robot closed", "closed; it did not come back in 5 s")
+        assert (summary.reason, summary.text) == ("robot closed", "closed; it did not come back within 5 s")
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 
     def test_a_close_before_the_first_reading_is_none(self, lab, path):
@@ -103,14 +103,14 @@ class TestRobot:
         lose(lab, robot.link, 2.0, 1e6)
         summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
         assert summary.reason == "robot lost"
-        assert summary.text == "reset by peer; it did not come back in 5 s"
+        assert summary.text == "reset by peer; it did not come back within 5 s"
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 
     def test_what_is_no_loss_of_the_link_is_not_tried_again(self, lab, path):
         robot = Robot(lab, 20.0, link=ComingBack)
-        lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "error", ProtocolError("is no RTDE")))
+        lab.at(HOST_0 + SECOND, lambda: setattr(robot.link, "error", ProtocolError("is not RTDE")))
         summary = run(lab, Box(lab), path, None, robot=robot.link)
-        assert (summary.reason, summary.text) == ("robot lost", "is no RTDE")
+        assert (summary.reason, summary.text) == ("robot lost", "is not RTDE")
 
     def test_silence_is_noted(self, lab, path):
         robot = Robot(lab, 10.0, link=ComingBack)
@@ -136,7 +136,7 @@ class TestBox:
         box = Box(lab, ComingBack)
         lose(lab, box.link, 2.0, 1e6, LinkError("unplugged"))
         summary = run(lab, box, path, None, options=RecordOptions(patience_s=5.0))
-        assert (summary.reason, summary.text) == ("link lost", "unplugged; it did not come back in 5 s")
+        assert (summary.reason, summary.text) == ("link lost", "unplugged; it did not come back within 5 s")
         assert WAITS_S == 600.0
 
     def test_ctrl_c_while_it_is_away(self, lab, path):

@@ -58,7 +58,7 @@ class TestEarlier:
         assert (course.done, course.unplanned, course.lines, course.next) == ({0, 1}, 1, 1, 2)
 
     def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
-        """Recorded anew under the old name (--force): what lay beside it is neither read with it nor in its way."""
+        """Recorded again under the old name (--force): what lay beside it is neither read with it nor in its way."""
         first = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))
         begun = open_session(first).metadata["session"]["utc_ns"]
         part = session(tmp_path / "s.2.mcap", ("dwell", {"pose": 1}), setup={"of": "s.mcap", "begun": begun})
@@ -138,17 +138,17 @@ class TestParts:
             ["add-joints", str(first), str(tmp_path / "j.csv"), "--zero", "0", "--out", str(tmp_path / "o.mcap")],
         ):
             assert main(arguments) == 0
-            assert capsys.readouterr().err.startswith("s.mcap goes on in s.2.mcap: ")
+            assert capsys.readouterr().err.startswith("s.mcap continues in s.2.mcap: ")
         first.write_bytes(first.read_bytes()[:-60])
         assert main(["recover", str(first)]) == 0
-        said = "s.mcap goes on in s.2.mcap: name them beside s-recovered.mcap, they are not found by its name\n"
+        said = "s.mcap continues in s.2.mcap: name them beside s-recovered.mcap, they are not found by its name\n"
         assert capsys.readouterr().err == said
 
     def test_inspect_tells_all_of_them(self, tmp_path, capsys):
         session(tmp_path / "s.mcap")
         session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})
         assert main(["inspect", str(tmp_path / "s.mcap")]) == 0
-        assert f"{tmp_path / 's.2.mcap'} goes on with it:" in capsys.readouterr().out
+        assert f"{tmp_path / 's.2.mcap'} continues it:" in capsys.readouterr().out
         assert main(["inspect", str(tmp_path / "s.mcap"), "--json"]) == 0
         (part,) = json.loads(capsys.readouterr().out)["parts"]
         assert part["file"].endswith("s.2.mcap")

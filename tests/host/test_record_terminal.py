@@ -218,7 +218,7 @@ class TestWhichBox:
         terminal.expect(r"1 to 2: 7\r\n1 to 2: ")
         terminal.type("2\n")
         assert terminal.end() == 1
-        assert "truearm: /dev/none2: is not there" in terminal.text
+        assert "truearm: /dev/none2: not found" in terminal.text
 
     def test_several_and_nobody_to_ask(self, tmp_path, monkeypatch, capsys):
         ports = [
@@ -245,7 +245,7 @@ class TestWhichBox:
         assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
         said = capsys.readouterr().err
         assert "box: /dev/none (truearm, serial E66)" in said
-        assert "/dev/none: is not there" in said
+        assert "/dev/none: not found" in said
 
 
 class TestChecked:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from record_live import PAIRS, TODAY, Session, box, plan
 
-from truearm.box.readiness import Purpose, Verdict, check_box
+from truearm.box.readiness import Purpose, Verdict, check_box, far_from_calibration
 from truearm.errors import InputError
 from truearm.live.keyboard import LONGEST, Typed
 from truearm.live.progress import SessionProgress
@@ -178,6 +178,33 @@ class TestView:
         all_the_same = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
         all_the_same.approve(box(calibration={}))
         assert "not calibrated" in all_the_same.take()[0][0]
+
+    def test_a_box_far_from_its_calibrations_temperature_is_said_once_with_the_size(self):
+        """5 K: 11.5 ppm/K of a bar of 0.5 m and 100 ppm/K of half a travel of 75 mm are 48 µm."""
+        calibrated = {
+            "unit": "m",
+            "poly": [[0, 0], [4, -2]],
+            "serial": "",
+            "date": "2026-01-01",
+            "temperature_mdegc": 21_000,
+        }
+        view = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
+        view.approve(box(calibration=calibrated))
+        view.take()
+        for degc in (21.0, 22.9, 26.0, 27.0):
+            view.box_temperature(degc)
+        (text,) = view.take()[0]
+        assert text.startswith("warning: the box is 5.0 °C warmer than when lvdt was calibrated")
+        assert "may be off by some 0.05 mm" in text
+        unknown = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
+        unknown.approve(box())
+        unknown.take()
+        unknown.box_temperature(40.0)
+        assert unknown.take()[0] == []  # nobody noted it
+
+    def test_a_box_that_reads_a_thermometer_on_the_bar_is_not_warned_of(self):
+        ident = dataclasses.replace(box(), thermometers=("bar",))
+        assert far_from_calibration(ident, "lvdt", 60.0) == ""
 
     def test_a_view_that_stands_still_is_bounded(self):
         view = View(LiveState(SessionProgress(), None, False), Purpose())

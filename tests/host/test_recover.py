@@ -19,6 +19,7 @@ from test_session import written
 from truearm.cli.main import main
 from truearm.errors import SessionError
 from truearm.record.recover import recover
+from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
 
 KILLED_WHILE_IT_WRITES = """
@@ -172,7 +173,7 @@ class TestRefusals:
         if linked:
             out = tmp_path / "link.mcap"
             out.symlink_to(cut)
-        assert "also read" in self.refused(capsys, cut, "--out", out, "--force")
+        assert "already an input" in self.refused(capsys, cut, "--out", out, "--force")
         assert cut.read_bytes() == before
 
     @pytest.mark.parametrize("size", [0, 3, 8, 60])
@@ -210,3 +211,15 @@ class TestRefusals:
 def test_help_has_an_example(capsys):
     assert main(["recover", "--help"]) == 0
     assert "truearm recover session.mcap" in capsys.readouterr().out
+
+
+def test_a_session_that_is_still_written_is_left_alone(tmp_path, capsys):
+    path = tmp_path / "s.mcap"
+    writer = SessionWriter(path, None)
+    writer.add_json("/events", 1, {"kind": "start"})
+    writer.add_json("/events", 3 * 10**9, {"kind": "later"})  # ends a chunk
+    assert main(["recover", str(path)]) == 2
+    assert "still being written" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == ["s.mcap"]
+    writer._out.file.close()  # as when its process is killed
+    assert main(["recover", str(path)]) == 0

@@ -4,7 +4,6 @@ import itertools
 import json
 import os
 import re
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from operator_scripts import Visit, lengths, pairing_at, script, write_session
 from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
 from truearm.files.robot_file import RobotChoice
+from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
 from truearm.session.dwells import NEED_WORDS
 from truearm.types import BAR_MOUNTED
@@ -185,10 +185,10 @@ class TestOneMissedEnter:
 
     def test_a_session_that_is_still_written(self, path, capsys):
         path.write_bytes(path.read_bytes()[:-2000])
-        assert main(["relabel", str(path), "--trust", "plan"]) == 2
-        assert "is still being written" in capsys.readouterr().err
-        long_ago = time.time() - 3600
-        os.utime(path, (long_ago, long_ago))
+        with path.open("r+b") as file:
+            hold(file)  # as a recorder does
+            assert main(["relabel", str(path), "--trust", "plan"]) == 2
+            assert "is still being written" in capsys.readouterr().err
         assert main(["relabel", str(path), "--trust", "plan"]) == 2
         assert "truearm recover" in capsys.readouterr().err
         assert os.listdir(path.parent) == ["s.mcap"]
@@ -211,7 +211,7 @@ class TestOneMissedEnter:
 
 
 def within_the_stroke(plan):
-    """Runs of the plan with another pairing mounted, where the sensor stays within its stroke all the same."""
+    """Runs of the plan with another pairing mounted, where the sensor stays within its stroke anyway."""
     visits = right(plan)
     for of_run in dict.fromkeys(visit.mounted for visit in visits):
         run = [k for k, visit in enumerate(visits) if visit.mounted == of_run]

@@ -12,8 +12,8 @@ from scipy import stats
 
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
+from truearm.report.calibration_findings import chi2_words
 from truearm.report.calibration_page import doubts, render, verdict
-from truearm.report.findings import chi2_words
 from truearm.report.page_parts import looks_like_page
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
@@ -217,11 +217,11 @@ def test_observability_and_the_set_that_can_be_told_apart():
         ["O3", "0.750", "σ"],
         ["O4", "0.00900", "σ"],
     ]
-    assert "<summary>the 34 parameters that can be told apart</summary>" in text
+    assert "<summary>the 34 parameters that can be distinguished</summary>" in text
     names = ", ".join(np.array(page.estimate.parameter_names)[suggested])
     assert f"<p>{names}</p>" in text
     everything = replace(estimate, suggested_free=page.estimate.free)
-    assert "can be told apart</summary>" not in render(replace(page, estimate=everything))
+    assert "can be distinguished</summary>" not in render(replace(page, estimate=everything))
 
 
 def test_what_to_measure_next():

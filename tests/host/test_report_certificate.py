@@ -68,7 +68,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
     ("spoil", "complaint"),
     [
         (lambda d: d.pop("made_with"), "does not say how it was made"),
-        (lambda d: d["made_with"].update(solver="lm", freeze=["link3.*"]), "make another result"),
+        (lambda d: d["made_with"].update(solver="lm", freeze=["link3.*"]), "lead to another result"),
         (lambda d: d["made_with"].update(solver="magic"), "made_with"),
         (lambda d: d["made_with"].update(colour=1), "made_with is damaged"),
         (lambda d: d["made_with"].update(hold_out=[3]), "made_with is damaged"),

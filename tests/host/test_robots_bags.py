@@ -97,9 +97,9 @@ def test_memory_is_that_of_a_chunk(tmp_path, storage):
 WRONG = {
     "no joints": (
         [],
-        "name the joints in their order from the base on, with joints or model; there is elbow,lift,pan",
+        "name the joints in order from the base, with joints or model; the bag has elbow,lift,pan",
     ),
-    "an unknown joint": (["pan", "lid"], "has no joint 'lid'; there is elbow,lift"),
+    "an unknown joint": (["pan", "lid"], "has no joint 'lid'; it has elbow,lift"),
 }
 
 
@@ -114,18 +114,21 @@ def test_joints_that_are_not_there(tmp_path, storage, joints, says):
 @storages
 def test_a_topic_that_is_not_there(tmp_path, storage):
     bag = write_bag(tmp_path / "bag", storage, states(2), topic="/other")
-    with pytest.raises(InputError, match="no message on /joint_states; name the topic"):
+    with pytest.raises(InputError, match="no messages on /joint_states; name the topic"):
         read(bag)
 
 
 STATES = {
-    "cut off": (joint_state(T0, NAMES, [0.0] * 6)[:-3], "is no sensor_msgs/msg/JointState"),
-    "empty": (b"", "is no sensor_msgs/msg/JointState"),
-    "text": (b"hello there, this is no state", "is no sensor_msgs/msg/JointState"),
-    "endless": (b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f", "is no sensor_msgs/msg/JointState"),
-    "no positions": (joint_state(T0, NAMES, []), "has not a finite position"),
-    "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "has not a finite position"),
-    "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "which is none"),
+    "cut off": (joint_state(T0, NAMES, [0.0] * 6)[:-3], "is not a sensor_msgs/msg/JointState"),
+    "empty": (b"", "is not a sensor_msgs/msg/JointState"),
+    "text": (b"hello there, this is not a state", "is not a sensor_msgs/msg/JointState"),
+    "endless": (
+        b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f",
+        "is not a sensor_msgs/msg/JointState",
+    ),
+    "no positions": (joint_state(T0, NAMES, []), "does not have a finite position"),
+    "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "does not have a finite position"),
+    "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "which is not a valid time"),
     "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "is compressed by itself"),
 }
 

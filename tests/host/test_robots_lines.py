@@ -1,4 +1,4 @@
-"""Lines of CSV and JSON over TCP and UDP, and tables of joint readings: names, units, and what is no reading."""
+"""Lines of CSV and JSON over TCP and UDP, and tables of joint readings: names, units, and what is not a reading."""
 
 import json
 import math
@@ -207,7 +207,7 @@ class TestTcp:
             [180 * DEG],
             None,
         ]
-        assert rest == b"3,2"  # half a line is no reading
+        assert rest == b"3,2"  # half a line is not a reading
         assert isinstance(end, LinkClosed)
 
     def test_plain_lines_are_untouched(self):
@@ -353,9 +353,9 @@ class TestTable:
         [
             ("", "no column t_s"),
             ("a,b\n1,2\n", "column 'a' is not known"),
-            ("t_s,q1_rad\n1,2,3\n", "row 2: is no reading: 2 cells"),
-            ("t_s,q1_rad\n1,2\n\n2,x\n", "row 4: is no reading"),
-            ("t_s,q1_rad\n-1,2\n", "row 2: is no reading"),
+            ("t_s,q1_rad\n1,2,3\n", "row 2: is not a reading: it needs 2 numbers"),
+            ("t_s,q1_rad\n1,2\n\n2,x\n", "row 4: is not a reading"),
+            ("t_s,q1_rad\n-1,2\n", "row 2: is not a reading"),
             ("t_s,q1_rad\n2,2\n1,2\n", "row 3: time goes back from 2 s to 1 s"),
             ('t_s,q1_rad\n1,"2\n', "is not CSV"),
             ("t_s,q1_rad\n1,\x00\n", "row 2: is no"),

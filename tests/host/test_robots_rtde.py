@@ -243,7 +243,7 @@ class TestClient:
 
         controller = Controller([], talk)
         tracemalloc.start()
-        with pytest.raises(ProtocolError, match="sends what is no RTDE"):
+        with pytest.raises(ProtocolError, match="sends what is not RTDE"):
             RtdeLink(controller.url, HostClock())
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
         tracemalloc.stop()
@@ -335,7 +335,7 @@ class TestClient:
         reading, broken = map(json.loads, lines_of(link, 2))
         assert reading["t"] == 1.0
         assert bytes.fromhex(broken["hex"]) == b"\0\0\0junk"
-        with pytest.raises(LinkError, match="no RTDE"):
+        with pytest.raises(LinkError, match="not RTDE"):
             lines_of(link, 3)
         link.close()
         controller.finish()
@@ -343,15 +343,15 @@ class TestClient:
 
 REFUSALS = {
     "version": ([(VERSION_2, VERSION_REFUSED)], "does not speak version 2"),
-    "no controller": ([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, h("00 04 76 01"))], "does not say its version"),
+    "no controller": ([(VERSION_2, VERSION_ACCEPTED), (CONTROLLER, h("00 04 76 01"))], "does not report its version"),
     "fields": (
         [*GREETING, (setup(NAMES, 500.0), answer(0, b"DOUBLE,NOT_FOUND" + ALL_TYPES[15:]))],
         "refuses the fields",
     ),
     "rubbish": ([*GREETING, (setup(NAMES, 500.0), answer(1, b"\xff\xfe"))], "refuses the fields"),
-    "start": ([*WHOLE[:-1], (START, NOT_STARTED)], "refuses to start"),
+    "start": ([*WHOLE[:-1], (START, NOT_STARTED)], "refuses to send"),
     "another protocol": ([(VERSION_2, b"HTTP/1.1 400 Bad Request\r\n\r\n")], "no answer to RTDE's 'V'"),
-    "sizes": ([(VERSION_2, b"\0\0\0\0")], "no RTDE"),
+    "sizes": ([(VERSION_2, b"\0\0\0\0")], "not RTDE"),
 }
 
 
@@ -387,5 +387,5 @@ def test_nobody_there():
     ],
 )
 def test_an_address_that_is_none(url):
-    with pytest.raises(InputError, match="is no address"):
+    with pytest.raises(InputError, match="is not an address"):
         RtdeLink(url, HostClock())

@@ -184,8 +184,8 @@ WRONG = {
         GOOD + "cov_si = [[1, 2], [2, 1]]\n",
         "cov_si: is not a covariance: it has an eigenvalue of -1",
     ),
-    "no choice": (GOOD + "mode = 3\n", "mode: 3 is none of 2, 4, 'auto'"),
-    "a choice of another type": (GOOD + "mode = 2.0\n", "mode: 2 is none of 2"),
+    "no choice": (GOOD + "mode = 3\n", "mode: 3 is not one of 2, 4, 'auto'"),
+    "a choice of another type": (GOOD + "mode = 2.0\n", "mode: 2 is not one of 2"),
     "no flag": (GOOD + "on = 1\n", "on: 1 is not true or false"),
     "no whole number": (GOOD + "count = 1.0\n", "count: 1 is not a whole number from -5 to 5"),
     "too large a count": (GOOD + "count = 0x" + "f" * 999 + "\n", "count: a value of type int is not a whole number"),
@@ -195,7 +195,7 @@ WRONG = {
     "a key at the wrong level": (GOOD + "[thing.deep]\nx = 1\n", "[[thing]] 1: unknown key 'deep'"),
     "no entries": ('[thing]\nname = "a"\n', "d.toml: thing must be written as [[thing]] entries"),
     "entries of numbers": ("thing = [1]\n", "d.toml: thing must be written as [[thing]] entries"),
-    "twice": (GOOD + GOOD, "d.toml: [[thing]] 2: 'a' is already defined; give each its own name"),
+    "twice": (GOOD + GOOD, "d.toml: [[thing]] 2: 'a' is already defined; give each entry its own name"),
     "what does not go together": ('[[thing]]\nname = "a"\nlength_m = 1.5\n', "[[thing]] 1: nothing is that long"),
 }
 
@@ -216,7 +216,7 @@ def test_the_error_is_the_callers() -> None:
 
 
 def test_the_number_of_entries_is_bounded() -> None:
-    with pytest.raises(RigError, match=f"has {MAX_ENTRIES + 1} .*the most is {MAX_ENTRIES}"):
+    with pytest.raises(RigError, match=f"has {MAX_ENTRIES + 1} .*the maximum is {MAX_ENTRIES}"):
         read(DOCUMENT, {"pair": [{}] * (MAX_ENTRIES + 1)}, "d.toml", RigError)
 
 

@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from truearm.session.dwells import DwellRules, find_dwells
+from truearm.session.dwell_labels import with_mountings
+from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
 from truearm.session.plan_matching import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
-from truearm.session.samples import mean_of
+from truearm.session.sample_noise import mean_of
 from truearm.types import Message
 
 HZ = 125.0
@@ -161,7 +162,7 @@ def test_a_pose_that_the_robot_stands_at_again():
     [
         ([0, 1, 2, 0, 1, 2, 3, 4], [0, 1, 2, 0, 1, 2, 3, 4]),  # the program was begun again
         ([0, 1, 2, 3, 2, 3, 4], [0, 1, 2, 3, 2, 3, 4]),  # and here two poses back
-        ([0, 1, 2, 3, 1, 4], [0, 1, 2, 3, None, 4]),  # one stop near an earlier pose is no restart
+        ([0, 1, 2, 3, 1, 4], [0, 1, 2, 3, None, 4]),  # one stop near an earlier pose is not a restart
         ([3, 4, 0, 1, 2], [3, 4, 0, 1, 2]),  # begun in the middle, then from the beginning
     ],
 )
@@ -288,3 +289,27 @@ def test_only_dwells_of_a_plan_are_poses_to_be_matched():
     assert marks.dwells == [1, 3]
     assert marks.plan().q.tolist() == [[1.0, 0.0], [3.0, 0.0]]
     assert marks.rows[2].mounted == {"line": "left", "target": "ball"}
+
+
+def test_a_stop_to_mount_another_pairing_is_no_lost_dwell():
+    """Off the plan before its first pose, where the pairing changes, or where a mount was confirmed; elsewhere it is a stop that nobody asked for."""
+
+    def row(q, chuck):
+        fittings = {"bar": "b", "chuck": chuck, "sphere": "s"}
+        return Message("/plan", 0, json.dumps({"q": [q], "move": "dwell", **fittings}).encode())
+
+    marks = Marks()
+    for message in [row(q, "c1") for q in (0.0, 1.0, 2.0)] + [row(q, "c2") for q in (3.0, 4.0)]:
+        marks.feed(*message)
+    marks.feed("/events", 75, b'{"kind": "mounted", "bar": "b", "chuck": "c1", "sphere": "s"}')
+    stood = [(0.5, None), (0.0, 0), (0.5, None), (1.0, 1), (1.5, None), (2.0, 2), (2.5, None), (3.0, 3), (4.5, None)]
+    dwells = [
+        Dwell(
+            0, float(i), i + 0.5, np.array([q]), np.eye(1), 9, float(i), (0, 9),
+            reason="" if pose is not None else "no plan match", start_host_ns=20 * i, end_host_ns=20 * i + 10,
+            pose=pose, mounted={} if pose is None else dict(marks.rows[pose].mounted),
+        )
+        for i, (q, pose) in enumerate(stood)
+    ]  # fmt: skip
+    found = [dwell.reason for dwell in with_mountings(dwells, marks, 0.017)]
+    assert found == [MOUNTING, "", "no plan match", "", MOUNTING, "", MOUNTING, "", "no plan match"]

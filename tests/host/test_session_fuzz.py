@@ -207,12 +207,12 @@ def damaged_file(rng, whole):
 
 
 def recorded(messages):
-    """What was recorded; the columns of joint readings are made from the lines beside them, of the copy anew."""
+    """What was recorded; the columns of joint readings are made from the lines beside them, of the copy again."""
     return [message for message in messages if message.topic != COLUMNS]
 
 
 def judge_file(session, data, may):
-    path, out = session.folder / "odd.mcap", session.folder / "mended.mcap"
+    path, out = session.folder / "odd.mcap", session.folder / "recovered.mcap"
     path.write_bytes(data)
     for allow_damaged in (False, True):
         try:

@@ -12,7 +12,8 @@ from line_stream import DESIGN, MAGNET, STEP, LineBox, line_session, robot_lines
 from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
-from truearm.session.line_passes import MISSED, REASONS, LineRules, find_legs, fit_locally
+from truearm.session.line_legs import find_legs
+from truearm.session.line_passes import MISSED, REASONS, LineRules, fit_locally
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 
@@ -186,7 +187,7 @@ def test_no_row_across_a_lost_block(clean, found, topic):
 
 
 def test_no_row_across_a_restart_of_the_controller(clean):
-    """Its time begins anew inside the first pass: the halves are no line of the plan, and without a plan two passes."""
+    """Its time begins again inside the first pass: the halves are not lines of the plan, and without a plan two passes."""
     at = middle_of(clean)
     restarted = []
     for m in clean.messages:

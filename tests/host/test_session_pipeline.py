@@ -14,10 +14,11 @@ from truearm.session.box_frames import Exchange
 from truearm.session.box_ident import parse_ident
 from truearm.session.box_reader import BoxReader
 from truearm.session.device_clock import fit_clock
+from truearm.session.dwell_samples import collect_samples
 from truearm.session.dwells import REASONS, DwellRules
 from truearm.session.message_columns import columns_of
 from truearm.session.observations import observations, survey
-from truearm.session.samples import collect_samples, of_channels
+from truearm.session.samples import of_channels
 from truearm.types import Message
 
 

@@ -80,15 +80,15 @@ def with_channel(**change):
 
 
 FAULTY = [
-    ({"scale": "abc"}, "scale is missing or no list"),
+    ({"scale": "abc"}, "scale is missing or not a list"),
     ({"scale": [1]}, "scale must be"),
     ({"scale": [True, 1]}, "scale must be"),
     ({"scale": [1, 400]}, "scale is out of range"),
-    ({"calibration": {"unit": "m", "poly": [1, 2]}}, r"poly\[0\] is missing or no list"),
+    ({"calibration": {"unit": "m", "poly": [1, 2]}}, r"poly\[0\] is missing or not a list"),
     ({"calibration": {"unit": "m", "poly": [[1, 0]] * 17}}, "17 coefficients, 16 are possible"),
-    ({"calibration": {"unit": 5, "poly": [[1, 0]]}}, "unit is missing or no text"),
-    ({"calibration": [1]}, "calibration is missing or no map"),
-    ({"unit": 5}, "unit is missing or no text"),
+    ({"calibration": {"unit": 5, "poly": [[1, 0]]}}, "unit is missing or not a text"),
+    ({"calibration": [1]}, "calibration is missing or not a map"),
+    ({"unit": 5}, "unit is missing or not a text"),
 ]
 
 
@@ -160,8 +160,8 @@ class TestIdent:
     @pytest.mark.parametrize(
         ("change", "says"),
         [
-            ({"protocol": "1.0"}, "which protocol"),
-            ({"protocol": [1]}, "which protocol"),
+            ({"protocol": "1.0"}, "protocol version"),
+            ({"protocol": [1]}, "protocol version"),
             ({"protocol": [2, 0]}, "protocol 2.0, this truearm 1.x; update truearm"),
             ({"protocol": [0, 9]}, "protocol 0.9, this truearm 1.x; update the box"),
             ({"boot_id": None}, "boot_id"),
@@ -170,7 +170,7 @@ class TestIdent:
             ({"streams": {}}, "streams"),
             ({"streams": []}, "0 streams"),
             ({"streams": [7]}, "a stream is missing"),
-            ({"streams": ident_document()["streams"] * 2}, "share an id or a name"),
+            ({"streams": ident_document()["streams"] * 2}, "have the same id or name"),
             ({"streams": ident_document()["streams"] * 17}, "17 streams"),
             *(
                 ({"streams": [{**ident_document()["streams"][0], **change}]}, says)

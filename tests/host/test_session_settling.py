@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from truearm.session.samples import FALSE_ALARM, block_means, block_variance, rings, settled_from
+from truearm.session.sample_noise import FALSE_ALARM, block_means, block_variance, rings, settled_from
 
 HZ, BLOCK = 1000.0, 25
 T = np.arange(1800) / HZ

@@ -86,12 +86,12 @@ def test_a_hundred_edges_at_a_cycle_of_2_ms():
     delay may be is taken off.
     """
     worst, square = [], []
-    for seed in range(100):
+    for seed in range(50):
         error, bound = errors(seed, 100, Controller(), hint_ppm=0.1)
         assert np.all(np.abs(error) <= bound)
         worst.append(np.max(np.abs(error)))
         square.append(np.mean(np.square(error)))
-    # A rate that is off by 0.1 ppm makes 4 µs at the ends of 80 s. The largest of 200 exponential tails is some ln(200) = 5.3 of 27/√2 µs off, and the
+    # A rate that is off by 0.1 ppm makes 4 µs at the ends of 80 s. The largest of 100 exponential tails is some ln(100) = 4.6 of 27/√2 µs off, and the
     # ends of a line are about twice as uncertain as its middle.
     usual = 0.5e-3 * SHORTEST_DELAY_NS
     assert np.max(worst) < 2 * 100.0 + usual
@@ -114,8 +114,8 @@ def test_unequal_delays_are_within_the_bound(delays):
         f"error median {np.median(error):.1f}, most {np.max(error):.1f}, bound median {np.median(bound):.1f}, most {np.max(bound):.1f} µs"
     )
     assert np.all(np.array(error) <= bound)
-    assert np.median(error) <= 25.0
-    assert np.max(error) <= 70.0
+    assert np.median(bound) <= 25.0
+    assert np.max(bound) <= 70.0
 
 
 # --- which edge is which

@@ -14,7 +14,7 @@ from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.kinds import registry
 from truearm.model.chain import forward
-from truearm.report import findings, words
+from truearm.report import calibration_findings, result_words
 
 SIGMA_DEG = 0.01
 
@@ -25,7 +25,7 @@ def _registered(monkeypatch):
     cached = (registry.kinds, registry.identifiers, registry.quantities, registry.entries)
     monkeypatch.setitem(sys.modules, "truearm.kinds.incline", incline_kind)
     names = (*registry.NAMES, "incline")
-    for module in (registry, words, findings):
+    for module in (registry, result_words, calibration_findings):
         monkeypatch.setattr(module, "NAMES", names)
     for function in cached:
         function.cache_clear()

@@ -197,7 +197,7 @@ def test_the_wheel_flashes_a_box_without_a_checkout(environment, folder):
         assert f"box/image/{image.name}: for the RP2040" in first
         assert Path(first.partition(":")[0]).read_bytes() == image.read_bytes()
     else:
-        assert f"this installation holds no {image.name}; give the image to flash" in done.stderr
+        assert f"is not part of this installation{image.name}; give the image to flash" in done.stderr
 
 
 def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address(tmp_path, monkeypatch):
@@ -208,7 +208,7 @@ def test_links_of_the_readme_are_absolute_where_the_repository_has_an_address(tm
     metadata = {}
     module.LinksHook(str(ROOT), {}).update(metadata)
     text = metadata["readme"]["text"]
-    assert "![Part of the report of make demo](https://example.org/truearm/raw/HEAD/docs/report.png)" in text
-    assert "](https://example.org/truearm/blob/HEAD/docs/rig.md)" in text
+    assert "![Part of the report of make demo](https://example.org/truearm/raw/HEAD/docs/images/report.png)" in text
+    assert "](https://example.org/truearm/blob/HEAD/docs/how-to/rig.md)" in text
     assert not re.findall(r"\]\((?!https?://|#)[^)]*\)", text)
     assert metadata["urls"]["Source"] == "https://example.org/truearm"

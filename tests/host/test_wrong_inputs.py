@@ -19,6 +19,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, explanations_of
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
+from truearm.report.usability_words import usability_sentences
 from truearm.types import ObservationTable, Unusable, WrongInput
 
 ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
@@ -41,6 +42,13 @@ def other_set_up(rows):
     plan, off = worlds.plan(), np.zeros((len(worlds.plan()), 3))
     off[rows] = (0.03, -0.02, 0.01)
     return worlds.table(plan, worlds.lengths(plan, off) + SIGMA * np.random.default_rng(12).normal(size=len(plan)))
+
+
+def stuck(joint, rows):
+    """A joint reads what it read at the first of some rows, though it moves."""
+    q = session().q.copy()
+    q[rows, joint] = q[rows.start, joint]
+    return replace(session(), q=q)
 
 
 def renamed(**names):
@@ -87,6 +95,16 @@ MISTAKES = {
         WrongInput.SET_UP,
         "100 rows from poses.csv row 262 to poses.csv row 361 belong to another set-up than the other 260",
     ),
+    "the encoder of joint 4 hung for a hundred rows": (
+        lambda: stuck(3, slice(120, 220)),
+        WrongInput.STUCK,
+        "the reading of joint4 is stuck: it is the same in 100 rows from poses.csv row 122 to poses.csv row 221, while others move",
+    ),
+    "the encoder of joint 3 hung until the end": (
+        lambda: stuck(2, slice(150, None)),
+        WrongInput.STUCK,
+        "the reading of joint3 is stuck: it is the same in 210 rows from poses.csv row 152 to poses.csv row 361, while others move",
+    ),
     "the chucks were numbered in a circle from another one": (
         lambda: renamed(chuck={"c1": "c2", "c2": "c3", "c3": "c1"}),
         WrongInput.LABELS,
@@ -100,7 +118,13 @@ MISTAKES = {
 }
 
 
-ALWAYS = ("degrees that", "shoulder", "the fixture stood", "the chucks were")  # the others in make soak
+ALWAYS = (
+    "degrees that",
+    "shoulder",
+    "the fixture stood",
+    "the encoder of joint 4",
+    "the chucks were",
+)  # the others in make soak
 
 
 @pytest.mark.parametrize(
@@ -114,6 +138,22 @@ def test_a_mistake_is_named(mistake):
     assert estimate.unusable or "base or tool stands turned about" in first.text  # which geometry alone cannot tell
     assert first.rms["m"] < 1.5 * SIGMA
     assert first.chance < 1e-3
+
+
+def test_an_unusable_fit_names_the_joint_that_reads_the_same_in_all_rows():
+    """One length a pose cannot prove that it moved."""
+    still = {"joint": "joint4", "unit": "rad", "spread": 0.0, "at": np.radians(-70.0)}
+    document = {
+        "explanations": [],
+        "unusable_because": "not converged",
+        "message": "50 iterations were not enough",
+        "relabelling_search": "done",
+        "defaults": {"still": [still]},
+    }
+    assert usability_sentences(document) == [
+        "This fit is not usable. It did not converge: 50 iterations were not enough.",
+        "joint4 reads -70.00 deg in all rows: if it moved, its readings are wrong.",
+    ]
 
 
 def test_a_session_of_another_robot_is_named_and_no_success():

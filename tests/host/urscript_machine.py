@@ -36,7 +36,7 @@ def tokens_of(line):
     while at < len(line):
         match = TOKEN.match(line, at)
         if match is None:
-            raise ProgramFault(f"{line[at:]!r} is no URScript")
+            raise ProgramFault(f"{line[at:]!r} is not URScript")
         if match.lastgroup != "space":
             out.append((match.lastgroup, match[0]))
         at = match.end()
@@ -65,7 +65,7 @@ def run_urscript(text, controller):
     """Execute a program as the controller does that it is sent to."""
     lines = logical_lines(text)
     if not re.fullmatch(r"def [A-Za-z_]\w*\(\):", lines[0][1]):
-        raise ProgramFault("the first line is no def in the first column")
+        raise ProgramFault("the first line is not a def in the first column")
     if lines[0][1][4:-3] in KEYWORDS | set(BUILTINS):
         raise ProgramFault(f"{lines[0][1]} redefines what the language has")
     if lines[-1][1] != "end" or any(not line.startswith(" ") for _, line in lines[1:-1]):
@@ -184,7 +184,7 @@ class Machine:
         if at is not None and tokens[0][0] == "name" and tokens[1][1] in ("=", "[", "."):
             name, path = tokens[0][1], tokens[1:at]
             if name in KEYWORDS | set(BUILTINS):
-                raise ProgramFault(f"{name} is no name for a variable")
+                raise ProgramFault(f"{name} is not a name for a variable")
             value = self._whole(tokens[at + 1 :])
             if not path:
                 if name not in scope and name in self.scopes[0]:

@@ -1,4 +1,4 @@
-"""The recipes of docs/extending.md: their code blocks applied to a copy of the package."""
+"""The recipes of docs/how-to/extending.md: their code blocks applied to a copy of the package."""
 
 import difflib
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "extending.md"
+PAGE = ROOT / "docs" / "how-to" / "extending.md"
 FILE = re.compile(r"^New file `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 LINE = re.compile(r"^New lines? in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 TEXT = re.compile(r"^In `([^`]+)`, `([^`]+)` becomes `([^`]+)`\.$", re.M)

@@ -57,8 +57,8 @@ def test_help_and_errors_name_it(copy):
     said = " ".join(copy.run("record", "--help").split())
     assert "semicolons://192.168.0.2:5000 (milliseconds and degrees between semicolons)" in said
     refused = {
-        "colons://127.0.0.1:1": "it begins with one of tcp://, rtde://, lines+tcp://, lines+udp://, semicolons://",
-        "semicolons://127.0.0.1:1/x": "is no address",
+        "colons://127.0.0.1:1": "an address begins with one of tcp://, rtde://, lines+tcp://, lines+udp://, semicolons://",
+        "semicolons://127.0.0.1:1/x": "is not an address",
     }
     for url, why in refused.items():
         assert why in copy.python("-c", OPEN, url, code=1).err

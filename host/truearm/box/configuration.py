@@ -1,9 +1,9 @@
-"""A box's configuration as a TOML file in units for people, and back to what the wire holds (protocol/SPEC.md §5).
+"""Convert a box's configuration to a TOML file in practical units, and back to the wire format (protocol/SPEC.md §5).
 
-Nothing is lost on the way: the wire's [mantissa, exponent] is a decimal number, TOML's numbers are decimal, and they are
-read as such (never as binary floats). So a file that was read out and is put back unchanged changes nothing. A box keeps
-what a file does not say, what this truearm does not know included. What comes of a file is held
-against the specification (configuration_schema.py) before anything is sent; the box judges it again.
+The conversion is lossless: the wire's [mantissa, exponent] is a decimal number, TOML's numbers are decimal, and they
+are parsed as such (never as binary floats). Reading a configuration and writing it back unchanged therefore changes
+nothing. A box keeps whatever a file does not mention, including keys unknown to this version of truearm. The result is
+checked against the specification (configuration_schema.py) before anything is sent, and the box checks it again.
 """
 
 from __future__ import annotations
@@ -41,18 +41,20 @@ Values = dict[str, Any]
 
 
 def parse_number(text: str) -> Decimal:
-    """A TOML float as a decimal number. Raises ValueError."""
+    """Parse a TOML float as a decimal number. Raises ValueError."""
     try:
         return Decimal(text.replace("_", ""))
     except InvalidOperation as exc:
-        raise ValueError(f"{text[:40]!r} is no number that can be used") from exc
+        raise ValueError(f"{text[:40]!r} is not a usable number") from exc
 
 
-# --- out
+# --- to TOML
 
 
 def format_config(config: Mapping[str, Any]) -> str:
-    """A box's configuration as TOML. What this truearm does not know stands in comments: the box keeps it."""
+    """Format a box's configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
+    them.
+    """
     lines = ["# The configuration of a truearm box (truearm box config get, set). What is left out, the box keeps."]
     lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive", "thermometers"))
     for channel in _channels(config):
@@ -82,7 +84,7 @@ def _one_line(text: object) -> str:
 
 
 def flat(config: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
-    """Every value by its dotted key, as TOML; channels go by ``names``."""
+    """Return every value as TOML by its dotted key; ``names`` are the names of the channels."""
     found = _flat("", config, CONFIG)
     for name, channel in zip(names, _channels(config), strict=False):
         found |= _flat(f"channel.{name}.", channel, CHANNEL)
@@ -97,7 +99,7 @@ def _flat(prefix: str, values: Mapping[str, Any], table: Table[Values]) -> dict[
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(key, before, after) of all that changes, "" for what is not there."""
+    """Return (key, before, after) for every change; "" for a value that is not there."""
     names = channel_names(before)
     if len(set(names)) < len(names):
         names = [str(index) for index in range(len(names))]
@@ -116,12 +118,15 @@ def _channels(config: Mapping[str, Any]) -> list[Values]:
     return [as_table(item) for item in channels] if isinstance(channels, list) else []
 
 
-# --- in
+# --- from TOML
 
 
 def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
-    """``config`` with what the TOML ``text`` says, checked. Channels are matched by name, or by their order if there are
-    four; a calibration replaces the one before as a whole, an empty one removes it. Raises ConfigError, which calls the file ``name``."""
+    """Return ``config`` with the settings in the TOML ``text``, checked.
+
+    Channels are matched by name, or by order if there are four. A calibration replaces the previous one completely; an
+    empty one removes it. Raises ConfigError, which refers to the file as ``name``.
+    """
     given = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
     new = copy.deepcopy(dict(config))
     channels, head = given.pop("channels", ()), given.pop("magnetostrictive", {})
@@ -139,22 +144,24 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
 
 
 def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], name: str) -> list[int]:
-    """Which of the box's channels each of the file's is."""
+    """Return which of the box's channels each channel in the file is."""
     known = channel_names(config)
     wanted = [channel.get("name") for channel in channels]
     if len(set(wanted)) < len(wanted):
-        raise ConfigError(f"{name}: two channels share a name, or have none")
+        raise ConfigError(f"{name}: every channel needs a name of its own")
     if all(w in known for w in wanted):
         return [known.index(str(w)) for w in wanted]
     if len(channels) == len(known):
         return list(range(len(known)))
-    raise ConfigError(f"{name}: the box's channels are {', '.join(known)}; name these, or give all {len(known)}")
+    raise ConfigError(
+        f"{name}: the box's channels are {', '.join(known)}; name these channels, or give all {len(known)}"
+    )
 
 
 def with_assignment(config: Mapping[str, Any], text: str) -> Values:
-    """``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
+    """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
-    What does not go together is for ``check`` to find, when all is changed.
+    Combinations of values are not checked here; call ``check`` after all changes.
     """
     path, equals, value = text.partition("=")
     if not equals:
@@ -172,7 +179,7 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
 
 
 def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
-    """The table that a dotted key lies in, what may be in it, and the last part of the key."""
+    """Return the table with a dotted key, its allowed contents, and the last part of the key."""
     prefix, _, name = path.rpartition(".")
     if not prefix:
         return config, CONFIG, name
@@ -188,12 +195,12 @@ def _place(config: Values, path: str) -> tuple[Values, Table[Values], str]:
                 return channel.setdefault("calibration", {}), CALIBRATION, name
     known = ", ".join(f"channel.{n}" for n in channel_names(config))
     raise ConfigError(
-        f"{prefix[:60]!r} is no part of the configuration; there are magnetostrictive, thermometers, {known}"
+        f"{prefix[:60]!r} is not a part of the configuration; its parts are magnetostrictive, thermometers, {known}"
     )
 
 
 def _value(text: str, is_words: bool) -> Any:
-    """A value of the command line: text needs no quotes there, numbers are TOML's; what is no TOML is text too."""
+    """Parse a value from the command line: a TOML number, or text, which needs no quotes."""
     if is_words:
         return text[1:-1] if len(text) > 1 and text[0] == text[-1] == '"' else text
     try:
@@ -204,7 +211,7 @@ def _value(text: str, is_words: bool) -> Any:
 
 
 def checked_config(box: BoxControl) -> Values:
-    """The box's configuration. Raises ProtocolError where this truearm could not put it back."""
+    """Return the box's configuration. Raises ProtocolError if this version of truearm could not write it back."""
     try:
         return check(box.config())
     except ConfigError as exc:
@@ -212,5 +219,5 @@ def checked_config(box: BoxControl) -> Values:
 
 
 def change_lines(before: Values, after: Values) -> list[str]:
-    """A line for each key that changes; none where nothing does."""
+    """Return one line per changed key."""
     return [one_line(f"{key}: {old or '(none)'} → {new or '(none)'}") for key, old, new in differences(before, after)]

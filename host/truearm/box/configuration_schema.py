@@ -1,7 +1,7 @@
-"""What a box's configuration may be (protocol/SPEC.md §5): every key, in a file and on the wire, and its bounds.
+"""Schema of a box's configuration (protocol/SPEC.md §5): every key, in a file and on the wire, and its bounds.
 
-A file has units for people and decimal numbers; the wire has whole numbers of small units and [mantissa, exponent]. A value
-goes from one to the other without a binary float, so nothing is lost. ``check`` names a mistake before anything is sent.
+A file has practical units and decimal numbers; the wire has integers in small units and [mantissa, exponent]. Values
+are converted without binary floats, so nothing is lost. ``check`` reports a mistake before anything is sent.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _MANTISSA_END = 2**63
 
 @dataclass(frozen=True)
 class Steps:
-    """A whole number of units of 10^-``decimals`` on the wire, a decimal number in a file.
+    """An integer in units of 10^-``decimals`` on the wire, a decimal number in a file.
 
-    ``options`` are all that it can be. ``ranges`` (least, most) are in units of the wire, and so is the step.
+    ``options`` lists all allowed values. ``ranges`` (least, most) and the step are in units of the wire.
     """
 
     ranges: tuple[tuple[int, int], ...] = ()
@@ -64,7 +64,9 @@ class Steps:
 
 @dataclass(frozen=True)
 class Exact:
-    """A decimal number, [mantissa, exponent] on the wire; ``least`` ≤ number < ``end``, with at most so many decimals."""
+    """A decimal number, [mantissa, exponent] on the wire; ``least`` ≤ number < ``end``, with a maximum number of
+    decimals.
+    """
 
     least: int | None = None
     end: int = 0
@@ -80,7 +82,7 @@ class Exact:
     def check(self, wire: Any) -> list[int]:
         number = decimal_of(wire)
         if number is None:
-            raise SchemaError(f"{_unknown(wire)} is not a number that a file could hold")
+            raise SchemaError(f"{_unknown(wire)} is not a number that a file can hold")
         if self.least is not None and not (self.least <= number < self.end and -self.decimals <= wire[1] <= 0):
             raise SchemaError(
                 f"must be {self.least} to {self.end}, with at most {self.decimals} decimals, is {self.format(wire)}"
@@ -90,7 +92,7 @@ class Exact:
 
 @dataclass(frozen=True)
 class WireList:
-    """A list of ``least`` to ``most`` values of one sort."""
+    """A list of ``least`` to ``most`` values of one type."""
 
     item: Steps | Exact
     least: int
@@ -119,7 +121,7 @@ class WireList:
 
 @dataclass(frozen=True)
 class Words(Text):
-    """Text; the command line needs no quotes around it. The box takes any length."""
+    """Text; the command line needs no quotes around it. The box accepts any length."""
 
     longest: int = MAX_TEXT
 
@@ -134,7 +136,7 @@ class Words(Text):
 
 @dataclass(frozen=True)
 class Address(Words):
-    """The address of a thermometer on its wire: 16 hexadecimal digits."""
+    """The 1-Wire address of a thermometer: 16 hexadecimal digits."""
 
     def check(self, wire: Any) -> str:
         if not isinstance(wire, str) or not re.fullmatch("[0-9a-f]{16}", wire):
@@ -147,9 +149,9 @@ WireValue = Steps | Exact | WireList | Words
 
 @dataclass(frozen=True)
 class ConfigKey(Key):
-    """A key in a file, where any may be left out: the box keeps what it has. ``field`` is its name on the wire.
+    """A key in a file. Any key may be left out: the box then keeps its value. ``field`` is its name on the wire.
 
-    ``needed``: the box takes no configuration without it. ``judged``: the box looks at it.
+    ``needed``: the box accepts no configuration without it. ``judged``: the box checks it.
     """
 
     value: WireValue
@@ -200,7 +202,7 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
         _microseconds("timeout", (5008, 999_990_000), step=8),
         _key("us_per_inch", Exact(5, 20, 9), "on the sensor's label"),
         _microseconds("delay", (-100_000, 100_000), comment="of its electronics"),
-        _key("falling_edge", Steps(options=(0, 1)), "1: a stop is the line's falling edge (a gate)", needed=False),
+        _key("pulse_edge", Steps(options=(1, 2, 0)), "1: first edge of each pulse, 2: second, 0: a gate", needed=False),
         _key("serial", Words()),
         _key("date", Words()),
     ),
@@ -228,17 +230,17 @@ CONFIG = Table[dict[str, Any]](
 
 
 def config_keys(table: Table[dict[str, Any]]) -> tuple[ConfigKey, ...]:
-    """The keys of a table that hold one value; its own tables are not among them."""
+    """Return the keys of a table that hold a single value, without its subtables."""
     return tuple(key for key in table.keys if isinstance(key, ConfigKey))
 
 
 def check(config: dict[str, Any]) -> dict[str, Any]:
-    """``config`` as the wire holds it, if it keeps to SPEC §5. Raises ConfigError with the name of what does not."""
+    """Return ``config`` in wire format if it conforms to SPEC §5. Raises ConfigError naming the faulty key."""
     if config.get("version") != VERSION:
-        raise ConfigError(f"the box's configuration is of version {config.get('version')!r:.40}; update truearm")
+        raise ConfigError(f"the box's configuration has version {config.get('version')!r:.40}; update truearm")
     channels = config.get("channels")
     if not isinstance(channels, list) or len(channels) != 4:
-        raise ConfigError("there must be four channels")
+        raise ConfigError("four channels are needed")
     with raising(ConfigError):
         _check_keys(CONFIG, config)
         for channel in map(as_table, channels):
@@ -272,7 +274,9 @@ def _check_keys(table: Table[dict[str, Any]], values: Mapping[str, Any]) -> None
 
 
 def _check_times(head: Mapping[str, Any]) -> None:
-    """The sensor listens after the blanking, until the time-out; the next interrogation is 10 µs later at the earliest."""
+    """Check that the sensor listens from the blanking to the time-out, and that the next interrogation is at least 10
+    µs later.
+    """
     if head["timeout_ns"] <= head["blanking_ns"]:
         raise SchemaError("timeout_us: must be above blanking_us")
     if 0 < head["period_ns"] < head["timeout_ns"] + 10_000:
@@ -280,12 +284,12 @@ def _check_times(head: Mapping[str, Any]) -> None:
 
 
 def as_table(value: Any) -> dict[str, Any]:
-    """``value``, an empty table if it is none."""
+    """Return ``value``, or an empty table if it is not a table."""
     return value if isinstance(value, dict) else {}
 
 
 def decimal_of(pair: Any) -> Decimal | None:
-    """The number of [mantissa, exponent]; None where it is none, or none that a file could hold."""
+    """Return the number in [mantissa, exponent]; None if it is invalid or cannot be represented in a file."""
     if not isinstance(pair, list) or len(pair) != 2 or any(type(part) is not int for part in pair):
         return None
     mantissa, exponent = pair
@@ -293,19 +297,19 @@ def decimal_of(pair: Any) -> Decimal | None:
 
 
 def mantissa_exponent(number: Decimal) -> list[int]:
-    """The wire's [mantissa, exponent] of a decimal number, exponent ≤ 0. Raises SchemaError if it has too many digits."""
+    """Return the wire's [mantissa, exponent] of a decimal number, exponent ≤ 0. Raises SchemaError for too many digits."""
     sign, digits, exponent = number.normalize().as_tuple()
     assert isinstance(exponent, int)  # of a finite number
     mantissa = int("".join(map(str, digits))) * (-1 if sign else 1)
     if 0 < exponent < 20:
         mantissa, exponent = mantissa * 10**exponent, 0
     if abs(mantissa) >= _MANTISSA_END or not _LOWEST_EXPONENT <= exponent <= 0:
-        raise SchemaError("has too many digits, or is too large; 18 digits are possible")
+        raise SchemaError("has too many digits or is too large; 18 digits are possible")
     return [mantissa, exponent if mantissa else 0]
 
 
 def format_decimal(pair: Any) -> str:
-    """The number of [mantissa, exponent] as TOML; what is no such pair as text."""
+    """Return the number in [mantissa, exponent] as TOML; anything that is not such a pair as text."""
     number = decimal_of(pair)
     if number is None:
         return _unknown(pair)

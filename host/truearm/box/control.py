@@ -1,7 +1,8 @@
-"""A conversation with a box apart from a recording: commands and their answers, documents in pages, and what it sends meanwhile.
+"""Communicate with a box outside a recording: commands and their answers, paged documents, and frames sent meanwhile.
 
-As in the recorder time comes from the clock and passes in ``Link.read`` alone, so all of this runs in the simulator's virtual
-time too. A command is repeated with the same id until it is answered, which the box takes for one command (SPEC §6).
+As in the recorder, time comes from the clock and passes only in ``Link.read``, so all of this also runs in the
+simulator's virtual time. A command is repeated with the same id until it is answered; the box treats repetitions as one
+command (SPEC §6).
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from truearm_wire.cbor import CborError, encode
 
 SECOND = 1_000_000_000
 RETRY_NS = SECOND // 2
-RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
-SELF_TEST_RETRY_NS = 4 * SECOND  # it measures for about a second
-CONFIG_PAGES_MAX = 16  # that a box takes
-MAX_WAITING = 20_000  # frames that nobody fetched; the oldest go
+RETRIES = 10  # 5 s: a newly connected box waits 2 s before it runs
+SELF_TEST_RETRY_NS = 4 * SECOND  # it takes measurements for about a second
+CONFIG_PAGES_MAX = 16  # accepted by a box
+MAX_WAITING = 20_000  # unread frames; the oldest are dropped
 _READ_S = 0.05
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 
@@ -46,7 +47,7 @@ NAMES = {
 
 
 class Sent(NamedTuple):
-    """A frame that the box sent: ``data`` for samples, else the kind's elements by name; and the host's time of its arrival."""
+    """A frame sent by the box and its arrival time on the host; ``data`` for samples, else the elements by name."""
 
     t_host_ns: int
     kind: int
@@ -55,12 +56,15 @@ class Sent(NamedTuple):
 
 
 class NoAnswer(LinkError):
-    """The box is silent, though the link is whole."""
+    """The box does not answer, though the link is intact."""
 
 
 class BoxControl:
-    """The host's side of a conversation. ``ident`` is what the box said last of itself; ``console_bytes`` counts what was no
-    frame, ``lost_frames`` gaps in the box's count of them; ``heartbeat`` is the last one, by name."""
+    """The host's side of the communication with a box.
+
+    ``ident`` is the box's latest description of itself. ``console_bytes`` counts bytes outside frames, ``lost_frames``
+    the gaps in the box's frame count. ``heartbeat`` is the latest one, by name.
+    """
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self.ident: Ident | None = None
@@ -79,17 +83,17 @@ class BoxControl:
         self._error: tuple[int, str] | None = None
         self._identified = 0  # the req_id of the last ident
 
-    # --- what may be asked
+    # --- requests
 
     def identify(self, retries: int = RETRIES) -> Ident:
-        """Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
+        """Ask for the ident. Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
         self._send(wire.IDENTIFY, (), lambda: self._identified == self._awaited, RETRY_NS, retries)
         if self.ident is None:
-            raise ProtocolError(f"{self._link.name}: the box answers but does not say what it is; update its firmware")
+            raise ProtocolError(f"{self._link.name}: the box answers but does not identify itself; update its firmware")
         return self.ident
 
     def command(self, kind: int, *arguments: Any, retry_ns: int = RETRY_NS, retries: int = RETRIES) -> bytes:
-        """The document that answers a command, b"" for most.
+        """Send a command and return the document in its answer, b"" for most commands.
 
         Raises LinkError if there is no answer, RefusedError if the box refuses.
         """
@@ -97,27 +101,30 @@ class BoxControl:
         return self._reply or b""
 
     def config(self) -> dict[str, Any]:
-        """The box's configuration (SPEC §5)."""
+        """Return the box's configuration (SPEC §5)."""
         return self._document(self.command(wire.GET_CONFIG), "configuration")
 
     def put_config(self, config: dict[str, Any]) -> Ident:
-        """Store a configuration in the box; returns the ident that follows it. Raises as ``command``, and ProtocolError if it is too long."""
+        """Store a configuration in the box and return the ident that follows.
+
+        Raises as ``command`` does, and ProtocolError if it is too long.
+        """
         try:
             pages = wire.pages(encode(config))
         except CborError as exc:
-            raise ProtocolError(f"the configuration does not fit the wire: {exc}") from exc
+            raise ProtocolError(f"the configuration cannot be sent: {exc}") from exc
         if len(pages) > CONFIG_PAGES_MAX:
-            raise ProtocolError(f"the configuration is too long: {len(pages)} pages, a box takes {CONFIG_PAGES_MAX}")
+            raise ProtocolError(f"the configuration is too long: {len(pages)} pages; a box accepts {CONFIG_PAGES_MAX}")
         for page, count, data in pages:
             self.command(wire.PUT_CONFIG, page, count, data)
         return self.identify()
 
     def self_test(self) -> dict[str, Any]:
-        """The results (SPEC §5) by name."""
+        """Run the self-test and return the results (SPEC §5) by name."""
         return self._document(self.command(wire.SELF_TEST, retry_ns=SELF_TEST_RETRY_NS, retries=3), "self-test")
 
     def reset(self, mode: int) -> None:
-        """Restart the box, or have it enter its boot loader. A link that is lost meanwhile is what was asked for."""
+        """Restart the box, or have it enter its boot loader. The link may be lost in the process; that is not an error."""
         try:
             self.command(wire.RESET, mode)
         except (RefusedError, NoAnswer):
@@ -127,22 +134,22 @@ class BoxControl:
 
     @property
     def now_s(self) -> float:
-        """The host's time [s]."""
+        """Return the host's time [s]."""
         return self._clock.now_ns() / SECOND
 
     def probe(self) -> tuple[int, int]:
-        """Send a clock request; returns its id and the host's time before it [ns]. The answer comes as a frame."""
+        """Send a clock request; return its id and the host time before it [ns]. The answer arrives as a frame."""
         number, data = self._requests.make(wire.SYNC_REQUEST)
         return number, self._link.write(data)
 
     def sent(self, timeout_s: float) -> Iterator[Sent]:
-        """The frames that came, waiting up to ``timeout_s`` for the first bytes."""
+        """Return the frames that arrived, waiting up to ``timeout_s`` for the first bytes."""
         if not self._waiting:
             self._pump(timeout_s)
         while self._waiting:
             yield self._waiting.popleft()
 
-    # --- how
+    # --- transport
 
     def _document(self, data: bytes, what: str) -> dict[str, Any]:
         try:
@@ -150,7 +157,7 @@ class BoxControl:
         except cbor2.CBORError as exc:
             raise ProtocolError(f"{self._link.name}: the box's {what} cannot be decoded ({exc})") from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
-            raise ProtocolError(f"{self._link.name}: the box's {what} is no table")
+            raise ProtocolError(f"{self._link.name}: the box's {what} is not a table")
         return document
 
     def _send(
@@ -163,7 +170,7 @@ class BoxControl:
             left_ns = retry_ns
             deadline_ns = self._clock.now_ns() + retry_ns
             while left_ns > 0:
-                # on a busy machine the time may be over at once, and the answer has come
+                # on a busy machine the time may already be over although the answer has arrived
                 left_ns = deadline_ns - self._clock.now_ns()
                 self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
                 self._check_refused(NAMES[kind])
@@ -171,7 +178,7 @@ class BoxControl:
                     return
         raise NoAnswer(
             f"{self._link.name}: no answer to {NAMES[kind]!r} in {retries * retry_ns / SECOND:g} s; "
-            "is this a truearm box, and does its firmware run?"
+            "is this a truearm box, and is its firmware running?"
         )
 
     def _check_refused(self, name: str) -> None:
@@ -213,7 +220,7 @@ class BoxControl:
             self._waiting.append(Sent(t_host_ns, kind, None, fields))
 
     def _count(self, seq: int | None) -> None:
-        """A gap is counted; a count that goes back is a frame that came late, or a box that restarted."""
+        """Count gaps. A count that goes back means a late frame or a restarted box."""
         if seq is None:
             return
         gap = 0 if self._next_seq is None else (seq - self._next_seq) & _SEQ_MASK

@@ -1,4 +1,4 @@
-"""The firmware onto a box, by its boot drive or as files, and then its answer: what ``truearm box flash`` does."""
+"""Write the firmware to a box, by its boot drive or as files, and wait for its answer (``truearm box flash``)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import truearm
 from truearm import __version__
 from truearm.box.conversation import conversation, ident_of, one_line_of
 from truearm.errors import Argument, InputError, LinkError
+from truearm.progress import step
 from truearm.record.ports import usb_ports
 
 if TYPE_CHECKING:
@@ -20,15 +21,16 @@ if TYPE_CHECKING:
     from truearm.session.box_ident import Ident
 
 _ASK_AGAIN_S = 0.5
-_SHORT = 4  # tries of half a second, again and again
+_SHORT = 4  # attempts of half a second, repeated
 
 
 @dataclass(frozen=True)
 class FlashOptions:
-    """What to flash, and where: an ``image`` through a boot drive, or with ``stock`` the firmware's files onto a MicroPython.
+    """What to flash, and where: an ``image`` through a boot drive, or with ``stock`` the firmware's files onto a
+    MicroPython.
 
-    ``device``: a box that runs, None for a new one. ``timeout`` [s]: for drive and box. ``stop`` a box that streams.
-    ``check`` that it answers.
+    ``device``: a running box, None for a new one. ``timeout`` [s]: for drive and box. ``stop``: stop a streaming box.
+    ``check``: wait for the box to answer.
     """
 
     image: Path | None = None
@@ -41,7 +43,7 @@ class FlashOptions:
 
 
 def flash_box(options: FlashOptions) -> Iterator[str]:
-    """Flash a box and wait for its answer; yields a line a step. Raises InputError, ImageError, LinkError."""
+    """Flash a box and wait for its answer; yields one line per step. Raises InputError, ImageError, LinkError."""
     others = {port.device for port in usb_ports()} - {options.device}
     version = ""
     if options.stock:
@@ -52,7 +54,8 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
         version = yield from _write_image(options.image or own_image(), options)
     if not options.check:
         return
-    ident = _wait_for_box(options.device, others, options.timeout)
+    with step(f"waiting for the box, {options.timeout:g} s at most"):
+        ident = _wait_for_box(options.device, others, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if version and ident.firmware != version:
         yield f"warning: the image has {version}; files of a firmware on the box's flash are found before it"
@@ -61,19 +64,20 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
 
 
 def own_image() -> Path:
-    """Return the image of this version: the wheel's own, or the one that make uf2 built in this checkout. Raises InputError."""
+    """Return the image of this version, from the wheel or built in this checkout by make uf2. Raises InputError."""
     package, name = Path(__file__).parent, f"truearm-{__version__}.uf2"
     places = (package / "image" / name, package.parents[2] / "build" / "uf2" / name)
     for path in places:
         if path.is_file():
             return path
     raise InputError(
-        f"this installation holds no {name}; give the image to flash (make uf2 builds one), or ", Argument("stock")
+        f"{name} is not part of this installation; give the image to flash (make uf2 builds one), or ",
+        Argument("stock"),
     )
 
 
 def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]:
-    """Yields a line a step, returns the version of the firmware in the image, or ""."""
+    """Write the image. Yields one line per step and returns the version of the firmware in the image, or ""."""
     from truearm.box.boot_drive import write_image
     from truearm.box.uf2 import read_uf2
 
@@ -85,13 +89,14 @@ def _write_image(path: Path, options: FlashOptions) -> Generator[str, None, str]
     )
     yield f"{path}: for the {image.chip.name}, {image.size // 1024} KiB in {image.blocks} blocks: {what}"
     place = yield from _drive_for(path, image, options)
-    write_image(image, place, path.name)
+    with step(f"writing {path.name}"):
+        write_image(image, place, path.name)
     yield f"{place}: written; the box restarts"
     return image.version
 
 
 def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str, None, Path]:
-    """The boot drive to write to; a running box is asked to show it first."""
+    """Return the boot drive to write to; a running box is first asked to present it."""
     from truearm.box.boot_drive import board_of, check_drive, find_drives, wait_for
     from truearm_wire.messages import BOOT_LOADER
 
@@ -115,16 +120,17 @@ def _drive_for(path: Path, image: Image, options: FlashOptions) -> Generator[str
             return drive if board_of(drive) is not None else None
         return next((place for place in find_drives(image.chip.board) if place not in before), None)
 
-    found = wait_for(appeared, options.timeout)
+    with step(f"waiting for the boot drive, {options.timeout:g} s at most"):
+        found = wait_for(appeared, options.timeout)
     if found is None:
         raise LinkError(
-            f"{device}: no boot drive came in {options.timeout:g} s; mount it, and name its place: truearm box flash {path} --drive FOLDER"
+            f"{device}: no boot drive appeared within {options.timeout:g} s; mount it and name its folder: truearm box flash {path} --drive FOLDER"
         )
     return found
 
 
 def compared(has: str, gets: str) -> str:
-    """How the firmware that a box has compares with an image's, to be said after it; "" where one is not known."""
+    """Compare a box's firmware with an image's, as text to append; "" if either version is unknown."""
     if not has or not gets:
         return ""
     if has == gets:
@@ -139,8 +145,8 @@ def compared(has: str, gets: str) -> str:
 def _only(drives: list[Path], image: Image) -> Path:
     if not drives:
         raise InputError(
-            "no boot drive was found; hold BOOTSEL while you plug the box in, name its place with ",
-            *(Argument("drive"), ", or give ", Argument("box"), " so that a running box is asked"),
+            "no boot drive found; hold BOOTSEL while you plug the box in, name its folder with ",
+            *(Argument("drive"), ", or give ", Argument("box"), " to restart a running box"),
         )
     if len(drives) > 1:
         raise InputError(
@@ -165,7 +171,7 @@ def _copy_files(device: str, stop: bool) -> Iterator[str]:
 
 
 def _to_prompt(device: str, stop: bool) -> None:
-    """A box that runs already is asked for MicroPython's prompt; a board that does not answer is there, we hope."""
+    """Ask a running box for MicroPython's prompt; a board that does not answer is assumed to be there already."""
     from truearm.box.control import NoAnswer
     from truearm_wire.messages import TO_REPL
 
@@ -177,7 +183,7 @@ def _to_prompt(device: str, stop: bool) -> None:
 
 
 def firmware_folders() -> tuple[Path, Path]:
-    """The firmware's folder, of the checkout or as the wheel carries it with the simulator, and the wire's."""
+    """Return the folders of the firmware and the wire package, from the checkout or as the wheel carries them."""
     import truearm_wire
 
     found = importlib.util.find_spec("truearm_sim")
@@ -188,7 +194,9 @@ def firmware_folders() -> tuple[Path, Path]:
 
 
 def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident:
-    """The ident of the box that comes up, at ``device`` or at a port that was not among ``others``. Raises LinkError."""
+    """Return the ident of the box that starts, at ``device`` or at a port that is not among ``others``. Raises
+    LinkError.
+    """
     deadline = time.monotonic() + timeout
     reason = ""
     while True:
@@ -199,12 +207,12 @@ def _wait_for_box(device: str | None, others: set[str], timeout: float) -> Ident
             except LinkError as exc:
                 reason = f" ({exc})"
         if time.monotonic() >= deadline:
-            raise LinkError(f"no box answered in {timeout:g} s{reason}; see truearm box list")
+            raise LinkError(f"no box answered within {timeout:g} s{reason}; see truearm box list")
         time.sleep(_ASK_AGAIN_S)
 
 
 def _places(device: str | None, others: set[str]) -> list[str]:
-    """Where the box may be: its port may have another name after a restart."""
+    """Return where the box may be: its port may have another name after a restart."""
     if device is not None and ("://" in device or Path(device).exists()):
         return [device]
     return [port.device for port in usb_ports() if port.candidate and port.device not in others]

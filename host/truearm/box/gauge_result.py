@@ -1,10 +1,10 @@
-"""What ``truearm box gauge`` makes of the places it was shown: the calibration, in words, on a page, and for the box."""
+"""Turn the positions measured by ``truearm box gauge`` into the calibration, as text, as a page, and for the box."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from decimal import Decimal
 from pathlib import Path
@@ -12,34 +12,53 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from truearm import __version__
 from truearm.errors import Argument, ConfigError, InputError
 from truearm.schema import raising
 from truearm.types import rms
-from truearm.units import UM
+from truearm.units import MM, UM
 
 if TYPE_CHECKING:
     from truearm.box.gauge_polynomial import PolyFit
     from truearm.session.box_ident import Channel, Stream
-    from truearm.session.samples import MeanOfSamples
+    from truearm.session.sample_noise import MeanOfSamples
     from truearm.types import Floats
 
-MAG = "mag"  # the stream of
+MAG = "mag"  # name of the magnetostrictive stream
 HEAD = "magnetostrictive"
 FEWEST_PLACES = 5
-ROUNDING = 1e-9  # m, that the stored decimals may differ from the fit
+ROUNDING = 1e-9  # m, allowed difference between the stored decimals and the fit
 
 
 @dataclass(frozen=True)
 class Place:
-    """The sensor at one reference [m]: its mean reading in the channel's unit, the box's temperature [°C] meanwhile."""
+    """A reference position [m]: the sensor's mean reading in the channel's unit, and the box's temperature [°C]
+    meanwhile.
+    """
 
     reference: float
     mean: MeanOfSamples
     temperature: float | None
 
 
+@dataclass(frozen=True)
+class Circumstances:
+    """How, by whom and on which box a channel was calibrated; "" for what is not known.
+
+    ``uncertainty`` [m] is the expanded uncertainty (k = 2) of the reference ``instrument``, None if unknown.
+    """
+
+    channel: str
+    instrument: str = ""
+    uncertainty: float | None = None
+    operator: str = ""
+    uid: str = ""
+    firmware: str = ""
+    serial: str = ""  # of the sensor
+
+
 def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple[PolyFit, list[PolyFit]]:
-    """The calibration, and all that were tried. Raises InputError."""
+    """Return the calibration, and all fits that were tried. Raises InputError."""
     from truearm.box.gauge_polynomial import MAX_ORDER, chosen, distinct_places, fits
 
     x, y = _readings(places), _references(places)
@@ -49,13 +68,21 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
             f"places taken: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
     tried = fits(x, y, 1 if linear else MAX_ORDER)
-    if linear:
-        return tried[0], tried
-    if order is None:
-        return chosen(tried), tried
-    if order > tried[-1].order:
-        raise InputError(Argument("order"), f" {order} needs more places; {len(places)} allow {tried[-1].order}")
-    return tried[order - 1], tried
+    if order is not None and not linear and order > tried[-1].order:
+        raise InputError(
+            Argument("order"), f" {order} needs more places; {len(places)} places allow order {tried[-1].order}"
+        )
+    taken = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
+    return replace(taken, sigma=max(taken.sigma, _of_means(places, taken))), tried
+
+
+def _of_means(places: Sequence[Place], fit: PolyFit) -> float:
+    """Return the standard deviation [m] of a position from the noise of its mean alone.
+
+    This is a lower limit: few residuals may happen to be smaller.
+    """
+    slope = np.polynomial.polynomial.polyval(_readings(places), np.polynomial.polynomial.polyder(fit.poly))
+    return rms(np.asarray(slope * np.sqrt([place.mean.variance for place in places]), dtype=np.float64))
 
 
 def _readings(places: Sequence[Place]) -> Floats:
@@ -68,7 +95,7 @@ def _references(places: Sequence[Place]) -> Floats:
 
 def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], channel: Channel) -> list[str]:
     lines = [
-        f"order {f.order}: left-out error {UM.text(f.press, '.2f')} RMS{' ← taken' if f is result else ''}"
+        f"order {f.order}: left-out error {UM.text(f.press, '.2f')} RMS{' ← taken' if f.order == result.order else ''}"
         for f in tried
     ]
     lines.append(
@@ -85,7 +112,7 @@ def _largest(result: PolyFit) -> float:
 
 
 def _before(places: Sequence[Place], channel: Channel) -> float | None:
-    """What the channel's present calibration leaves [m RMS]."""
+    """Return the residual [m RMS] of the channel's present calibration."""
     unit = channel.length_unit
     if unit is None:
         return None
@@ -96,7 +123,7 @@ def _before(places: Sequence[Place], channel: Channel) -> float | None:
 def with_calibration(
     config: dict[str, Any], stream: Stream, index: int, places: Sequence[Place], result: PolyFit, serial: str | None
 ) -> dict[str, Any]:
-    """The configuration with the new calibration in it, checked. Raises InputError."""
+    """Return the configuration with the new calibration, checked. Raises InputError."""
     from truearm.box.configuration_schema import check
 
     date = datetime.now(UTC).date().isoformat()
@@ -140,7 +167,7 @@ def _head(result: PolyFit) -> dict[str, Any]:
     try:
         head = head_of(result)
     except ValueError as exc:
-        raise InputError(f"the places make no calibration: {exc}") from exc
+        raise InputError(f"these places do not give a calibration: {exc}") from exc
     return {"us_per_inch": _pair(f"{head.us_per_inch:.9f}"), "delay_ns": round(head.delay_ns)}
 
 
@@ -151,31 +178,19 @@ def _temperature(places: Sequence[Place]) -> dict[str, int]:
 
 def write_page(
     path: Path,
-    name: str,
+    of: Circumstances,
     channel: Channel,
     places: Sequence[Place],
     result: PolyFit,
     tried: Sequence[PolyFit],
     new: dict[str, Any],
 ) -> None:
+    """Write the page of a calibration; ``new`` is the configuration that the box will store."""
     from truearm.files.disk import write_atomic
     from truearm.report.gauge_page import GaugePage, render
 
-    temperature = _temperature(places).get("temperature_mdegc")
-    facts = [
-        ("order", str(result.order)),
-        ("coefficients", ", ".join(f"{c:.6g}" for c in result.poly)),
-        ("standard deviations of these", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
-        ("sigma", UM.text(result.sigma, ".2f")),
-        ("largest residual", UM.text(_largest(result), ".2f")),
-        ("the calibration before", "none" if (b := _before(places, channel)) is None else f"{UM.text(b, '.2f')} RMS"),
-        ("temperature of the box", "unknown" if temperature is None else f"{temperature / 1000:.1f} °C"),
-    ]
-    if name == HEAD:
-        pair = new[HEAD]["us_per_inch"]
-        facts.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs an inch, delay {new[HEAD]['delay_ns']} ns"))
     page = GaugePage(
-        title=f"Calibration of {name}",
+        title=f"Calibration of {of.channel}",
         subtitle=f"{len(places)} places, {datetime.now(UTC).date().isoformat()}",
         unit=channel.unit,
         reference=_references(places),
@@ -187,6 +202,52 @@ def write_page(
         orders=tuple(f.order for f in tried),
         press=np.array([f.press for f in tried]),
         order=result.order,
-        facts=tuple(facts),
+        certificate=_certificate(of, channel, places, result, new),
     )
     write_atomic(path, render(page))
+
+
+Facts = tuple[tuple[str, str], ...]
+
+
+def _certificate(
+    of: Circumstances, channel: Channel, places: Sequence[Place], result: PolyFit, new: dict[str, Any]
+) -> tuple[tuple[str, Facts], ...]:
+    """Return page one: what was calibrated, against what, and how well."""
+    degc = _temperature(places).get("temperature_mdegc")
+    before, low, high = _before(places, channel), _references(places).min(), _references(places).max()
+    what = (
+        ("sensor", f"{of.channel}, serial {of.serial}" if of.serial else of.channel),
+        ("operator", of.operator or "not said"),
+        ("date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
+        ("box", f"{of.uid or 'without a uid'}, firmware {of.firmware or 'not known'}"),
+        ("software", f"truearm {__version__}"),
+        ("temperature of the box", "unknown" if degc is None else f"{degc / 1000:.1f} °C"),
+    )
+    reference = (
+        ("reference instrument", of.instrument or "not said"),
+        ("its uncertainty (k = 2)", "not said" if of.uncertainty is None else UM.text(of.uncertainty, ".2f")),
+        ("places", f"{len(places)}, from {MM.text(low, '.4f')} to {MM.text(high, '.4f')}"),
+    )
+    spread = UM.text(2.0 * result.sigma, ".2f")
+    whole = "not known without the reference's uncertainty"
+    if of.uncertainty is not None:
+        whole = UM.text(math.hypot(2.0 * result.sigma, of.uncertainty), ".2f")
+    outcome = (
+        ("of a place about the calibration (k = 2)", spread),
+        ("of a calibrated length, with the reference (k = 2)", whole),
+        ("largest residual", UM.text(_largest(result), ".2f")),
+        (
+            "the calibration before",
+            "none" if before is None else f"misses these references by {UM.text(before, '.2f')} RMS",
+        ),
+    )
+    curve = [
+        ("order", str(result.order)),
+        ("coefficients", ", ".join(f"{c:.6g}" for c in result.poly)),
+        ("standard deviations of these", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
+    ]
+    if of.channel == HEAD:
+        pair = new[HEAD]["us_per_inch"]
+        curve.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs an inch, delay {new[HEAD]['delay_ns']} ns"))
+    return ("What", what), ("Reference", reference), ("Uncertainty", outcome), ("The curve", tuple(curve))

@@ -1,4 +1,4 @@
-"""A sensor's calibration against reference readings, into the box: what ``truearm box gauge`` does."""
+"""Calibrate a sensor against reference readings and store the result in the box (``truearm box gauge``)."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of
-from truearm.box.gauge_result import HEAD, MAG, Place, calibrate, with_calibration, words, write_page
+from truearm.box.gauge_result import HEAD, MAG, Circumstances, Place, calibrate, with_calibration, words, write_page
 from truearm.errors import Argument, InputError, LinkError, TableError
+from truearm.progress import Advance, step
 from truearm.text import one_line
 from truearm.units import MM, NS, suffixes
 
@@ -22,35 +23,36 @@ if TYPE_CHECKING:
 
     from truearm.box.control import BoxControl
     from truearm.session.box_ident import Channel, Ident, Stream
-    from truearm.session.samples import MeanOfSamples
 
 UNITS = suffixes("m", ("mm", "um", "in"))
-SETTLE_S = 0.2  # the converter's filter fills, and a hand leaves the stage
+SETTLE_S = 0.2  # for the converter's filter to fill and the operator's hand to leave the stage
 PATIENCE_S = 5.0
 MAX_REFERENCES = 1000
 MAX_BYTES = 1 << 18
 MAX_METRES = 10.0
-STILL_MOVES = 5.0  # standard deviations of a drift
-FEWEST = 16  # samples of which a mean and its error can be told
+STILL_MOVES = 6.0  # standard deviations of the mean of one part
+PARTS = 8  # of the samples at a position
+FEWEST = 16  # fewest samples for a mean and its error
 
 
 class Operator(Protocol):
-    """Who sets the references: hears what is measured, and answers."""
+    """The person who sets the references: is shown the measurements and answers."""
 
     def say(self, text: str) -> None:
         """Show a line."""
 
     def ask(self, prompt: str) -> str | None:
-        """What the operator types, None at the end of the input."""
+        """Return what the operator types, None at the end of the input."""
 
 
 @dataclass(frozen=True)
 class GaugeOptions:
     """How to calibrate a channel.
 
-    ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: samples at each place. ``order`` of the polynomial,
-    None for the one with the least left-out error. ``serial``: of the sensor, None as before. ``page``: to write, None for a name by the
-    channel. ``agreed``: store the calibration without asking.
+    ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: of samples at each position.
+    ``order``: of the polynomial, None for the one with the least left-out error. ``serial``: of the sensor, None to
+    keep it. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
+    without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``Circumstances``.
     """
 
     channel: str
@@ -62,6 +64,9 @@ class GaugeOptions:
     page: Path | None = None
     agreed: bool = False
     force: bool = False
+    instrument: str = ""
+    uncertainty: float | None = None
+    operator: str = ""
 
 
 def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: bool = False) -> None:
@@ -89,7 +94,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
         for line in words(places, result, tried, stream.channels[index]):
             say(line)
         new = with_calibration(config, stream, index, places, result, options.serial)
-        write_page(page, channel, stream.channels[index], places, result, tried, new)
+        write_page(page, _circumstances(box, options, new), stream.channels[index], places, result, tried, new)
         say(f"{page}: residuals and orders")
         changes = change_lines(config, new)
         for line in changes:
@@ -103,8 +108,26 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
             say(f"{device}: unchanged")
 
 
+def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) -> Circumstances:
+    """Return what the page states about box, sensor, instrument and operator.
+
+    ``new`` is the configuration with the sensor's serial number.
+    """
+    ident = ident_of(box)
+    named = [one.get("calibration", {}) for one in new["channels"] if one["name"] == options.channel] or [new[HEAD]]
+    return Circumstances(
+        channel=options.channel,
+        instrument=options.instrument,
+        uncertainty=options.uncertainty,
+        operator=options.operator,
+        uid=one_line(str(ident.document.get("uid", ""))[:32]),
+        firmware=one_line(ident.firmware[:32]),
+        serial=str(named[0].get("serial", "")),
+    )
+
+
 def read_references(path: Path) -> list[float]:
-    """The references [m] of a CSV file. Raises TableError."""
+    """Return the references [m] in a CSV file. Raises TableError."""
     from truearm.files.csv_cells import numbers, read_cells
     from truearm.files.disk import read_text
     from truearm.files.observation_columns import Column
@@ -121,13 +144,13 @@ def read_references(path: Path) -> list[float]:
 
 
 def parse_reference(text: str, scale: float) -> float:
-    """A reference [m] as it was typed. Raises InputError."""
+    """Return a typed reference [m]. Raises InputError."""
     try:
         value = float(text.strip().replace(",", ".")) * scale
     except ValueError:
         value = math.nan
     if not abs(value) <= MAX_METRES:
-        raise InputError(f"{text.strip()[:40]!r} is no reading of a reference")
+        raise InputError(f"{text.strip()[:40]!r} is not a reading of a reference")
     return value
 
 
@@ -138,7 +161,7 @@ def _find(ident: Ident, name: str) -> tuple[Stream, int]:
     if found is None:
         names = ", ".join(c.name for stream in ident.streams.values() for c in stream.channels)
         off = "; its stream is off (truearm box config set magnetostrictive.period_us=983.04)" if name == HEAD else ""
-        raise InputError(f"the box has no channel {name[:40]!r}{off}; there are {names}")
+        raise InputError(f"the box has no channel {name[:40]!r}{off}; it has {names}")
     if found[0].channels[found[1]].fault:
         raise InputError(f"channel {name} cannot be used: {found[0].channels[found[1]].fault}")
     return found
@@ -154,7 +177,7 @@ def _measured_places(
     listed: list[float] | None,
     operator: Operator,
 ) -> list[Place]:
-    """Ask for references and sample at each, until they end."""
+    """Ask for references and sample at each, until the operator ends."""
     places: list[Place] = []
     stream, index = found
     for reference in _typed(places, options.unit, operator) if listed is None else _listed(listed, places, operator):
@@ -163,17 +186,19 @@ def _measured_places(
         if problem:
             operator.say(f"  not taken: {problem}")
             continue
-        place = _place(reference, counts[:, index], stream, stream.channels[index], box)
-        if moves(place.mean):
-            operator.say(f"  not taken: {_moved(place, stream.channels[index])}; leave it alone and take it again")
+        read = _readings(counts[:, index], stream, stream.channels[index])
+        moved = motion(read)
+        if moved:
+            operator.say(f"  not taken: {_moved(moved, stream.channels[index])}; leave it alone and take it again")
             continue
+        place = _place(reference, read, box)
         places.append(place)
         operator.say(f"  {_placewords(len(places), place, stream.channels[index])}")
     return places
 
 
 def _listed(references: Sequence[float], places: Sequence[Place], operator: Operator) -> Iterator[float]:
-    """Each reference until it is among the places that were taken, or is to be skipped."""
+    """Yield each reference until it has been measured or is skipped."""
     for number, reference in enumerate(references, 1):
         taken = len(places)
         while len(places) == taken:
@@ -207,9 +232,9 @@ def _agreed(operator: Operator) -> bool:
 
 
 def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]:
-    """Counts (n, channels) of a stream over so many seconds. The box is started and stopped.
+    """Return counts (n, channels) of a stream over the given number of seconds. The box is started and stopped.
 
-    Raises LinkError if too few samples come.
+    Raises LinkError if too few samples arrive.
     """
     from truearm.session.samples import with_ratios
     from truearm_wire.messages import START, STOP
@@ -217,16 +242,19 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     skip, wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
     box.command(START)
     try:
-        blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S)
+        with step(f"sampling {stream.name} for {seconds:g} s") as advance:
+            blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S, advance)
     finally:
         box.command(STOP)
-        for _ in box.sent(0.0):  # what was under way
+        for _ in box.sent(0.0):  # data in transit
             continue
     return with_ratios(np.concatenate(blocks), stream.channels)
 
 
-def _collect(box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s: float) -> list[NDArray[np.int32]]:
-    """Blocks of ``wanted`` samples in all, from number ``skip`` on."""
+def _collect(
+    box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s: float, advance: Advance
+) -> list[NDArray[np.int32]]:
+    """Collect blocks with ``wanted`` samples in total, from number ``skip`` on."""
     blocks: list[NDArray[np.int32]] = []
     width = len(stream.channels)
     have, end_s = 0, box.now_s + patience_s
@@ -236,13 +264,14 @@ def _collect(box: BoxControl, stream: Stream, skip: int, wanted: int, patience_s
                 continue
             blocks.append(np.frombuffer(data.samples, "<i4").reshape(-1, width))
             have += len(blocks[-1])
+            advance(min(have / wanted, 1.0))
             if have >= wanted:
                 return blocks
     raise LinkError(f"the box sent {have} of {wanted} samples of {stream.name} in {patience_s:.0f} s")
 
 
 def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
-    """Why these counts (n,) are no reading; "" if they are."""
+    """Return why these counts (n,) are not a reading; "" if they are."""
     from truearm.session.samples import railed
 
     if stream.name != MAG:
@@ -255,12 +284,18 @@ def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
     return ""
 
 
-def _place(reference: float, counts: NDArray[np.int32], stream: Stream, channel: Channel, box: BoxControl) -> Place:
-    from truearm.session.samples import mean_of, volts
+def _readings(counts: NDArray[np.int32], stream: Stream, channel: Channel) -> NDArray[np.float64]:
+    """Return the counts (n,) in the channel's unit, without those of missing stop pulses."""
+    from truearm.session.samples import volts
 
-    good = counts[counts != 0] if stream.name == MAG else counts
+    return volts(counts[counts != 0] if stream.name == MAG else counts, channel)
+
+
+def _place(reference: float, read: NDArray[np.float64], box: BoxControl) -> Place:
+    from truearm.session.sample_noise import mean_of
+
     beat = box.heartbeat.get("temperature_mdegc")
-    return Place(reference, mean_of(volts(good, channel)), None if beat is None else beat / 1000)
+    return Place(reference, mean_of(read), None if beat is None else beat / 1000)
 
 
 def _placewords(number: int, place: Place, channel: Channel) -> str:
@@ -269,10 +304,24 @@ def _placewords(number: int, place: Place, channel: Channel) -> str:
     return one_line(f"{number}: {MM.text(place.reference, '.4f')} at {mean.mean:.8g} {channel.unit} ({noisy})")
 
 
-def moves(mean: MeanOfSamples) -> bool:
-    """Whether a sensor moved while it was sampled: beyond chance, and by more than a sample's noise. A creep below that spoils nothing."""
-    return abs(mean.drift) > max(STILL_MOVES * mean.drift_sigma, mean.noise)
+def motion(samples: NDArray[np.float64]) -> float:
+    """Return how far a sensor moved while its samples (n,) were taken; 0.0 if it did not move.
+
+    It moved if the means of eighths differ by more than one sample's noise, estimated from second differences that
+    motion does not affect, and by more than six standard deviations of such a mean. A creep below that is harmless.
+    """
+    from truearm.session.sample_noise import quick_noise
+
+    parts = np.array_split(samples, max(2, min(PARTS, samples.size // PARTS)))
+    means = np.array([part.mean() for part in parts])
+    steps = np.abs(np.diff(samples))
+    if not steps.any():
+        return 0.0
+    noise = max(quick_noise(samples), float(steps[steps > 0.0].min()))
+    first, last = sorted((int(means.argmin()), int(means.argmax())))
+    moved = float(means[last] - means[first])
+    return moved if abs(moved) > noise * max(1.0, STILL_MOVES / math.sqrt(parts[-1].size)) else 0.0
 
 
-def _moved(place: Place, channel: Channel) -> str:
-    return one_line(f"the sensor moved by {place.mean.drift:+.2g} {channel.unit} while it was sampled")
+def _moved(by: float, channel: Channel) -> str:
+    return one_line(f"the sensor moved by {by:+.2g} {channel.unit} while it was sampled")

@@ -1,4 +1,4 @@
-"""What a box measures and how well it does, live: what ``truearm box monitor`` shows."""
+"""Watch a box's measurements and their quality live (``truearm box monitor``)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.losses import COUNTERS
 from truearm.text import one_line
-from truearm.units import MS, NS, US
+from truearm.units import DEGC, MDEGC, MS, NS, US
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
     from truearm.session.box_ident import Channel, Ident, Stream
     from truearm.session.device_clock import OnlineClock
 
-WINDOW_S = 1.0  # of samples that a shown value is the mean of
+WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
-Rows = list[tuple[str, str]]  # what, and its value
-MAX_PROBES = 64  # under way
+Rows = list[tuple[str, str]]  # label and value
+MAX_PROBES = 64  # pending
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
 
@@ -56,18 +57,19 @@ class Window:
 
 
 def _clock() -> OnlineClock:
-    from truearm.session.device_clock import OnlineClock  # with numpy, which --help does without
+    from truearm.session.device_clock import OnlineClock  # imports numpy, which --help does not need
 
     return OnlineClock()
 
 
 @dataclass
 class Watch:
-    """What was seen of a box since it was started. Times in s and ns of the host's clock."""
+    """Observations of a box since it was started. Times in s and ns of the host's clock."""
 
     ident: Ident
     windows: dict[int, Window] = field(default_factory=dict)
     heartbeat: dict[str, Any] = field(default_factory=dict)
+    thermometers: dict[int, float] = field(default_factory=dict)  # °C
     clock: OnlineClock = field(default_factory=_clock)
     probes: dict[int, int] = field(default_factory=dict)
     edges: int = 0
@@ -79,9 +81,9 @@ class Watch:
             del self.probes[next(iter(self.probes))]
 
     def take(self, sent: Sent) -> None:
-        """A frame that came."""
+        """Process a frame."""
         from truearm.session.samples import with_ratios
-        from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY
+        from truearm_wire.messages import EVENT, HEARTBEAT, SYNC_REPLY, TEMPERATURE
 
         if sent.data is not None:
             stream = self.ident.streams.get(sent.data.stream)
@@ -91,6 +93,8 @@ class Watch:
                 self.windows.setdefault(stream.id, Window()).take(sent.data.n0, counts, sent.data.period_ns)
         elif sent.kind == HEARTBEAT:
             self.heartbeat = sent.fields
+        elif sent.kind == TEMPERATURE:
+            self.thermometers[sent.fields["thermometer"]] = MDEGC.to_si(sent.fields["temperature_mdegc"])
         elif sent.kind == EVENT:
             self.edges += 1
         elif sent.kind == SYNC_REPLY and sent.fields["id"] in self.probes:
@@ -99,12 +103,12 @@ class Watch:
 
 
 def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Rows], None]) -> Iterator[str]:
-    """Watch a box until ``duration`` [s] or an interrupt; ``show`` gets what it measures every so often.
+    """Watch a box until ``duration`` [s] or an interrupt; ``show`` is called regularly with the measurements.
 
-    Yields a line when the box has answered, and one when all is over. Raises InputError, LinkError.
+    Yields a line when the box has answered, and one at the end. Raises InputError, LinkError.
     """
     if duration is not None and not 0 < duration < math.inf:
-        raise InputError(Argument("duration"), f" {duration:g} is no time; give seconds above 0")
+        raise InputError(Argument("duration"), f" {duration:g} is not a duration; give seconds above 0")
     with conversation(device, stop=True) as box, asked_to_stop() as interrupted:
         yield one_line_of(ident_of(box))
         watch = _watch(box, duration, interrupted, every_s, show)
@@ -144,7 +148,7 @@ def _watch(
 
 
 def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
-    """(what, value) of everything that is shown."""
+    """Return (label, value) for everything displayed."""
     rows: Rows = [("time", f"{elapsed_s:.0f} s")]
     for stream in watch.ident.streams.values():
         rows += _stream_rows(stream, watch.windows.get(stream.id))
@@ -157,6 +161,15 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
                 f"{beat['temperature_mdegc'] / 1000:.1f} °C, longest loop {MS.text(US.to_si(beat['loop_max_us']), '.1f')}",
             )
         )
+        if far := far_from_calibration(watch.ident, LVDT, MDEGC.to_si(beat["temperature_mdegc"])):
+            rows.append(("temperature", far))
+    if watch.ident.thermometers:
+        each = enumerate(watch.ident.thermometers)
+        texts = (
+            f"{one_line(name)} {DEGC.text(watch.thermometers[k], '.2f') if k in watch.thermometers else 'not read yet'}"
+            for k, name in each
+        )
+        rows.append(("thermometers", ", ".join(texts)))
     rows.append(("losses", losses(watch, box)))
     return rows
 
@@ -171,7 +184,7 @@ def _stream_rows(stream: Stream, window: Window | None) -> Rows:
 
 
 def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str:
-    """The mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
+    """Return the mean of counts (n,) in the channel's best unit, with the standard deviation of one sample."""
     from truearm.box.description import with_spread
     from truearm.session.samples import railed
 
@@ -192,7 +205,7 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
 
 
 def clock_words(watch: Watch) -> str:
-    """How well the host knows the box's clock by the exchanges of the last minute."""
+    """Describe how well the host knows the box's clock from the exchanges of the last minute."""
     now = watch.clock.estimate()
     if now is None:
         return "not known yet"
@@ -203,7 +216,7 @@ def clock_words(watch: Watch) -> str:
 
 
 def losses(watch: Watch, box: BoxControl) -> str:
-    """What went wrong, 0 included."""
+    """Return the counts of everything that went wrong, including zeros."""
     beat = watch.heartbeat
     parts = [f"{box.lost_frames} frames on the link", f"{beat.get('overruns', 0)} samples in the box"]
     words = {"crc_errors": "wrong CRCs of the converter", "bad_frames": "bad frames received"}

@@ -1,4 +1,4 @@
-"""Whether a box can measure what a session is for, by what it says of itself; asked before it is started."""
+"""Check before the start whether a box can measure what a session needs, from its description of itself."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ from datetime import date
 from typing import TYPE_CHECKING, Any
 
 from truearm.text import one_line
+from truearm.units import DEGC, MM
 
 if TYPE_CHECKING:
     from truearm.session.box_ident import Ident, Stream
 
 LVDT = "lvdt"
+BAR = "bar"  # name of the bar's thermometer
 LINE_CHANNELS = ("magnetostrictive", "transverse_a", "transverse_b")
 OLD_DAYS = 365
+FAR = 2.0  # K: 12 µm for a steel bar of half a metre
+STEEL = 11.5e-6  # 1/K, for a bar without a declared expansion
+LVDT_DRIFT = 1e-4  # 1/K, of an LVDT's gain (docs/how-to/hardware.md), if not declared
+USUAL_BAR, USUAL_TRAVEL = 0.5, 0.075  # m, if the rig does not specify them
 
 
 @dataclass(frozen=True)
 class Purpose:
-    """What is to be measured; ``osr`` is what was asked for, None: whatever the box has."""
+    """What is to be measured; ``osr`` is the requested one, None: as set in the box."""
 
     ball_bar: bool = False
     line: bool = False
@@ -28,14 +34,16 @@ class Purpose:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Sentences. With ``refused`` the session would be worth nothing; ``warned`` is what the operator should know."""
+    """Messages. ``refused``: why the session would be worthless; ``warned``: what the operator should know."""
 
     refused: tuple[str, ...] = ()
     warned: tuple[str, ...] = ()
 
 
 def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
-    """Channels that are missing, described wrongly, not calibrated or long ago, and rates that are not as asked for."""
+    """Check for missing, incorrectly described, uncalibrated or long-uncalibrated channels, and rates other than
+    requested.
+    """
     refused: list[str] = []
     warned: list[str] = []
     names = ((LVDT,) if purpose.ball_bar else ()) + (LINE_CHANNELS if purpose.line else ())
@@ -49,6 +57,29 @@ def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
         if purpose.osr is not None and stream.osr not in (0, purpose.osr):
             warned.append(f"stream {stream.name} samples at osr {stream.osr}, not {purpose.osr} as asked for")
     return Verdict(tuple(refused), tuple(warned))
+
+
+def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
+    """Warn if the box, now at ``degc`` [°C], is FAR or more from the calibration temperature of ``channel``, else
+    return "".
+
+    No warning is given if the box reads a thermometer on the bar: its lengths are corrected.
+    """
+    from truearm.session.box_ident import find_channel
+
+    found = find_channel(ident, channel)
+    if found is None or BAR in ident.thermometers:
+        return ""
+    stream, index = found
+    warmer = degc - stream.channels[index].calibrated_degc
+    if not abs(warmer) >= FAR:  # also if it is not known
+        return ""
+    error = abs(warmer) * (STEEL * USUAL_BAR + LVDT_DRIFT * 0.5 * USUAL_TRAVEL)
+    return (
+        f"the box is {DEGC.text(abs(warmer), '.1f')} {'warmer' if warmer > 0.0 else 'colder'} than when {channel} was calibrated, "
+        f"and reads no thermometer on the bar: lengths may be off by some {MM.text(error, '.2f')} (a steel bar of {MM.text(USUAL_BAR, '.0f')}); "
+        "put a thermometer on the bar, or wait"
+    )
 
 
 def _channel(ident: Ident, name: str, today: date) -> tuple[list[str], list[str]]:

@@ -1,7 +1,7 @@
-"""The results of a box's self-test (protocol/SPEC.md §5) in words: what each means, and what to do about it.
+"""Describe the results of a box's self-test (protocol/SPEC.md §5): what each means, and what to do about it.
 
-The box judges by its limits. What is within them but near to one is a warning here: a rail that sags, a noise that has
-doubled, a stop that was lost tell of what will fail.
+The box applies its own limits. A value within but close to a limit is a warning here: a sagging rail, a doubled noise
+or a lost stop pulse indicates a coming failure.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ MAX_RESULTS = 64
 
 @dataclass(frozen=True)
 class Finding:
-    """One result. ``value`` with its unit, "" where there is none; ``advice`` for what is no pass."""
+    """One result. ``value`` with its unit, "" if there is none; ``advice`` if the result is not a pass."""
 
     name: str
     verdict: str
@@ -27,7 +27,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class _Item:
-    """``inner``: between these a value passes without a warning; the shown unit is the wire's times 1 / ``per``."""
+    """``inner``: a value in this range passes without a warning; the displayed unit is the wire's times 1 / ``per``."""
 
     what: str
     advice: str
@@ -45,12 +45,12 @@ _NOISE = _Item(
 _ITEMS = {
     "converter_id": _Item(
         "the converter answers",
-        "check its supply and the SPI wires: DOUT, CS, SCLK, DIN (docs/hardware.md)",
+        "check its supply and the SPI wires: DOUT, CS, SCLK, DIN (docs/how-to/hardware.md)",
         (0x2400, 0x24FF), shown_as="#x",
     ),
     "excitation": _Item(
         "current of the LVDT's primary",
-        "check the LVDT's plug, primary and supply (docs/hardware.md, first power-up); "
+        "check the LVDT's plug, primary and supply (docs/how-to/hardware.md, first power-up); "
         "without an LVDT no channel of the configuration may have over",
         (60_000, 1_100_000), "mV", 1000, ".1f",
     ),
@@ -76,9 +76,9 @@ ALWAYS = ("converter_id", "noise_0", "noise_1", "noise_2", "noise_3", "rail_5v",
 
 
 def findings(results: Mapping[str, Any]) -> list[Finding]:
-    """What the results say, in the order of the signal's way; names that are not known here come last, as the box judged them.
+    """Return the findings in the order of the signal path; unknown names come last, as judged by the box.
 
-    A result that cannot be read is a failure, one of ``ALWAYS`` that is missing a warning.
+    A result that cannot be read is a failure; a missing one of ``ALWAYS`` is a warning.
     """
     names = [name for name in _ITEMS if name in results or name in ALWAYS]
     names += sorted(set(results) - set(_ITEMS))[:MAX_RESULTS]

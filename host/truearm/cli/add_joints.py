@@ -1,4 +1,4 @@
-"""``truearm add-joints``: joint readings that were taken down elsewhere, into a copy of a session."""
+"""``truearm add-joints``: joint readings that were recorded elsewhere, into a copy of a session."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def add_joints(
         typer.Option(
             metavar="OURS=THEIRS,…",
             help="What a table's columns are in our words, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. "
-            "Others are passed over.",
+            "Others are skipped.",
         ),
     ] = None,
     zero: Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
+from truearm.units import UM
 
 
 def gauge(
@@ -24,6 +25,19 @@ def gauge(
     ] = None,
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
     out: Annotated[Path | None, out_file("the page (.html); default: gauge-CHANNEL.html")] = None,
+    instrument: Annotated[
+        str, typer.Option(metavar="TEXT", help="The reference, for the page: its type, serial number and certificate.")
+    ] = "",
+    uncertainty_um: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1e4,
+            metavar="UM",
+            help="The reference's expanded uncertainty (k = 2), as its certificate has it.",
+        ),
+    ] = None,
+    operator: Annotated[str, typer.Option(metavar="TEXT", help="Who calibrates, for the page.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
     stop: StopOption = False,
     force: ForceOption = False,
@@ -35,11 +49,16 @@ def gauge(
     places that were left out is as small as the best one's; the magnetostrictive sensor gets its velocity of sound and delay. A
     page shows what is left, and if you agree the box stores the calibration with its date and temperature.
 
-    Example: truearm box gauge lvdt --box /dev/ttyACM0
+    \b
+    Example:
+      truearm box gauge lvdt --box /dev/ttyACM0 --instrument "micrometer head 164-163, certificate 4711" --uncertainty-um 2
     """
     from truearm.box.gauge_run import GaugeOptions, gauge_channel
 
-    options = GaugeOptions(channel, references, unit, seconds, order, serial, out, yes, force)
+    uncertainty = None if uncertainty_um is None else UM.to_si(uncertainty_um)
+    options = GaugeOptions(
+        channel, references, unit, seconds, order, serial, out, yes, force, instrument, uncertainty, operator
+    )
     gauge_channel(device, options, _Terminal(), stop)
 
 

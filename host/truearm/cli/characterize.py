@@ -63,7 +63,7 @@ def characterize(
         if not 0.0 < mm < math.inf:  # typer's bounds let nan pass
             raise InputError(f"--within-mm must be a finite number, is {mm}")
     if out == Path("-"):
-        raise InputError("-: is no file name; --json prints to standard output")
+        raise InputError("-: is not a file name; --json prints to standard output")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     name = one_line(session.name)
     files = CharacterizeFiles(session, RobotChoice(robot, base, tip), rig, plan, out, allow_damaged, force)

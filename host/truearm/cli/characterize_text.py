@@ -28,15 +28,15 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         yield f"{joint:16} {cells[0]:>24} {cells[1]:>24} {cells[2]:>22} {cells[3]:>20}"
     if not of["backlash_explains"]:
         yield (
-            f"one backlash a joint does not explain how the sides differ (chance {of['misfit_probability']:.1e}): it changes "
+            f"one backlash per joint does not explain how the sides differ (chance {of['misfit_probability']:.1e}): it changes "
             "with the pose; sigma of the bar below holds what it leaves"
         )
     yield ""
     for band in settling["bands"]:
         if band["visits"]:
             yield (
-                f"settled within {MM.text(band['within_m'])} after {_range(band['median_s'], S)} in the middle, "
-                f"{_range(band['share_95_s'], S)} in 95 of 100; {band['visits']} visits"
+                f"settled within {MM.text(band['within_m'])} after: median {_range(band['median_s'], S)}, "
+                f"95th percentile {_range(band['share_95_s'], S)}; {band['visits']} visits"
             )
     own = settling["dwells_begin_s"]
     yield f"dwells begin {own['median']:.2f} s after the joints stand, {own['largest']:.2f} s at most"

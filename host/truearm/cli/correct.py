@@ -127,7 +127,7 @@ def correct(
     from truearm.workflows.correction_findings import refusal_of
 
     if mark and not partial:
-        raise InputError("--mark marks what --partial leaves uncorrected; give --partial too")
+        raise InputError("--mark needs --partial: it marks what --partial leaves uncorrected")
     shown = numbers_of("--home", home)
     works, tools = _named("--work", work), _named("--tool", tool)
     own_work, own_tool = works.pop("", None), tools.pop("", None)
@@ -176,7 +176,7 @@ def _named(option: str, given: list[str] | None) -> dict[str, Frame]:
     for text in given or ():
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():
-            raise InputError(f"{option} {text[:60]}: {name[:40]!r} is no name of a tool or work object")
+            raise InputError(f"{option} {text[:60]}: {name[:40]!r} is not the name of a tool or work object")
         if name.lower() in found:
             raise InputError(f"{option} {text[:60]}: is given twice")
         found[name.lower()] = frame_of(option, pose)

@@ -13,7 +13,7 @@ from typing import Annotated, assert_never
 import typer
 
 from truearm.cli.options import BaseOption, BranchOption, ForceOption, SeedOption, TipOption, branch_given, out_folder
-from truearm.cli.output import print_lines, recording_progress
+from truearm.cli.output import print_lines
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
     DEFAULT_PERIODS,
@@ -143,8 +143,8 @@ def demo(
     box = SimulatedBox(world, interpreter, seed=seed)
     try:
         name = f"record {visits_in_words(plan)}, {world.duration / 60:.0f} minutes of robot time"
-        with steps.step(name), recording_progress(world.duration) as progress:
-            record_virtually(out, plan, world, box, osr, seed, progress)
+        with steps.step(name):
+            record_virtually(out, plan, world, box, osr, seed)
         with steps.step("sync: clocks, dwells, observations"):
             result = observe(out, robot)
         clock = clock_truth(result, box)

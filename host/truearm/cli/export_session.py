@@ -43,7 +43,7 @@ def export_session(
 
     A file a stream; with --format mcap one file with a channel a stream, on one axis of time. Samples have the box's own time and the host's, synchronised, with its bound of error; counts, and what they
     mean in SI units, which stand in the headers. A gap is marked, not filled. session.json says what was lost and
-    explains the rest (docs/session-format.md). --model says which joints turn and which slide; without it all turn.
+    explains the rest (docs/reference/session-format.md). --model says which joints turn and which slide; without it all turn.
 
     \b
     Example:

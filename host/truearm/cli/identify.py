@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from truearm import option_defaults
 from truearm.bounds import ITERATIONS, LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
@@ -30,6 +31,8 @@ from truearm.cli.output import warn
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.exit_codes import ExitCode
 from truearm.units import tolerances
+
+DEFAULT_JOINT_LAWS = LawMode(option_defaults.JOINT_LAWS)
 
 
 def identify(
@@ -58,7 +61,7 @@ def identify(
         list[str] | None,
         typer.Option(metavar="GROUP", help="Fit only these rows, as place=front (repeatable); all others judge."),
     ] = None,
-    seed: SeedOption = 0,
+    seed: SeedOption = option_defaults.SEED,
     free: Annotated[
         list[str] | None,
         typer.Option(metavar="PATTERN", help="Identify only parameters that match, as 'joint*.offset' (repeatable)."),
@@ -91,7 +94,7 @@ def identify(
             autocompletion=completed(SOLVERS),
             help=". ".join(f"{name}: {entry.summary}" for name, entry in SOLVERS.items()) + ".",
         ),
-    ] = "lm",
+    ] = option_defaults.SOLVER,
     loss: Annotated[
         str,
         typer.Option(
@@ -100,13 +103,13 @@ def identify(
             autocompletion=completed(tuple(Loss)),
             help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
         ),
-    ] = "linear",
+    ] = option_defaults.LOSS,
     joint_laws: Annotated[
         LawMode,
         typer.Option(
-            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: curve, sag or both (auto, where geometry and declared noise do not explain the residuals)."
+            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: curve, sag or both (auto, where geometry and declared noise do not explain the residuals); none: geometry alone."
         ),
-    ] = LawMode.NONE,
+    ] = DEFAULT_JOINT_LAWS,
     allow: Annotated[
         list[str] | None,
         typer.Option(
@@ -121,7 +124,7 @@ def identify(
     ] = None,
     max_iterations: Annotated[
         int, typer.Option(metavar="N", help="Stop there, converged or not.", **bounded(ITERATIONS))
-    ] = 50,
+    ] = option_defaults.MAX_ITERATIONS,
     out: Annotated[Path | None, out_file("the result (.json)")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

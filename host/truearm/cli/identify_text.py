@@ -18,9 +18,16 @@ from rich.table import Table
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
+from truearm.report.result_words import (
+    drawing,
+    kind_name,
+    parts_words,
+    pose_error_words,
+    time_offset,
+    unexplained_words,
+)
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
-from truearm.report.words import drawing, kind_name, parts_words, pose_error_words, time_offset, unexplained_words
 from truearm.session.dwells import NEED_WORDS
 from truearm.text import counted, one_line
 from truearm.types import MeanError, PoseError, ResidualParts
@@ -33,7 +40,7 @@ MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
 MAX_NAMES = 12
-OUTLIERS = 0.05  # of the rows: more are no bad rows (estimate.outliers)
+OUTLIERS = 0.05  # of the rows: more than that are not bad rows (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -101,6 +108,7 @@ def dwell_lines(document: Document) -> list[str]:
         rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
         line += f"; rejected: {rejected}" * bool(rejected)
+        line += f"; {counted(count['mountings'], 'stop')} for mounting" * bool(count["mountings"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_WORDS)
         if unsettled:
             line += f"; {unsettled} need your word: truearm relabel {one_line(count['session'])}"
@@ -281,7 +289,7 @@ def _unexplained(error: Document) -> str:
 
 
 def seen(document: Document) -> list[str]:
-    """The observability indices of the set that can be told apart."""
+    """The observability indices of the set that can be distinguished."""
     indices = document["observability"]
     if indices is None or any(value is None for value in indices.values()):
         return []
@@ -361,6 +369,10 @@ def suspects(document: Document) -> list[str]:
 def held_out_notes(document: Document) -> list[str]:
     """What the held-out error does not say by itself."""
     held_out, notes = document["held_out"], []
+    gone = [one_line(name) for name in document["all_held_out"] if name not in document["held_out_by"]]
+    if held_out and gone:
+        other = f" In place of that{_proposal(document)}." * (document["hold_out_proposal"] is not None)
+        notes.append(f"No row of {_names(gone)} is left in the fit.{other}")
     if held_out and held_out["n_settled"]:
         notes.append(
             f"{counted(held_out['n_settled'], 'unknown of the rig was', 'unknowns of the rig were')} settled on the held-out rows themselves."
@@ -399,15 +411,24 @@ def advice(document: Document, out: Path | None) -> list[str]:
             * (not read_off and document["pose_error"] is None)
         )
     lines += further_measurements(document)
-    if document["held_out"] is None:
-        lines.append(
-            "Next: judge the result on rows that it has not seen, with --hold-out shell=..., place=... or 0.2."
-        )
+    if not document["held_out_by"]:
+        lines.append(f"Next: judge the result on rows that it has not seen{_proposal(document)}.")
     if out is None:
         lines.append("Next: keep the result with --out result.json.")
     else:
         lines.append(f"Written: {one_line(str(out))}")
     return lines
+
+
+def _proposal(document: Document) -> str:
+    """A hold-out that leaves something of everything in the fit."""
+    proposed = document["hold_out_proposal"]
+    if proposed is None:
+        return ", of other poses: these are too few to spare any"
+    seed = f" --seed {proposed['seed']}" * (proposed["seed"] > 0)
+    n = proposed["combinations"]
+    every = "" if n == 1 else f" and leaves at least half of each of the {n} pairings in the fit"
+    return f": --hold-out {proposed['fraction']:g}{seed} holds out {counted(proposed['rows'], 'row')}{every}"
 
 
 def further_measurements(document: Document) -> list[str]:

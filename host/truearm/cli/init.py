@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -74,6 +75,7 @@ def init(
     Example:
       truearm init cell3 --model ur5e --address rtde://192.168.0.2
     """
+    from truearm.cli.plan_text import visit_lines
     from truearm.files.project_file import Project
     from truearm.workflows.project import Wanted, create
 
@@ -88,7 +90,7 @@ def init(
 
     model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", "ur5e")
     project = Project(
-        model=model,
+        model=_from_folder(model, folder),
         base=base,
         tip=tip,
         branch=branch or "",
@@ -108,10 +110,17 @@ def init(
         else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
     )
     wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None, branch_given(branch))
-    folder.mkdir(parents=True, exist_ok=True)
-    written = create(folder, wanted, lambda text: typer.echo(text, err=True))
-    print_lines(f"{path.name:<16}{path}" for path in written)
+    created = create(folder, wanted)
+    print_lines(f"{path.name:<16}{path}" for path in created.written)
+    if created.plan is not None:
+        print_lines(visit_lines(created.plan))
     typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}, then truearm status")
+
+
+def _from_folder(model: str, folder: Path) -> str:
+    """A robot's file as truearm.toml names it: by its way from the project's folder; names of built-in robots as they are."""
+    there = Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file()
+    return Path(os.path.relpath(model, folder)).as_posix() if there else model
 
 
 def _number(option: str, text: str) -> float:

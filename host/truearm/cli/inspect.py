@@ -29,5 +29,5 @@ def inspect(
         return
     print_lines(lines(first))
     for document in more:
-        typer.echo(f"\n{one_line(document['file'])} goes on with it:")
+        typer.echo(f"\n{one_line(document['file'])} continues it:")
         print_lines(lines(document))

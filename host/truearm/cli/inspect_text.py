@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from truearm.session.dwells import MOUNTING
 from truearm.session.losses import COUNTERS, EXTREMES
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
 
@@ -21,7 +22,7 @@ LOSSES = (
     ("samples_overrun", "samples overrun in the box"),
     ("blocks_without_ident", "blocks that no ident describes"),
     ("converter_faults", "blocks with a converter fault"),
-    ("console_runs", "runs of bytes that are no frame"),
+    ("console_runs", "runs of bytes that are not a frame"),
     ("restarts", "restarts of the box"),
     ("sync_unanswered", "clock requests unanswered"),
 )
@@ -179,7 +180,7 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
         f"{edges[key]} {text}"
         for key, text in (
             ("unseen", "shown by no reading"),
-            ("unclear", "not told apart"),
+            ("unclear", "not distinguished"),
             ("rejected", "rejected by the others"),
             ("stray", "changes of the input without an edge"),
         )
@@ -208,8 +209,9 @@ def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
         yield from _events(document)
         return
     became = f", {dwells['observations']} observations" if dwells["observations"] is not None else ""
+    mountings = f"; {counted(dwells['mountings'], 'stop')} for mounting" * bool(dwells["mountings"])
     planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
-    yield f"dwells: {dwells['found']} found{planned}{became}"
+    yield f"dwells: {dwells['found'] - dwells['mountings']} found{planned}{became}{mountings}"
     for reason, count in dwells["rejected"].items():
         yield f"  {count:>6} rejected: {reason}{_explained(reason, bool(document['plan_poses']))}"
     yield from _dwell_table(dwells["table"])
@@ -266,8 +268,8 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
     """All dwells of a short session; of a long one those that were rejected."""
     good = sorted(row["settling_s"] for row in rows if not row["reason"])
     if good:
-        yield f"  settled after {good[len(good) // 2]:.2f} s in the middle, {good[-1]:.2f} s at most"
-    shown = rows if len(rows) <= DWELLS else [row for row in rows if row["reason"]]
+        yield f"  settling time: median {good[len(good) // 2]:.2f} s, longest {good[-1]:.2f} s"
+    shown = rows if len(rows) <= DWELLS else [row for row in rows if row["reason"] not in ("", MOUNTING)]
     if shown:
         yield f"  {'dwell':>6} {'t robot/s':>10} {'settling/s':>10} {'used/s':>7} {'pose':>5}  of"
     for row in shown[:DWELLS]:

@@ -5,6 +5,7 @@ The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NA
 
 from __future__ import annotations
 
+import functools
 import io
 import os
 import sys
@@ -28,6 +29,7 @@ from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
 from truearm.cli.options import EARLIER_WORDS
 from truearm.cli.plan import app as plan
+from truearm.cli.progress import shown_progress
 from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
 from truearm.cli.recover import recover
@@ -99,6 +101,12 @@ def _root(
         typer.echo(context.get_help())
 
 
+@functools.cache
+def command_tree() -> Any:
+    """Return all commands as typer made them of their functions, which takes longer than most lines that are refused."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``truearm`` with ``arguments`` (``sys.argv`` without the first if None); returns the exit code."""
     if sys.stdout is None or sys.stderr is None:  # closed by the caller: what would be said goes nowhere
@@ -143,7 +151,7 @@ def _discard_stdout() -> None:
 
 def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
     """Return what writes an argument's name as the option that the command on this line declares for it."""
-    command: Any = typer.main.get_command(app)
+    command = command_tree()
     for word in arguments:
         if word not in getattr(command, "commands", {}):
             break
@@ -163,13 +171,14 @@ def _renamed(exc: typer.BadParameter) -> str | None:
 
 
 def _run(arguments: list[str]) -> int:
-    command = typer.main.get_command(app)
+    command = command_tree()
     if _COMPLETE in os.environ:  # the shell asks for completions and hears them on standard output
         return int(command.main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
         answers = defaults(Path.cwd())
-        with command.make_context("truearm", list(arguments), obj=arguments, default_map=answers) as context:
+        context = command.make_context("truearm", list(arguments), obj=arguments, default_map=answers)
+        with context, shown_progress():
             command.invoke(context)
         sys.stdout.flush()
     except typer.Exit as exc:

@@ -78,7 +78,7 @@ def map_(
     from truearm.workflows.error_map import MapFiles, Section, Task, map_files
 
     if task is None and within is not None:
-        raise InputError("--within: is of the place for a --task WxH; give that too")
+        raise InputError("--within needs --task WxH: it says where the task may be placed")
     varied, shown = _joints_of(joints), numbers_of("--at", at)
     wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)

@@ -126,7 +126,7 @@ DurationOption = Annotated[
     float | None, typer.Option("--duration", metavar="S", help="End after so many seconds; Ctrl-C ends it before.")
 ]
 PlainOption = Annotated[
-    bool, typer.Option("--plain", help="Print lines in place of a live view, as when the output is no terminal.")
+    bool, typer.Option("--plain", help="Print lines in place of a live view, as when the output is not a terminal.")
 ]
 
 # What is written

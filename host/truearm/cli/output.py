@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
-
-if TYPE_CHECKING:
-    from truearm.record.status import Status
 
 
 def command_group(name: str, text: str, epilog: str) -> typer.Typer:
@@ -51,18 +46,4 @@ def warn_of_further_parts(session: Path, what: str) -> None:
 
     parts = [one_line(part.name) for part in session_parts(session)[1:]]
     if parts:
-        typer.echo(f"{one_line(session.name)} goes on in {', '.join(parts)}: {what}", err=True)
-
-
-@contextmanager
-def recording_progress(duration_s: float) -> Iterator[Callable[[Status], None] | None]:
-    """Return what shows how far a recording of so many seconds is: a bar on a terminal; None elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as display:
-        task = display.add_task("recording", total=duration_s)
-        yield lambda status: display.update(task, completed=status.elapsed_s)
+        typer.echo(f"{one_line(session.name)} continues in {', '.join(parts)}: {what}", err=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from truearm import option_defaults
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, MINUTES, POSES, TRAVEL, VISITS
 from truearm.cli.options import (
     BaseOption,
@@ -90,7 +91,8 @@ ReserveOption = Annotated[
     typer.Option(
         "--reserve-mm",
         metavar="MM",
-        help="Travel kept for what the model does not know; default 22, 3 with --result.",
+        help=f"Travel kept for what the model does not know; default {MM.of(option_defaults.DESIGN_RESERVE):g}, "
+        f"{MM.of(option_defaults.RESULT_RESERVE):g} with --result.",
         **bounded(TRAVEL, MM),
     ),
 ]
@@ -118,10 +120,12 @@ def ballbar(
     tip: TipOption = None,
     poses: Annotated[int | None, typer.Option(metavar="N", help="Budget in poses.", **bounded(POSES))] = None,
     minutes: MinutesOption = None,
-    criterion: CriterionOption = "I",
+    criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
     bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this bar (repeatable).")] = None,
-    candidates: Annotated[int, typer.Option(metavar="N", help="Poses to choose from.", **bounded(CANDIDATES))] = 5000,
+    candidates: Annotated[
+        int, typer.Option(metavar="N", help="Poses to choose from.", **bounded(CANDIDATES))
+    ] = option_defaults.BAR_CANDIDATES,
     result: ResultOption = None,
     measured: MeasuredOption = None,
     branch: BranchOption = None,
@@ -134,14 +138,18 @@ def ballbar(
             help="Vary the bar's length about mid-travel, to tell its gain.",
             **bounded(TRAVEL, MM),
         ),
-    ] = 0.0,
-    dwell_s: Annotated[float, typer.Option(metavar="S", help="Rest at a pose.", **bounded(DWELL))] = 2.0,
+    ] = MM.of(option_defaults.SPREAD),
+    dwell_s: Annotated[
+        float, typer.Option(metavar="S", help="Rest at a pose.", **bounded(DWELL))
+    ] = option_defaults.DWELL,
     visits: Annotated[
         int,
         typer.Option(
-            metavar="N", help="Visits to every mount; with 2 drift and slip show (docs/rig.md).", **bounded(VISITS)
+            metavar="N",
+            help="Visits to every mount; with 2 drift and slip show (docs/how-to/rig.md).",
+            **bounded(VISITS),
         ),
-    ] = 1,
+    ] = option_defaults.VISITS,
     check_poses: Annotated[
         int,
         typer.Option(
@@ -149,11 +157,11 @@ def ballbar(
             help="Poses of the first mount that are visited again in the middle and at the end; not with --visits 2.",
             **bounded(CHECK_POSES),
         ),
-    ] = 10,
+    ] = option_defaults.CHECK_POSES,
     joint_laws: Annotated[
         bool, typer.Option("--joint-laws", help="Tell what the poses will show of the joints' error curves too.")
     ] = False,
-    seed: SeedOption = 0,
+    seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,
     program: ProgramOption = None,
     output_line: OutputOption = 0,
@@ -198,7 +206,7 @@ def ballbar(
         check_poses=check_poses,
         joint_laws=joint_laws,
     )
-    _print(plan_ball_bar_files(files, Budget(poses, minutes), options, _progress(as_json)), forecast_lines, as_json)
+    _print(plan_ball_bar_files(files, Budget(poses, minutes), options), forecast_lines, as_json)
 
 
 @app.command("line", cls=ProjectCommand)
@@ -209,27 +217,33 @@ def line(
     tip: TipOption = None,
     lines: Annotated[int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines.")] = None,
     minutes: MinutesOption = None,
-    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = 500.0,
+    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = MM.of(
+        option_defaults.LINE_LENGTH
+    ),
     transverse_mm: Annotated[
         float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Full range of the transverse sensors.")
-    ] = 15.0,
-    speed_mm_s: Annotated[float, typer.Option(min=1.0, max=1000.0, metavar="MM/S", help="Speed on the lines.")] = 50.0,
+    ] = MM.of(option_defaults.TRANSVERSE_RANGE),
+    speed_mm_s: Annotated[
+        float, typer.Option(min=1.0, max=1000.0, metavar="MM/S", help="Speed on the lines.")
+    ] = MM_S.of(option_defaults.LINE_SPEED),
     passes: Annotated[
         int, typer.Option(min=1, max=20, metavar="N", help="Drive each line there and back, N times.")
-    ] = 1,
+    ] = option_defaults.PASSES,
     points: Annotated[
         int, typer.Option(min=3, max=500, metavar="N", help="Points of a way that count as measured.")
-    ] = 12,
+    ] = option_defaults.LINE_POINTS,
     target: Annotated[
         str | None, typer.Option(metavar="NAME", help="The rig's target that is measured; default: its only one.")
     ] = None,
-    criterion: CriterionOption = "I",
+    criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
-    candidates: Annotated[int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")] = 120,
+    candidates: Annotated[
+        int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")
+    ] = option_defaults.LINE_CANDIDATES,
     result: ResultOption = None,
     measured: MeasuredOption = None,
     branch: BranchOption = None,
-    seed: SeedOption = 0,
+    seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,
     rig_out: Annotated[
         Path | None,
@@ -288,18 +302,22 @@ def characterize(
     bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar; default: the rig's first.")] = None,
     chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck; default: the rig's first.")] = None,
     sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere; default: the rig's first.")] = None,
-    poses: Annotated[int, typer.Option(min=1, max=50, metavar="N", help="Poses that are visited again and again.")] = 4,
+    poses: Annotated[
+        int, typer.Option(min=1, max=50, metavar="N", help="Poses that are visited again and again.")
+    ] = option_defaults.APPROACH_POSES,
     rounds: Annotated[
         int, typer.Option(min=2, max=100, metavar="N", help="Times each pose is reached from each of eight sides.")
-    ] = 4,
+    ] = option_defaults.ROUNDS,
     long_s: Annotated[
         float, typer.Option(min=2.0, max=60.0, metavar="S", help="Long rest at each pose, for the noise.")
-    ] = 20.0,
+    ] = option_defaults.LONG_DWELL,
     result: ResultOption = None,
     branch: BranchOption = None,
     reserve: ReserveOption = None,
-    dwell_s: Annotated[float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")] = 2.0,
-    seed: SeedOption = 0,
+    dwell_s: Annotated[
+        float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")
+    ] = option_defaults.DWELL,
+    seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,
     program: ProgramOption = None,
     output_line: OutputOption = 0,
@@ -341,12 +359,7 @@ def characterize(
         reserve=None if reserve is None else MM.to_si(reserve),
         seed=seed,
     )
-    _print(plan_approaches_files(files, options, _progress(as_json)), approach_lines, as_json)
-
-
-def _progress(as_json: bool) -> Callable[[str], None]:
-    """What prints a step of a plan on standard error; nothing beside JSON."""
-    return lambda text: None if as_json else typer.echo(f"planning: {text}", err=True)
+    _print(plan_approaches_files(files, options), approach_lines, as_json)
 
 
 def _print(document: dict[str, Any], lines: Callable[[dict[str, Any]], list[str]], as_json: bool) -> None:

@@ -6,12 +6,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from truearm.cli.identify_text import MAX_TERMS
+from truearm.text import counted
+from truearm.types import BAR_MOUNTED
 from truearm.units import UNITS
 
 
 def forecast_lines(document: Mapping[str, Any]) -> list[str]:
     """What ``plan ballbar`` and ``plan line`` planned, what will be known after it, and the error to be expected."""
-    return [*_visits(document), *_known_after(document), *_region(document), *_curves(document), *_written(document)]
+    return [
+        *visit_lines(document),
+        *_known_after(document),
+        *_region(document),
+        *_curves(document),
+        *_written(document),
+    ]
 
 
 def _curves(document: Mapping[str, Any]) -> list[str]:
@@ -44,12 +52,14 @@ def _written(document: Mapping[str, Any]) -> list[str]:
     return [f"written: {path}" for path in document["written"]]
 
 
-def _visits(document: Mapping[str, Any]) -> list[str]:
+def visit_lines(document: Mapping[str, Any]) -> list[str]:
+    """What is visited, how long that takes and what of it can be held out."""
     if "lines" not in document:
         return [
             f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
             f"{document['minutes']:.0f} minutes",
             *_against_drift(document),
+            *_pairing_lines(document),
         ]
     lines = []
     for place in document["lines"]:
@@ -59,6 +69,26 @@ def _visits(document: Mapping[str, Any]) -> list[str]:
             f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; error before about {place['a_priori_mm']:.1f} mm"
         )
     return [*lines, f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes"]
+
+
+def _pairing_lines(document: Mapping[str, Any]) -> list[str]:
+    """The pairings in the order of their first mount, and what would be left to fit of them if some poses were held out."""
+    rows = [
+        f"  {' '.join(pairing[key] for key in BAR_MOUNTED):<32} {counted(pairing['poses'], 'pose'):>9}"
+        for pairing in document["pairings"]
+    ]
+    return ["pairings:", *rows, *(_hold_out(one, document) for one in document["hold_outs"])]
+
+
+def _hold_out(one: Mapping[str, Any], document: Mapping[str, Any]) -> str:
+    seed = f" --seed {one['seed']}" * (one["seed"] > 0)
+    gone = [name for name in one["all_held_out"] if name != one["hold_out"]]
+    words = f"--hold-out {one['hold_out']}{seed}"
+    without = f", no pose of {', '.join(gone)}" * bool(gone)
+    return (
+        f"  {words:<32} {counted(one['poses'], 'pose'):>9} to judge by; "
+        f"left to fit: rank {one['rank']} of {document['rank']}{without}"
+    )
 
 
 def _against_drift(document: Mapping[str, Any]) -> list[str]:

@@ -18,6 +18,7 @@ from truearm.files.project_folder import find_project
 if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
+BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash")
 Answer = Callable[[], Any]  # what an option would have been given; None: nothing
 
 
@@ -123,10 +124,11 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         return shown(new_plan(home / project.plan))
 
     planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
+    gauging = {"gauge": {"operator": text(project.operator)}}
     result: Mapping[str, Answer] = {"result": newest_result, **robot}
     return {
         "demo": simulated,
-        "simulate": {**simulated, **branch, **(planned if (home / project.plan).exists() else {})},
+        "simulate": {**simulated, **branch, **planned},
         "record": {
             "device": text(project.box),
             "address": text(project.address),
@@ -145,5 +147,5 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "relabel": {"session": newest_session, **robot},
         "export-session": {"session": newest_session},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
-        "box": {name: {"device": text(project.box)} for name in ("test", "monitor", "gauge", "info", "flash")},
+        "box": {name: {"device": text(project.box), **gauging.get(name, {})} for name in BOX_COMMANDS},
     }

@@ -44,7 +44,7 @@ def record(
         str | None,
         typer.Option(
             metavar="URL",
-            help=f"The robot's joint readings: {sources_help()}; see docs/robots.md. None: the sensor alone tells the dwells.",
+            help=f"The robot's joint readings: {sources_help()}; see docs/how-to/robots.md. None: the sensor alone tells the dwells.",
         ),
     ] = None,
     plan: PlanOption = None,
@@ -70,7 +70,7 @@ def record(
     """Record a sensor box and a robot into a session file.
 
     Without --box the box is the one that is plugged in.
-    Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/robots.md), or when a box or a
+    Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/how-to/robots.md), or when a box or a
     robot that was lost or closed its stream did not come back in --patience; each completes the file (exit code 4 if not all came that was asked for). An earlier file is overwritten
     (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
     the pairing that was asked for, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME says another one, note TEXT is kept.
@@ -87,9 +87,9 @@ def record(
         out, plan, rig, address = (typed(context, name) for name in ("out", "plan", "rig", "address"))
     osr = None if rate is None else nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
-        raise InputError(f"--duration {duration:g} is no time; give seconds above 0")
+        raise InputError(f"--duration {duration:g} is not a duration; give seconds above 0")
     if not 0 <= patience < math.inf:
-        raise InputError(f"--patience {patience:g} is no time; give seconds, 0 to end at once")
+        raise InputError(f"--patience {patience:g} is not a duration; give seconds, 0 to end at once")
     recorded = record_request(
         Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,

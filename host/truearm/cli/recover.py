@@ -32,11 +32,11 @@ def recover(
 
     \b
     Example:
-      truearm recover session.mcap --out mended.mcap
+      truearm recover session.mcap --out recovered.mcap
     """
-    from truearm.workflows.recover import recover_file
+    from truearm.workflows.recover import recover_file, recovered_name
 
-    out = out or session.parent / f"{session.stem}-recovered.mcap"
+    out = out or recovered_name(session)
     found = recover_file(session, out, force)
     if as_json:
         print_json(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -64,17 +65,17 @@ def relabel(
         document = undo_labels(session)
     else:
         if trust is not None and trust not in tuple(Trust):
-            raise InputError(f"--trust {trust[:40]!r} is none of {', '.join(Trust)}")
+            raise InputError(f"--trust {trust[:40]!r} is not one of {', '.join(Trust)}")
         ask = _ask if may_ask() and not as_json else None
         options = RelabelOptions(RobotChoice(robot, base, tip), rig, None if trust is None else Trust(trust), ask)
         document = relabel_session(session, options)
     if as_json:
         print_json(document)
     else:
-        print_lines(lines(document))
+        print_lines(lines(document, str(session)))
 
 
-def lines(document: dict[str, Any]) -> list[str]:
+def lines(document: dict[str, Any], session: str) -> list[str]:
     """What was settled, for people."""
     sessions = ", ".join(map(one_line, document["sessions"]))
     if "decisions_left" in document:
@@ -90,7 +91,7 @@ def lines(document: dict[str, Any]) -> list[str]:
     for row in document["table"]:
         if row["bar"] is None and row["reading"]:
             text.append(f"  dwell {row['dwell']} left out: {one_line(row['detail'])}")
-    return [*text, "Undo: truearm relabel --undo"]
+    return [*text, f"Undo: truearm relabel {shlex.quote(one_line(session))} --undo"]
 
 
 def _ask(run: Run) -> Pairing | None:

@@ -21,7 +21,6 @@ from truearm.cli.options import (
     branch_given,
     out_folder,
 )
-from truearm.cli.output import recording_progress
 from truearm.cli.project import typed
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
@@ -90,6 +89,15 @@ def simulate(
             min=0, max=15, metavar="INPUT", help="The robot's digital input that the box's trigger output toggles."
         ),
     ] = None,
+    warming: Annotated[
+        float | None,
+        typer.Option(
+            metavar="K",
+            min=-20.0,
+            max=20.0,
+            help="The laboratory, with bar and sensor, warms up by K; thermometers are on both.",
+        ),
+    ] = None,
     worn: WornOption = False,
     tolerance: ToleranceOption = None,
     repeatability: RepeatabilityOption = None,
@@ -140,6 +148,8 @@ def simulate(
 
     if any(typed(context, name) is not None for name in ("poses", "lines", "model")):  # not the project's plan then
         plan, rig = typed(context, "plan"), typed(context, "rig")
+    if plan is None:  # the project's rig belongs to a plan
+        rig = typed(context, "rig")
     options = SimulateOptions(
         folder=out,
         model=RobotChoice(model, base, tip),
@@ -159,6 +169,7 @@ def simulate(
         rig=rig,
         robot_delay_s=MS.to_si(robot_delay_ms),
         trigger=trigger,
+        warming=warming,
         seed=seed,
         level=level,
         faults=tuple(fault or ()),
@@ -166,7 +177,7 @@ def simulate(
     if stage:
         simulate_stage(options, typer.echo, _typed_lines())
     elif fast:
-        simulate_fast(options, typer.echo, recording_progress)
+        simulate_fast(options, typer.echo)
     else:
         simulate_box_and_robot(options, typer.echo)
 

@@ -27,7 +27,7 @@ def status(as_json: JsonOption = False) -> None:
 
     file = find_project(Path.cwd())
     if file is None:
-        raise InputError(f"no {FILE} here or in a folder above; truearm init makes one")
+        raise InputError(f"no {FILE} here or in a folder above; create one with truearm init")
     state = state_of(file)
     if as_json:
         print_json(_document(state))
@@ -43,7 +43,9 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"plan      {f'{os.path.relpath(state.plan)}, {state.poses} poses' if state.plan else 'none'}"
     yield f"sessions  {len(state.sessions) or 'none'}"
     for session in state.sessions:
-        whole = "" if session.complete else ", not complete: it is being written, or truearm recover makes it whole"
+        whole = (
+            "" if session.complete else ", is being written" if session.written else ", not complete: truearm recover"
+        )
         yield f"          {os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}"
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
@@ -59,11 +61,16 @@ def _next(state: ProjectState) -> tuple[str, str]:
 
     match state.next:
         case Step.DESCRIBE:
-            return f"write {state.project.rig}", "the rig is not described yet: docs/rig.md"
+            return f"write {state.project.rig}", "the rig is not described yet: docs/how-to/rig.md"
         case Step.PLAN:
             return "truearm plan ballbar --minutes 30", "there is no plan yet"
         case Step.RECORD:
+            if state.sessions:
+                return "q in truearm record", "the recording is under way"
             return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
+        case Step.RECOVER:
+            cut = next(one.path for one in state.sessions if not one.complete)
+            return f"truearm recover {os.path.relpath(cut)}", "its recording was cut off"
         case Step.IDENTIFY:
             return "truearm identify --hold-out 0.2", f"{state.sessions[-1].path.name} is not identified yet"
         case Step.INSPECT:
@@ -86,7 +93,10 @@ def _document(state: ProjectState) -> dict[str, Any]:
         "rig": str(state.rig) if state.rig else None,
         "plan": str(state.plan) if state.plan else None,
         "poses": state.poses,
-        "sessions": [{"file": str(s.path), "size_bytes": s.size, "complete": s.complete} for s in state.sessions],
+        "sessions": [
+            {"file": str(s.path), "size_bytes": s.size, "complete": s.complete, "written": s.written}
+            for s in state.sessions
+        ],
         "results": [{"file": str(r.path), "held_out_rms_mm": r.held_out_mm, "status": r.status} for r in state.results],
         "next": _next(state)[0],
         "why": _next(state)[1],

@@ -45,7 +45,7 @@ MassesOption = Annotated[
     typer.Option(
         "--masses-kg",
         metavar="KG,…",
-        help="Masses of the links, one a joint: the joints sag under them. Default: stiff.",
+        help="Masses of the links, one per joint: the joints sag under them. Default: stiff.",
     ),
 ]
 StiffnessOption = Annotated[
@@ -95,7 +95,7 @@ def truth_of(
     drawn, masses = numbers_of("--tolerance", tolerance, 2), numbers_of("--masses-kg", masses_kg)
     periods = numbers_of("--gear-periods-deg", gear_periods_deg) or ()
     if drawn is not None and min(drawn) < 0.0:
-        raise InputError(f"--tolerance {tolerance}: a standard deviation is not negative")
+        raise InputError(f"--tolerance {tolerance}: a standard deviation cannot be negative")
     if not all(0.1 <= period <= 3600.0 for period in periods):
         raise InputError(f"--gear-periods-deg {gear_periods_deg[:60]}: a period is from 0.1 to 3600 deg")
     if masses is not None and not all(0.0 <= mass <= 1e4 for mass in masses):

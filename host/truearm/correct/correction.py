@@ -9,14 +9,14 @@ nearer to a singularity than ``margin``, and one where an iteration makes the er
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.false_target import false_target
-from truearm.correct.inverse import Inverse, Origins, inverse, search, singular_value, within
+from truearm.correct.inverse import CHUNK, Inverse, Origins, inverse, search, singular_value, within
 from truearm.correct.joint_space import joint_space
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
@@ -83,9 +83,43 @@ def correct(
     value of targets that are not refused. Raises ValueError for an unknown method.
     """
     nominal = _nominal(pair, targets, oriented, configuration)
+    q, near, singular = nominal
+    parts = [slice(at, at + CHUNK) for at in range(0, max(len(targets), 1), CHUNK)]
+    return joined(
+        [
+            _at(
+                pair,
+                targets[part],
+                Inverse(q[part], near[part], singular[part]),
+                Method(method),
+                steps,
+                oriented,
+                margin,
+            )
+            for part in parts
+        ]
+    )
+
+
+def joined(parts: Sequence[Correction]) -> Correction:
+    """The targets of one part after those of the other."""
+    return Correction(
+        np.concatenate([part.q_nominal for part in parts]),
+        np.concatenate([part.q for part in parts]),
+        np.concatenate([part.commanded for part in parts]),
+        np.concatenate([part.before for part in parts]),
+        np.concatenate([part.after for part in parts]),
+        tuple(problem for part in parts for problem in part.problem),
+    )
+
+
+def _at(
+    pair: ModelPair, targets: Floats, nominal: Inverse, method: Method, steps: int, oriented: bool, margin: float
+) -> Correction:
+    """``correct`` from where the controller would go."""
     q_nominal = nominal.q
     before = _error(pair, targets, q_nominal, oriented)
-    q, grew, known = _corrected(pair, targets, q_nominal, Method(method), steps, oriented)
+    q, grew, known = _corrected(pair, targets, q_nominal, method, steps, oriented)
     after = _error(pair, targets, q, oriented)
     identified = singular_value(pair.chain, pair.identified, q, oriented) if known is None else known
     singular: Floats = np.minimum(nominal.singular_value, identified)

@@ -5,7 +5,7 @@
 Two joints with parallel axes move the end in a plane; all others stand still (Fig. 5: θ_1 = θ_4 = θ_6 = 0, elbow up). The
 plane is cut into square cells, and each takes the joint vector that brings the nominal end to its middle; where the middle is
 out of reach, one that brings it into the cell, if one is known. Elbow up
-and down are told apart by the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
+and down are distinguished by the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
 
 The map's own uncertainty: with the parameters' covariance P the identified end has the mean square error tr(J P Jᵀ).
 Where a direction that the observations did not see would move the end, no figure would be honest, and there is none.
@@ -31,7 +31,7 @@ NEWTON_STEPS = 6  # from a neighbour a cell away it squares its error, 25 mm, do
 LARGEST_STEP = 0.3  # rad
 MOVES = 1e-6  # m by a null direction whose largest weight is 1
 ROUNDING = 1e-9  # m, at a cell's edge
-STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly told apart
+STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly distinguished
 
 
 class ErrorMap(NamedTuple):
@@ -88,7 +88,7 @@ def error_map(
     at = np.floor((flat - low) / cell).astype(int)
     u, v = (low[i] + cell * (np.arange(at[:, i].max() + 1) + 0.5) for i in (0, 1))
     if u.size * v.size > MOST_CELLS:
-        raise RobotError(f"the section has {u.size} × {v.size} cells, the most is {MOST_CELLS}; choose larger ones")
+        raise RobotError(f"the section has {u.size} × {v.size} cells, the maximum is {MOST_CELLS}; choose larger cells")
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[at[:, 1], at[:, 0]] = samples
     middles = np.stack(np.meshgrid(u, v), axis=-1)
@@ -187,7 +187,7 @@ def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floa
         if (sign * determinant > STRETCHED).any()
     }
     if not heights:
-        raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joints")
+        raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joint readings")
     return (max if up else min)(heights, key=lambda sign: heights[sign])
 
 

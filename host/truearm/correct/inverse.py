@@ -22,6 +22,7 @@ from scipy.spatial import KDTree
 
 from truearm.model.chain import Chain, end_and_jacobian, forward, joint_jacobian
 from truearm.model.poses import apart
+from truearm.progress import steps_of
 from truearm.types import Floats
 
 LEVER = 0.5  # m
@@ -41,7 +42,7 @@ PART = 2_000  # targets whose solutions are compared at once
 CELL = 0.1  # LEVERs and of axes: targets in one cell begin at each other's solutions
 NEXT = 0.5  # rad, m from where the robot comes: a nearer solution may have been missed
 SINGULAR = 0.1  # twice the margin of corrections
-CHUNK = 20_000  # targets solved at once: Jacobians of 10 MB
+CHUNK = 2_000  # targets solved at once: Jacobians of 1 MB
 
 
 class Inverse(NamedTuple):
@@ -65,7 +66,8 @@ def inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, orie
     oriented : False where only the origin matters.
     """
     parts = [slice(at, at + CHUNK) for at in range(0, max(len(targets), 1), CHUNK)]
-    found = [_inverse(chain, params, targets[part], q_start[part], oriented) for part in parts]
+    parts_done = steps_of(parts, f"solving for the joints of {len(targets)} targets")
+    found = [_inverse(chain, params, targets[part], q_start[part], oriented) for part in parts_done]
     return Inverse(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
@@ -266,7 +268,7 @@ def _chosen(
 
 
 def _followed(origin: NDArray[np.int_]) -> list[int]:
-    """The targets in an order in which each stands behind the one that the robot comes from, where that is no circle."""
+    """The targets in an order in which each stands behind the one that the robot comes from, where that is not a circle."""
     order: list[int] = []
     seen = np.zeros(len(origin), dtype=bool)
     for i in range(len(origin)):

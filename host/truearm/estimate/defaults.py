@@ -1,16 +1,19 @@
-"""What is identified, and what is believed beforehand, where the user does not say: frames, still joints, a weak prior.
+"""Defaults for what is free and what has a prior: frame choices, joints at rest and the weak prior.
 
-All three follow from what the data can see at the robot as described, the rig fitted to it, before anything is identified:
+All three are derived from what the data can determine at the nominal robot, with the rig fitted to it, before
+anything is identified:
 
-1. **Frames.** Parameters that only say where base and tool stand are held as far as that is a choice (``frame_choice``).
-2. **Still joints.** A joint whose readings span less than STILL times a drawing's σ (20 mrad, 4 mm) does not show its axis: what
-   it seems to show is the jitter of the readings. As many parameters are held as directions would be lost if it stood quite still,
-   the joint's own first.
-3. **Prior.** A drawing's σ (1 mm, 5 mrad, 0.001 of a gain) about the nominal value, only for the parameters of directions that
-   the data tell less well than that, by the noise that they show, and not for mountings, which are on no drawing. Without it a fit creeps along such
-   a direction for centimetres, though no prediction there depends on it. Where the data see everything there is no prior.
+1. **Frames.** Parameters that only define the pose of base and tool are fixed as far as that is a choice
+   (``frame_choice``).
+2. **Still joints.** A joint whose readings span less than STILL times the standard deviation of a drawing (20 mrad, 4
+   mm) does not determine its axis: what it seems to determine is the jitter of the readings. As many parameters are
+   fixed as there would be null directions if the joint did not move at all, starting with the joint's own.
+3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain) about the nominal value. It applies
+   only to parameters of directions that the data determine less well than that, judged by the noise in the data, and
+   not to mountings, which are not on any drawing. Without it, a fit drifts along such a direction by centimetres,
+   although no prediction at these poses depends on it. If the data determine everything, there is no prior.
 
-What is unseen and what is hardly seen is reported from the data alone, without this prior (``identify``).
+Null space and hardly identifiable directions are reported from the data alone, without this prior (``identify``).
 """
 
 from __future__ import annotations
@@ -26,30 +29,31 @@ from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
 from truearm.estimate.identifiability import identifiability, not_told, spread, suggested_free
 from truearm.estimate.information import RANK_TOLERANCE, observe, with_prior
+from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
 from truearm.estimate.solution import Options
-from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
 from truearm.types import Defaults, Floats, ObservationTable, StillJoint
 from truearm.units import UNITS
 
 Mask = NDArray[np.bool_]
 
-STILL = 4.0  # weak σ, from the least to the largest reading
-LARGEST_MISFIT = 10.0  # the noise over the declared one
+STILL = 4.0  # weak σ, largest minus smallest reading
+LARGEST_MISFIT = 10.0  # ratio of the observed noise to the declared one
 PRELIMINARY = 20  # iterations
-LEAST_POSES = 300  # random ones; three times as many as any robot has parameters
-MOTION = 0.5  # rad, m: of a still joint, if it moved
+LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
+MOTION = 0.5  # rad, m: assumed motion of a still joint
 
 
 def choose_defaults(
     chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, named: Mask, prior: bool
 ) -> tuple[Mask, Floats, Defaults]:
-    """Return what of ``free`` (p,) to identify of the rows of a table, the σ (p,) of its prior, inf for none, and why.
+    """Return which of ``free`` (p,) to identify from the rows of a table, the σ (p,) of the prior (inf for none), and why.
 
-    ``named`` (p,) is what the user asked for by name, which is never held; ``prior`` says whether a prior may be used.
-    Raises ProblemError as ``build_problem``.
+    ``named`` (p,) are the parameters that the user asked for by name; these are never fixed. ``prior`` is whether a
+    prior may be used. Raises ProblemError for the same reasons as ``build_problem``.
     """
     if len(table) == 0:
         return free, np.full(free.size, np.inf), Defaults()
@@ -57,6 +61,7 @@ def choose_defaults(
     p = problem.n_robot
     rig_only = np.arange(problem.start.size) >= p
     x = fit(problem, rig_only, problem.start, Options()).x if rig_only.any() else problem.start
+    gross, x = gross_rows(problem, rig_only, x)
     unit, names = weak_prior(chain), np.array(chain.parameter_names)
     mounted = mounting(chain, x[:p])
     anywhere = _root(build_problem(chain, rig, in_any_pose(chain, table)), x, free)
@@ -69,7 +74,7 @@ def choose_defaults(
         left &= ~lost
     sigma = np.full(p, np.inf)
     if prior:
-        sigma = _weak_where_needed(problem, x, left, unit, mounted.either)
+        sigma = _weak_where_needed(only(problem, ~gross), x, left, unit, mounted.either)
 
     def named_by(mask: Mask) -> tuple[str, ...]:
         return tuple(names[mask].tolist())
@@ -87,9 +92,10 @@ def choose_defaults(
 def with_frames(
     chosen: Defaults, chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, value: Floats
 ) -> Defaults:
-    """Return the defaults of ``choose_defaults`` for the same ``free`` with the directions along which frames are a choice.
+    """Return the defaults of ``choose_defaults`` for the same ``free``, with the directions that are a choice of frame.
 
-    They are those at the estimate, ``value`` (P,) or more: at the robot as described they would be off by what was identified.
+    The directions are those at the estimate, ``value`` (at least P values). At the nominal robot they would be off by
+    the identified corrections.
     """
     held = {*chosen.base, *chosen.tool}
     if not held:
@@ -103,29 +109,30 @@ def with_frames(
 
 
 def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mounted: Mask) -> Floats:
-    """(p,) σ of the parameters of directions that the data, with the noise that they show, tell to no better than ``unit`` (p,).
+    """Return σ (p,) for parameters of directions that the data, at their actual noise, determine no better than ``unit``.
 
-    Where the noise is c times the declared one, by which the rows are weighed, it is ``unit``/c: else the prior would count for
-    the less the smaller a σ was declared. All other parameters have none, inf.
+    If the noise is c times the declared one, by which the rows are weighted, σ is ``unit``/c. Otherwise the prior would
+    have less weight the smaller the declared σ. All other parameters have no prior, inf.
     """
     n = int(free.sum())
     root = _root(problem, x, free)
     if not not_told(root / LARGEST_MISFIT, n, unit[free]).any():
         return np.full(free.size, np.inf)
-    # A fit that cannot wander far says how large the noise is; where errors are not modelled it is many times what was declared.
+    # A strongly constrained fit estimates the noise level; with unmodelled errors it is many times the declared one.
     everywhere = np.concatenate(
         [np.where(mounted, np.inf, wide_prior(problem.chain)), problem.prior_sigma[free.size :]]
     )
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
-    found = fit(replace(problem, prior_sigma=everywhere), columns, x, Options(PRELIMINARY))
-    misfit = _usual_misfit(problem, found.x, columns)
-    root = _root(problem, found.x, free) / misfit
+    wide = replace(problem, prior_sigma=everywhere)
+    _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY)).x)
+    misfit = _usual_misfit(problem, x, columns)
+    root = _root(problem, x, free) / misfit
     needed = spread(not_told(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
     return np.where(needed, unit / misfit, np.inf)
 
 
 def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
-    """The rows of a table, again and again if they are few, in random poses: what could be seen with the same fixtures."""
+    """Return the rows of a table, repeated if there are few, in random poses: what the same fixtures could determine."""
     lower, upper = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     rows = np.resize(np.arange(len(table)), max(len(table), LEAST_POSES))
     q = np.random.default_rng(0).uniform(lower, upper, (rows.size, len(chain.joints)))
@@ -133,7 +140,7 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
 
 
 def _usual_misfit(problem: Problem, x: Floats, columns: Mask) -> float:
-    """By how much the median row's residual is larger than its σ lets expect, 1 to LARGEST_MISFIT; no few bad rows change it."""
+    """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; robust to a few outliers."""
     ratios = [
         np.linalg.norm(part.residual, axis=1) / np.sqrt(special.chdtri(part.residual.shape[1], 0.5))
         for part in whitened_blocks(problem, x, columns)
@@ -143,8 +150,10 @@ def _usual_misfit(problem: Problem, x: Floats, columns: Mask) -> float:
 
 
 def still_joints(chain: Chain, q: Floats) -> tuple[StillJoint, ...]:
-    """The joints whose readings (n, j) span less than STILL times the σ that a drawing has of an offset; none if all do,
-    since then it is the poses that are alike."""
+    """Return the joints whose readings (n, j) span less than STILL times a drawing's σ of an offset.
+
+    None if all do, since then the poses themselves are alike.
+    """
     spread = np.ptp(q, axis=0)
     found = tuple(
         StillJoint(joint.name, unit, float(spread[i]), float(np.median(q[:, i])))
@@ -155,7 +164,7 @@ def still_joints(chain: Chain, q: Floats) -> tuple[StillJoint, ...]:
 
 
 def moved(chain: Chain, still: Sequence[StillJoint], q: Floats) -> Mask:
-    """(n,) whether one of the joints that stood still is elsewhere in readings (n, j)."""
+    """Return a mask (n,) of readings (n, j) in which one of the still joints is at another position."""
     of = {joint.name: i for i, joint in enumerate(chain.joints)}
     apart = [np.abs(q[:, of[joint.joint]] - joint.at) > STILL * UNITS[joint.unit].weak_sigma for joint in still]
     return np.any(apart, axis=0) if apart else np.zeros(len(q), dtype=bool)
@@ -164,7 +173,7 @@ def moved(chain: Chain, still: Sequence[StillJoint], q: Floats) -> Mask:
 def _seen_by_moving_only(
     chain: Chain, rig: Rigs, table: ObservationTable, x: Floats, free: Mask, named: Mask, still: Sequence[str]
 ) -> Mask:
-    """(p,) what to hold: as many parameters as directions are lost where the joints ``still`` stand, and would be seen if they moved.
+    """Return the parameters to fix (p,): as many as there are directions that need the joints ``still`` to move to be seen.
 
     Their own terms of the joint law come first.
     """
@@ -182,7 +191,7 @@ def _seen_by_moving_only(
 
 
 def _root(problem: Problem, x: Floats, free: Mask) -> Floats:
-    """What the rows and what is known of the rig say at x (P,), without a prior of the robot; the robot's columns first."""
+    """Return the information of rows and rig at x (P,), without a prior of the robot; the robot's columns come first."""
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     sigma = np.where(np.arange(problem.start.size) < free.size, np.inf, problem.prior_sigma)[columns]
     seen = observe(settled(problem, x), x, columns)

@@ -1,7 +1,8 @@
 """The variances of joint laws by the evidence in the data (MacKay 1992, Neural Computation 4(3), type-II maximum likelihood).
 
-Linearised, measured − predicted = J_g·g + J_c·c + noise: g are geometry and rig, c the laws' coefficients with the prior
-c ~ N(0, S), S = Σ_k v_k K_k block by block. With g integrated out the data say of c
+Linearised, measured − predicted = J_g·g + J_c·c + noise, where g are the parameters of geometry and rig, and c the
+coefficients of the laws with the prior c ~ N(0, S), S = Σ_k v_k K_k block by block. With g integrated out, the
+information of the data about c is
 
     A = N_cc − N_cg N_gg⁻¹ N_gc ,   b likewise of J_cᵀ R⁻¹ y ,
 
@@ -9,11 +10,14 @@ and the gradient of the log evidence by v_k is ½ (zᵀ K_k z − tr K_k V) with
 
     z = (I + A S)⁻¹ b ,   V = (I + A S)⁻¹ A .
 
-Its zero is the fixed point v ← v · zᵀKz / (tr KV + 1/cap²). The last part is a half-normal hyperprior of scale ``cap`` on each
-standard deviation √v: without it a joint that the measured point hardly sees may have curves of any size.
+It vanishes at the fixed point of v ← v · zᵀKz / (tr KV + 1/cap²). The last term is a half-normal hyperprior of scale
+``cap`` on each standard deviation √v. Without it, a joint that hardly moves the measured point could have curves of any
+size.
 
-With S = F Fᵀ and L Lᵀ = I + Fᵀ A F, X = L⁻¹ Fᵀ A: V = A − XᵀX, and the coefficients' covariance is (L⁻¹Fᵀ)ᵀ(L⁻¹Fᵀ). F has as
-many columns as S has directions that the data could tell, so smooth curves cost less.
+All computations are done in the subspace that the data determine: A = G Gᵀ, with as many columns as A has directions
+that matter against a prior of scale ``cap``. Even with hundreds of poses these are few. With L Lᵀ = I + Gᵀ S G and
+X = L⁻¹ Gᵀ, V = XᵀX. The covariance of the coefficients is S − S V S, computed with S = F Fᵀ as F (I + FᵀAF)⁻¹ Fᵀ, which
+rounding cannot make indefinite.
 """
 
 from __future__ import annotations
@@ -28,10 +32,12 @@ import scipy.linalg
 
 from truearm.types import Floats
 
-FLOOR = 1e-30  # a variance below this is none
-NEGLIGIBLE = 1e-7  # nats that a direction of the prior may be worth to be left out
+FLOOR = 1e-30  # a smaller variance counts as zero
+NEGLIGIBLE = 1e-7  # nats that a neglected direction of the prior may contribute
+UNSEEN = 1e-6  # a prior at its cap gains half of this in nats along a neglected direction of the data
+ROUNDING = 1e-13  # of the largest such number
 REVIVED = 0.03  # of the cap
-COUNTS = 1e-3  # of a block's variance: a kernel's below this may change as it likes when convergence is judged
+COUNTS = 1e-3  # relative to a block's variance: smaller kernel variances are ignored in the convergence test
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,67 +49,95 @@ class PriorBlock:
     cap: float
 
     def covariance(self, variances: Floats) -> Floats:
-        """(m, m) its part of S."""
-        return np.asarray(np.tensordot(variances, self.kernels, 1))
+        """Return its part (m, m) of S."""
+        flat = self.kernels.reshape(len(self.kernels), -1)
+        return (variances @ flat).reshape(self.kernels.shape[1:])
 
 
 class Marginal(NamedTuple):
-    """What the data say of c with everything else integrated out: A (k, k) and b (k,)."""
+    """The information of the data about c with everything else integrated out: A (k, k) and b (k,)."""
 
     information: Floats
     rhs: Floats
 
 
-class Weighed(NamedTuple):
-    """c at some variances: the log evidence [nats] over that of no laws, and what z, V and the posterior follow from."""
+class Seen(NamedTuple):
+    """The subspace of c that the data determine: A = G Gᵀ and b = G β, with G (k, r) and β (r,)."""
 
-    marginal: Marginal
-    root: Floats  # (k, r) F
+    root: Floats
+    rhs: Floats
+
+
+class Weighed(NamedTuple):
+    """c at given variances: the log evidence [nats] relative to that without laws, and the factors of z and V."""
+
     x: Floats  # (r, k)
-    lower: Floats  # (r, r) L
     z: Floats  # (k,)
     nats: float
 
     def v(self, columns: slice) -> Floats:
-        """V of one block."""
+        """Return V of one block."""
         x = self.x[:, columns]
-        return np.asarray(self.marginal.information[columns, columns] - x.T @ x)
-
-    def posterior(self) -> tuple[Floats, Floats]:
-        """The coefficients (k,) and their covariance (k, k)."""
-        half = scipy.linalg.solve_triangular(self.lower, self.root.T, lower=True, check_finite=False)
-        return self.root @ (self.root.T @ self.z), np.asarray(half.T @ half)
+        return x.T @ x
 
 
-def weigh(marginal: Marginal, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
+def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
+    """Return the directions of c that the data determine."""
+    cap = np.zeros(marginal.rhs.size)
+    for block in blocks:
+        cap[block.columns] = block.cap
+    values, vectors = np.linalg.eigh(cap[:, None] * marginal.information * cap)
+    some = values > np.maximum(UNSEEN, ROUNDING * values.max(initial=0.0))
+    length = np.sqrt(values[some])
+    return Seen(vectors[:, some] * length / cap[:, None], (vectors[:, some].T @ (cap * marginal.rhs)) / length)
+
+
+def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
     """Return c at these variances."""
-    a, b = marginal
-    roots = []
+    root, rhs = seen
+    inner = np.eye(rhs.size)
+    for block, variance in zip(blocks, variances, strict=True):
+        own = root[block.columns]
+        inner += own.T @ (block.covariance(variance) @ own)
+    lower = scipy.linalg.cholesky(0.5 * (inner + inner.T), lower=True, check_finite=False)
+    x = scipy.linalg.solve_triangular(lower, np.column_stack([root.T, rhs]), lower=True, check_finite=False)
+    y = x[:, -1]
+    nats = 0.5 * float(rhs @ rhs - y @ y) - float(np.log(np.diag(lower)).sum())
+    return Weighed(x[:, :-1], x[:, :-1].T @ y, nats)
+
+
+class Coefficients(NamedTuple):
+    """c (k,) and its covariance (k, k); the prior's is ``prior_root`` (k, p) times its transpose."""
+
+    value: Floats
+    covariance: Floats
+    prior_root: Floats
+
+
+def coefficients(
+    marginal: Marginal, here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]
+) -> Coefficients:
+    """Return the estimate of c at these variances."""
+    a, roots = marginal.information, []
     for block, variance in zip(blocks, variances, strict=True):
         values, vectors = np.linalg.eigh(block.covariance(variance))
-        seen = float(np.abs(np.diag(a)[block.columns]).max(initial=0.0))
-        some = values * seen * len(values) > NEGLIGIBLE
+        felt = float(np.abs(np.diag(a)[block.columns]).max(initial=0.0))
+        some = values * felt * len(values) > NEGLIGIBLE
         roots.append(vectors[:, some] * np.sqrt(values[some]))
-    root = scipy.linalg.block_diag(*roots) if roots else np.zeros((b.size, 0))
-    seen_root = np.concatenate(
-        [a[:, block.columns] @ part for block, part in zip(blocks, roots, strict=True)] or [np.zeros((b.size, 0))],
-        axis=1,
-    )
-    inner = np.eye(root.shape[1]) + root.T @ seen_root
+    root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
+    inner = np.eye(root.shape[1]) + root.T @ a @ root
     lower = scipy.linalg.cholesky(0.5 * (inner + inner.T), lower=True, check_finite=False)
-    x = scipy.linalg.solve_triangular(lower, seen_root.T, lower=True, check_finite=False)
-    y = scipy.linalg.solve_triangular(lower, root.T @ b, lower=True, check_finite=False)
-    nats = 0.5 * float(y @ y) - float(np.log(np.diag(lower)).sum())
-    return Weighed(marginal, root, x, lower, b - x.T @ y, nats)
+    half = scipy.linalg.solve_triangular(lower, root.T, lower=True, check_finite=False)
+    return Coefficients(root @ (root.T @ here.z), half.T @ half, root)
 
 
 def learned(
-    marginal: Marginal, blocks: Sequence[PriorBlock], variances: Sequence[Floats], steps: int, tolerance: float = 3e-3
+    seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats], steps: int, tolerance: float = 3e-3
 ) -> list[Floats]:
-    """The variances after at most ``steps`` of the fixed point, or where none that counts changes by more than ``tolerance``."""
+    """Return the variances after ``steps`` fixed-point steps, or once no relevant one changes by over ``tolerance``."""
     out = [np.array(variance) for variance in variances]
     for _ in range(steps):
-        here = weigh(marginal, blocks, out)
+        here = weigh(seen, blocks, out)
         largest = 0.0
         for i, block in enumerate(blocks):
             gain, loss = _gradient(here, block)
@@ -116,12 +150,13 @@ def learned(
     return out
 
 
-def revived(marginal: Marginal, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> list[Floats]:
-    """The variances, where one that had fallen to nothing would raise the evidence begun again.
+def revived(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> list[Floats]:
+    """Return the variances, restarting any that had fallen to zero but would raise the evidence.
 
-    The fixed point multiplies, so what fell under a noise that was still too large would take very long to come back.
+    The fixed point is multiplicative, so a variance that fell while the noise was still too large would recover very
+    slowly.
     """
-    here, out = weigh(marginal, blocks, variances), []
+    here, out = weigh(seen, blocks, variances), []
     for block, variance in zip(blocks, variances, strict=True):
         gain, loss = _gradient(here, block)
         again = (REVIVED * block.cap) ** 2
@@ -130,16 +165,17 @@ def revived(marginal: Marginal, blocks: Sequence[PriorBlock], variances: Sequenc
 
 
 def _gradient(here: Weighed, block: PriorBlock) -> tuple[Floats, Floats]:
-    """zᵀKz and tr KV + 1/cap² of each kernel."""
+    """Return zᵀKz and tr KV + 1/cap² of each kernel."""
     z, v = here.z[block.columns], here.v(block.columns)
-    return (block.kernels @ z) @ z, (block.kernels * v).sum(axis=(1, 2)) + 1.0 / block.cap**2
+    flat = block.kernels.reshape(len(block.kernels), -1)
+    return flat @ np.outer(z, z).ravel(), flat @ v.ravel() + 1.0 / block.cap**2
 
 
 def block_nats(here: Weighed, block: PriorBlock, variances: Floats) -> float:
-    """By how much a block raises the log evidence, all other variances as they are: its Savage–Dickey ratio."""
+    """Return by how much a block raises the log evidence, all other variances unchanged: its Savage–Dickey ratio."""
     z, v, s = here.z[block.columns], here.v(block.columns), block.covariance(variances)
     left = np.eye(len(z)) - v @ s
     sign, logarithm = np.linalg.slogdet(left)
-    if sign <= 0.0:  # rounding, where the data are overwhelming
+    if sign <= 0.0:  # rounding, if the data are overwhelming
         return math.inf
     return 0.5 * float(logarithm) + 0.5 * float(z @ s @ np.linalg.solve(left, z))

@@ -1,9 +1,9 @@
-"""The batch fit behind ``lm`` and ``map``: one cost, observations and one fixed prior, minimised from x.
+"""The batch fit behind ``lm`` and ``map``: minimise the cost of the observations and one fixed prior, starting at x.
 
-With a robust loss the fit runs in stages, least squares first (robust.py says why); each has all the iterations that were granted,
-and whether the last converged is what the result says. With uncertain joint readings the
-weights belong to the x at which they were computed: they are renewed at each linearisation, and two x are compared
-under those of the first (``information.weighed``).
+With a robust loss the fit runs in stages that begin with least squares (``robust`` explains why). Each stage may use
+all permitted iterations, and the result reports whether the last one converged. With uncertain joint readings, the
+weights depend on the x at which they were computed. They are updated at each linearisation, and two values of x are
+compared under the weights of the first (``information.weighed``).
 """
 
 from __future__ import annotations
@@ -21,26 +21,30 @@ from truearm.estimate.robust import sandwich, stages
 from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.estimate.solvers import Loss
 from truearm.estimate.whitened_rows import observe_robustly
+from truearm.progress import Advance, step
 from truearm.types import Floats
+
+USUAL_ITERATIONS = 8  # of a fit that converges, to estimate the remaining time
 
 
 def fit(
     problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options, damping: float = lm.DAMPING_START
 ) -> Solution:
-    """Minimise from x (P,) over x[columns], beginning with ``damping``; the prior's mean is the problem's start."""
+    """Minimise from x (P,) over x[columns], starting with ``damping``; the prior's mean is the problem's start."""
     part, iterations, prior = x[columns], 0, problem.prior_sigma[columns]
     for loss in stages(options.loss):
         linearise, cost = _callbacks(problem, columns, x, loss)
-        minimum = lm.minimise(
-            linearise,
-            part,
-            options.max_iterations,
-            _counted(iterations, options),
-            damping=damping,
-            plain=options.plain,
-            cost=cost,
-            move=stepper(problem, columns),
-        )
+        with step(f"fitting {part.size} unknowns to {problem.n_rows} rows") as advance:
+            minimum = lm.minimise(
+                linearise,
+                part,
+                options.max_iterations,
+                _counted(iterations, options, advance),
+                damping=damping,
+                plain=options.plain,
+                cost=cost,
+                move=stepper(problem, columns),
+            )
         part, iterations = minimum.x, iterations + minimum.iterations
     x = whole(x, columns, part)
     message = minimum.message if options.loss is Loss.LINEAR else f"{options.loss} loss: {minimum.message}"
@@ -60,10 +64,11 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
     return fit(problem, columns, x, options)
 
 
-def _counted(before: int, options: Options) -> Callable[[int, Information], None]:
-    """Tell of each step, counting on over the stages."""
+def _counted(before: int, options: Options, advance: Advance) -> Callable[[int, Information], None]:
+    """Report each step, counting through all stages."""
 
     def on_step(iteration: int, information: Information) -> None:
+        advance(min(iteration / USUAL_ITERATIONS, 0.9))
         if options.on_step is not None:
             options.on_step(before + iteration, information.residual)
 
@@ -73,7 +78,7 @@ def _counted(before: int, options: Options) -> Callable[[int, Information], None
 def _callbacks(
     problem: Problem, columns: NDArray[np.bool_], x: Floats, loss: Loss
 ) -> tuple[Callable[[Floats], Information], Callable[[Floats, Floats], float] | None]:
-    """``linearise`` and ``cost`` for ``lm.minimise``."""
+    """Return ``linearise`` and ``cost`` for ``lm.minimise``."""
 
     def at(of: Problem, part: Floats) -> Information:
         here = whole(x, columns, part)

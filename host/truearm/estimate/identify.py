@@ -1,4 +1,4 @@
-"""Hop 7: from a table of observations to an Estimate. Validates, dispatches to a solver, says what was not seen."""
+"""Hop 7: identify an Estimate from a table of observations. Validates input, calls a solver and analyses the null space."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
-from truearm.estimate.outliers import without_outliers
+from truearm.estimate.outliers import gross_rows, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
@@ -39,6 +39,7 @@ from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised
 from truearm.model.chain import Chain, forward
+from truearm.progress import step
 from truearm.types import (
     Effect,
     Estimate,
@@ -61,15 +62,15 @@ Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the r
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """How to identify.
+    """Options of an identification.
 
-    solver : one of SOLVERS; each is a module that says what it does.
+    solver : one of SOLVERS; each is a module that documents its method.
     loss : "linear", "huber" or "cauchy" (robust.py), for the solvers lm and map.
-    damping : of lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
+    damping : for lm: "scaled" columns (Marquardt) or "plain" λI (Goswami's (10)).
     progress : called with (iteration, RMS by SI unit) after each step.
-    effects : systematic errors that are estimated too, their rows counted in the table.
-    leave_out : rows that are neither fitted nor judged: first, and the one after the last, from 0.
-    reject : fit again without single bad rows (``outliers``), of a least-squares fit by lm or map.
+    effects : systematic errors to estimate as well; their rows are rows of the table.
+    leave_out : rows to neither fit nor validate on: the first, and the one after the last, from 0.
+    reject : fit again without outliers (``outliers``), for a least-squares fit by lm or map.
     """
 
     solver: str = "lm"
@@ -98,15 +99,17 @@ def identify(
 ) -> Estimate:
     """Identify the robot's free parameters and the rig's unknowns.
 
-    free : (p,) robot parameters to identify, default all; the rig's unknowns always are.
-    hold_out : (n,) rows that are not used to fit but to judge, default none. Unknowns of the rig that only these rows
-        touch (the sockets of a place that was held out, the pose of a line) are estimated on them, with the robot fixed.
+    free : (p,) robot parameters to identify, default all; the rig's unknowns are always identified.
+    hold_out : (n,) rows to validate on instead of fitting them, default none. Unknowns of the rig that only these rows
+        touch (such as the sockets of a held-out place, or the pose of a line) are estimated on them, with the robot
+        fixed.
     prior_sigma : σ of robot parameters about their nominal values, by name or (p,) with inf for none; default none.
-    prefer : (p,) parameters that the suggested free set should rather contain, a robot file's ``free``; default none.
-    options : solver, loss, damping, the most iterations, and who hears of the progress.
+    prefer : (p,) parameters that the suggested free set should preferably contain, a robot file's ``free``; default
+    none.
+    options : solver, loss, damping, maximum number of iterations, and progress callback.
 
     Raises ProblemError for masks of the wrong shape, no row to fit, an unknown solver, loss or damping, a loss for a
-    solver that has none, and what ``build_problem`` raises. Rank and convergence are fields of the result.
+    solver without losses, and for the same reasons as ``build_problem``. Rank and convergence are fields of the result.
     """
     started = time.perf_counter()
     free = _mask("free", free, len(chain.parameters), default=True)
@@ -117,7 +120,7 @@ def identify(
     held = held & ~left_out
     fitted = ~(held | left_out)
     if not fitted.any():
-        raise ProblemError("no observations are left to fit; hold out less")
+        raise ProblemError("no observations are left to fit; hold out fewer")
     modelled = modelled_of(chain, rig, table, options.effects)
     problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
     columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
@@ -129,18 +132,21 @@ def identify(
             options.progress(iteration, history[-1])
 
     x_raw, raw = _raw(problem, options.max_iterations)
-    x_before, before = _before(problem, columns, x_raw, raw)
+    gross = np.zeros(problem.n_rows, dtype=bool)
+    rejects = options.reject and SOLVERS[options.solver].has_loss and options.loss == Loss.LINEAR
+    if rejects:
+        gross, x_raw = gross_rows(problem, np.arange(columns.size) >= problem.n_robot, x_raw)
+        raw = observe(problem, x_raw, columns).residual if gross.any() else raw
+    x_before, before = _before(problem, columns, x_raw, raw, gross)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
-    # To find the robot and a far-off rig at once is a curved valley; from a rig that has a prior the mode is nearer (decision 19).
+    # Fitting robot and a distant rig at once is a curved valley; starting from a rig with a prior is closer (decision
+    # 19).
     start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
-    found = every = solver_of(options.solver)(problem, columns, start, how_to)
-    if (
-        options.reject
-        and SOLVERS[options.solver].has_loss
-        and options.loss == Loss.LINEAR
-        and found.status == "converged"
-    ):
-        found = without_outliers(problem, columns, every, how_to) or every
+    solve = solver_of(options.solver)
+    found = every = solve(problem, columns, start, how_to)
+    begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
+    if rejects and begun.status == "converged":
+        found = without_outliers(problem, columns, begun, how_to, gross) or every
     x, information = found.x, found.information
     parts = spectrum(information.root)
     fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
@@ -157,15 +163,17 @@ def identify(
     how = measured_order(table, fitted)
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
-    taken = only(problem, found.weight > 0.0)
-    wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
+    used = found.weight > 0.0
+    taken = only(problem, used)
+    with step("testing for systematic errors"):
+        wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
-    # Robust losses and the solvers that read the noise from the residuals have it in their covariance.
+    # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
     matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
@@ -177,6 +185,7 @@ def identify(
         if not unexplained:
             errors = left_out_errors(taken, x, columns, half(parts), pose)
             unexplained = mean_errors(errors, pose, held_out=False)
+    shown = used if used.any() else slice(None)  # as ``Estimate.used``
     estimate = Estimate(
         status=found.status,
         message=found.message,
@@ -195,9 +204,9 @@ def identify(
         rank=sight.rank,
         rank_gap=sight.gap,
         null_space=sight.null_space,
-        rms_before=rms_of(before),
-        rms_raw=rms_of(raw),
-        rms_after=rms_of(information.residual),
+        rms_before=rms_of(before, shown),
+        rms_raw=rms_of(raw, shown),
+        rms_after=rms_of(information.residual, shown),
         rms_history={unit: tuple(rms[unit] for rms in (rms_of(raw), *history)) for unit in raw},
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,
@@ -227,38 +236,38 @@ def identify(
 
 
 def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> WithOutliers:
-    """The fit of all rows, beside that without the bad ones."""
+    """Return the fit of all rows, to compare with the one without outliers."""
     shares = prior_shares(half(spectrum(every.information.root)), every.prior_sigma)
     chi2 = goodness(*of_data(problem, columns, every), shares).reduced
     return WithOutliers(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
 
 
 def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
-    """(n,) the rows of some spans."""
+    """Return a mask (n,) of the rows in some spans."""
     out = np.zeros(n, dtype=bool)
     for first, last in spans:
         if not 0 <= first < last <= n:
-            raise ProblemError(f"rows {first + 1} to {last} cannot be left out: there are rows 1 to {n}")
+            raise ProblemError(f"rows {first + 1} to {last} cannot be left out: the table has rows 1 to {n}")
         out[first:last] = True
     return out
 
 
 def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
-    """Distance [m] of the end's origin by the robot's parameters of x and by those of ``there``, RMS over the poses."""
+    """Return the RMS distance [m] over the poses between the end's origins for the parameters of x and of ``there``."""
     p = len(chain.parameters)
     apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
     return rms(np.linalg.norm(apart, axis=1))
 
 
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
-    """The parameters of effects, by what the whole table uses."""
+    """Return the parameters of effects, based on everything that the table uses."""
     return (
         modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table)) if effects else []
     )
 
 
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
-    """The time offsets that the data hardly tell: their sigma would be a number that means nothing."""
+    """Return the time offsets that the data hardly determine, whose sigma would be meaningless."""
     offsets = [k for k, name in enumerate(names) if name.rpartition(".")[2] == TIME_OFFSET]
     return [names[k] for k in offsets if hardly_told(root, k, UNITS["s"].weak_sigma)]
 
@@ -274,39 +283,42 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
     if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":
-        raise ProblemError(f"solver {solver} has no damping to choose; use lm")
+        raise ProblemError(f"solver {solver} has no damping setting; use lm")
 
 
 def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
-    """x (P,) and residuals of the robot as described, once what the rig leaves unknown is fitted to it.
+    """Return x (P,) and residuals of the nominal robot, with the rig's unknowns fitted to it.
 
-    A ball or a chuck whose place nobody measured is no error of the robot; with the rig as guessed the identification
-    would be credited with finding it.
+    An unmeasured position of a ball or chuck is not an error of the robot. With a guessed rig, the identification would
+    be credited with correcting it.
     """
     rig_only = np.arange(len(problem.names)) >= problem.n_robot
     if not rig_only.any():
         return problem.start, observe(problem, problem.start, rig_only).residual
-    # The nominal robot's errors are no faults of rows: no gate and no robust loss.
+    # The nominal robot's errors do not make rows outliers: no gate and no robust loss.
     found = fit(problem, rig_only, problem.start, Options(max_iterations))
     return found.x, found.information.residual
 
 
-def _before(problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals) -> tuple[Floats, Residuals]:
-    """x (P,) and residuals of the robot as described, once base and tool are placed, from ``_raw``'s.
+def _before(
+    problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals, gross: NDArray[np.bool_]
+) -> tuple[Floats, Residuals]:
+    """Return x (P,) and residuals of the nominal robot, with base and tool placed by the rows that are not gross.
 
-    How the two are bolted on is no error of the robot either: only the free parameters that move nothing else are fitted.
+    Starts from the result of ``_raw``. The mounting of base and tool is not an error of the robot either. Only the free
+    parameters that move nothing else are fitted.
     """
-    only = np.arange(columns.size) >= problem.n_robot
+    mounts = np.arange(columns.size) >= problem.n_robot
     mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
     if not mounted.any():
         return x, raw
-    only[: problem.n_robot] = mounted
-    found = fit(problem, only, x, Options())
-    return found.x, found.information.residual
+    mounts[: problem.n_robot] = mounted
+    x = fit(only(problem, ~gross), mounts, x, Options()).x
+    return x, observe(problem, x, mounts).residual
 
 
 def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Information:
-    """What the rows that were used say, and what is known of the rig, without the robot's prior."""
+    """Return the information of the rows used and of the rig, without the robot's prior."""
     n_robot = int(columns[: problem.n_robot].sum())
     rig_prior = problem.prior_sigma[columns]
     rig_prior[:n_robot] = np.inf
@@ -322,7 +334,7 @@ def judged(
     held: NDArray[np.bool_],
     modelled: Sequence[Modelled],
 ) -> tuple[HeldOut | None, Residuals]:
-    """Errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, or else from these rows."""
+    """Return errors on the held-out rows with the robot of x_fit; the rig's unknowns from x_fit, otherwise from these rows."""
     if not held.any():
         return None, {}
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
@@ -350,8 +362,8 @@ def _mask(name: str, mask: NDArray[np.bool_] | None, size: int, default: bool) -
     return mask
 
 
-def rms_of(residual: Residuals) -> dict[str, float]:
-    return {unit: figures.rms for unit, figures in Figures.by_unit(residual).items()}
+def rms_of(residual: Residuals, rows: NDArray[np.bool_] | slice = slice(None)) -> dict[str, float]:
+    return {unit: figures.rms for unit, figures in Figures.by_unit(residual, rows).items()}
 
 
 def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held: NDArray[np.bool_]) -> Residuals:
@@ -362,7 +374,7 @@ def merged(fitted: Residuals, held_out: Residuals, rows: NDArray[np.bool_], held
 def _merge(
     fitted: Floats | float, held_out: Floats | float, rows: NDArray[np.bool_], held: NDArray[np.bool_]
 ) -> Floats:
-    """(n,) of all rows, NaN of those left out."""
+    """Return values (n,) for all rows, NaN for those left out."""
     out = np.full(held.size, np.nan)
     out[rows], out[held] = fitted, held_out
     return out

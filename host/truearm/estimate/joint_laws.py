@@ -1,9 +1,9 @@
-"""Error curves and sag of joints, added to an estimate of the geometry where the evidence in the data carries them.
+"""Error curves and sag of joints, added to an estimate of the geometry where the evidence in the data supports them.
 
-``with_joint_laws`` begins at a least-squares estimate. Without any law that pays it is returned as it is: the noise a pose
-that keeps evidence honest would spoil the geometry of an arm whose errors it mistakes for noise. Else the estimate's robot
-gets the laws' parameters behind its own, fitted with everything else under the learned noise. What judges the fit (χ²)
-stays against the declared noise.
+``with_joint_laws`` starts from a least-squares estimate. If no law is worthwhile, that estimate is returned unchanged:
+the noise per pose that the evidence requires would degrade the geometry of an arm whose errors it mistakes for noise.
+Otherwise the parameters of the laws are appended to those of the estimate's robot and fitted together with everything
+else under the learned noise. The fit is still judged (χ²) against the declared noise.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from truearm.estimate.effects import Modelled
 from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
-from truearm.estimate.information import observe
-from truearm.estimate.law_candidates import candidates
+from truearm.estimate.information import Information, observe
+from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import strongest_periods
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
@@ -33,30 +35,35 @@ from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
-from truearm.model.law_chain import DOWN, with_laws
+from truearm.model.law_chain import with_laws
 from truearm.types import (
     CurveKnots,
     Effect,
     Estimate,
     Floats,
+    HeldOut,
     JointLaws,
     Law,
     LawStep,
     MeanError,
     ObservationTable,
     PoseError,
+    Residuals,
     TriedLaw,
 )
 from truearm.units import UNITS
 
-LEAST_FREEDOM = 20  # residuals beyond the geometry's parameters
-JOINT_NOISE = 1e-4  # rad, to begin with
+LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
+JOINT_NOISE = 1e-4  # rad, initial value
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
 
 @dataclass(frozen=True)
 class LawRequest:
-    """Which laws to try. ``prior_sigma`` and ``effects`` are those of the estimate, ``gravity`` of the robot: None, not known."""
+    """The laws to try.
+
+    ``prior_sigma`` and ``effects`` are those of the estimate. ``gravity`` is that of the robot file, None if not given.
+    """
 
     mode: LawMode
     prior_sigma: Floats | None = None
@@ -65,25 +72,27 @@ class LawRequest:
 
 
 class _Fitted(NamedTuple):
-    """Laws that were kept and the estimate with them."""
+    """The fit with the laws that were kept, and its errors."""
 
-    kept: tuple[Law, ...]
-    estimate: Estimate
+    of: LawProblem
     learned: Learned
-    dropped: dict[Law, float]
+    posterior: Posterior
+    seen: Information
+    held_out: HeldOut | None
+    error: Residuals  # of the held-out rows
 
 
 def with_joint_laws(
     chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, request: LawRequest
 ) -> tuple[Chain, Estimate]:
-    """Return the robot with the laws that the evidence carries, and the estimate with their parameters.
+    """Return the robot with the laws that the evidence supports, and the estimate with their parameters.
 
-    Both are those that were given where nothing was asked for, where ``auto`` has nothing to do, where the rows cannot show laws and where no law pays;
-    ``Estimate.joint_laws`` says which, None in the first two cases.
+    Both are returned unchanged if nothing was requested, if ``auto`` has nothing to do, if the rows cannot determine
+    laws, or if no law is worthwhile. ``Estimate.joint_laws`` records which; it is None in the first two cases.
     """
-    if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(estimate)):
+    if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(estimate, table)):
         return chain, estimate
-    gravity = request.gravity or DOWN
+    gravity = gravity_of(table.select(estimate.fitted), request.gravity)
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity)
     why_none = _why_none(estimate)
     if why_none:
@@ -94,21 +103,20 @@ def with_joint_laws(
     tried: dict[Law, float] = {}
     for name, some in ((SAG, [law for law in laws if not isinstance(law, CurveKnots)]), (CURVES, laws)):
         if some and (name == SAG or any(isinstance(law, CurveKnots) for law in some)):
-            found = work.fitted(some)
-            tried |= found.dropped | dict(found.learned.nats)
-            steps.append(_step(name, found.estimate))
-            best = found if found.kept else best
-            if name == CURVES:
-                best = found if found.kept else None
-    kept = best.kept if best else ()
+            carried, learned, dropped = work.carried(some)
+            tried |= {**dropped, **learned.nats}
+            best = work.fitted(carried, learned) if carried else None
+            steps.append(_step(name, best) if best else _step(name, estimate))
+    kept = best.of.laws if best else ()
+    value = work.centred(best).x if best else estimate.value
     report = JointLaws(
         request.mode,
         kept,
-        tuple(_tried(chain, law, nats, best, table.q[estimate.fitted]) for law, nats in tried.items()),
+        tuple(_tried(chain, law, nats, kept, value, table.q[estimate.fitted]) for law, nats in tried.items()),
         tuple(steps),
         tuple(reasons),
-        gravity,
-        request.gravity is not None,
+        gravity.direction,
+        gravity.known,
     )
     if best is None:
         return chain, replace(estimate, joint_laws=report)
@@ -116,13 +124,20 @@ def with_joint_laws(
     report = replace(
         report, noise_factor=noise.sensor, noise_shared=math.sqrt(noise.shared), noise_joint=math.sqrt(noise.joint)
     )
-    return with_laws(chain, kept), replace(best.estimate, joint_laws=report)
+    return with_laws(chain, kept), replace(work.estimate(best), joint_laws=report)
 
 
-def _nothing_to_explain(estimate: Estimate) -> bool:
-    """Whether the declared noise explains the residuals, or the fit is none that laws could be added to."""
+def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
+    """Return whether the declared noise explains the residuals, or the fit is unsuitable for adding laws.
+
+    If observations of one kind have one unit, their sigmas may all be too large, which hides what laws would explain.
+    If there are several, only some may be: the single factor learned from all of them would be too small for the
+    others, and laws would follow their noise.
+    """
     low, high = estimate.chi2_band
-    explained = low <= estimate.chi2_reduced <= high
+    of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
+    too_large = estimate.chi2_reduced < low and of_one
+    explained = estimate.chi2_reduced <= high and not too_large
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
 
 
@@ -131,13 +146,13 @@ def _takes_laws(estimate: Estimate) -> bool:
 
 
 def _why_none(estimate: Estimate) -> str:
-    """Why no laws are tried at all; "" where they are."""
+    """Return why no laws are tried at all; "" if they are."""
     if not _takes_laws(estimate):
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
     wrong = estimate.systematic
-    if wrong is not None and wrong.chi2_reduced <= estimate.chi2_band[1]:
+    if wrong is not None and wrong.chi2_reduced <= estimate.chi2_band[1] < estimate.chi2_reduced:
         return "the systematic errors that were found explain what the geometry leaves: correct or allow them first"
     return ""
 
@@ -150,26 +165,38 @@ class _Work:
     before: Estimate
     request: LawRequest
 
-    def fitted(self, laws: Sequence[Law]) -> _Fitted:
-        """Try laws; the estimate is the one before where none is kept."""
+    def carried(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
+        """Return those of some laws that the evidence supports, what was learned with them, and the nats of the others."""
         start = PoseNoise(max(self.before.chi2_reduced / 2.0, 1e-3), 0.0, JOINT_NOISE**2)
-        learned = learn(self.problem(laws), {}, start)
-        kept, learned, dropped = gated(self.problem, laws, learned)
-        if not kept:
-            return _Fitted((), self.before, learned, dropped)
-        of = self.problem(kept)
-        return _Fitted(kept, self.estimate(of, learned), learned, dropped)
+        return gated(self.problem, laws, learn(self.problem(laws), {}, start))
+
+    def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
+        of = self.problem(laws)
+        found = posterior(of, learned)
+        seen = observe(of.problem, found.x, np.zeros(found.x.size, dtype=bool))
+        held_out, error = judged(of.problem, found.x, self.rig, self.table, self.held, self.effects)
+        return _Fitted(of, learned, found, seen, held_out, error)
+
+    @property
+    def effects(self) -> list[Modelled]:
+        return modelled_of(self.chain, self.rig, self.table, self.request.effects)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the held-out rows."""
+        return ~(self.before.fitted | self.before.left_out)
+
+    def centred(self, best: _Fitted) -> Posterior:
+        return _centred(best.of, best.posterior, self.table.q[self.before.fitted])
 
     def problem(self, laws: Sequence[Law]) -> LawProblem:
-        """Compile the rows that were fitted for a robot with laws."""
+        """Compile the fitted rows for a robot with laws."""
         chain, before, prior = with_laws(self.chain, laws), self.before, self.request.prior_sigma
         if prior is not None:
             prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
         fitted = before.fitted
-        effects = modelled_of(self.chain, self.rig, self.table, self.request.effects)
-        problem = build_problem(
-            chain, self.rig, self.table.select(fitted), prior, [one.select(fitted) for one in effects]
-        )
+        effects = [one.select(fitted) for one in self.effects]
+        problem = build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
         problem = only(problem, before.weight[fitted] > 0.0)
         known = dict(zip(before.parameter_names, before.value, strict=True))
         free = dict(zip(before.parameter_names, before.free, strict=True))
@@ -177,11 +204,10 @@ class _Work:
         start = np.array([known.get(name, 0.0) for name in problem.names])
         return law_problem(problem, columns, start, laws, poses(self.table.select(fitted)))
 
-    def estimate(self, of: LawProblem, learned: Learned) -> Estimate:
-        """The estimate before, with all that the laws change."""
-        before, problem = self.before, of.problem
-        fitted = posterior(of, learned)
-        found = _centred(of, fitted, self.table.q[before.fitted])
+    def estimate(self, best: _Fitted) -> Estimate:
+        """Return the previous estimate with everything that the laws change."""
+        of, learned, fitted, seen, held_out, error = best
+        before, problem, found = self.before, of.problem, self.centred(best)
         x, p = found.x, problem.n_robot
         at, added = before.n_robot_parameters, p - before.n_robot_parameters
         is_law = np.arange(x.size) >= at
@@ -192,23 +218,19 @@ class _Work:
         covariance = _without_null(covariance, before, problem.names, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        seen = observe(problem, x, np.zeros(x.size, dtype=bool))
-        effects = modelled_of(self.chain, self.rig, self.table, self.request.effects)
-        held = ~(before.fitted | before.left_out)
-        held_out, error = judged(problem, x, self.rig, self.table, held, effects)
         rows = law_rows(of, found, learned.noise)
         freedom = before.rank + _followed(of, found)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         unexplained: Mapping[str, MeanError] = {}
         if quality.reduced > quality.band[1]:
-            unexplained = mean_errors(error, poses(self.table.select(held)), held_out=True) or mean_errors(
+            unexplained = mean_errors(error, poses(self.table.select(self.held)), held_out=True) or mean_errors(
                 rows.left_out, of.pose, held_out=False
             )
         how = measured_order(self.table, before.fitted)
         wrong = law_systematic(of, fitted, learned.noise, how, quality)
         if wrong is not None:
             wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
-        number = np.cumsum(before.fitted) - 1  # of each row among those that were fitted
+        number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
         return replace(
             before,
             parameter_names=problem.names,
@@ -221,7 +243,7 @@ class _Work:
             covariance=covariance,
             n_robot_parameters=p,
             rms_after=rms_of(seen.residual),
-            residual=merged(seen.residual, error, before.fitted, held),
+            residual=merged(seen.residual, error, before.fitted, self.held),
             held_out=held_out,
             chi2_reduced=quality.reduced,
             chi2_freedom=quality.freedom,
@@ -239,28 +261,28 @@ class _Work:
 
 
 def _pose_error(of: LawProblem, noise: PoseNoise) -> PoseError | None:
-    """What the rows of a pose share, where as many rows as for a fit without laws share theirs."""
+    """Return the errors shared by the rows of a pose, if as many rows share poses as for a fit without laws."""
     count = np.bincount(of.pose)
     if not noise.shared or count[count > 1].sum() < max(LEAST_SHARE * of.pose.size, 1.0):
         return None
     return PoseError(math.sqrt(noise.shared), noise.sensor, int((count > 1).sum()))
 
 
-def _step(name: str, estimate: Estimate) -> LawStep:
-    return LawStep(name, estimate.rms_after, estimate.held_out)
+def _step(name: str, found: Estimate | _Fitted) -> LawStep:
+    rms = found.rms_after if isinstance(found, Estimate) else rms_of(found.seen.residual)
+    return LawStep(name, rms, found.held_out)
 
 
 def _followed(of: LawProblem, found: Posterior) -> float:
-    """Degrees of freedom that the laws follow the data with: tr(A C)."""
-    marginal = found.weighed.marginal.information
-    return float((marginal * found.covariance[np.ix_(of.is_law, of.is_law)]).sum())
+    """Return the degrees of freedom of the laws: tr(A C)."""
+    return float((found.information * found.covariance[np.ix_(of.is_law, of.is_law)]).sum())
 
 
 def _centred(of: LawProblem, found: Posterior, q: Floats) -> Posterior:
-    """With each curve's mean over the poses moved into its joint's offset, where that is fitted. No prediction changes.
+    """Return x with each curve's mean over the poses moved into its joint's offset, if that is fitted.
 
-    The constant of a curve and the offset are one number to any observation; centred, what a controller without curves
-    does is best, and so is a robot outside the covered range.
+    No prediction changes: the constant of a curve and the offset are the same number to any observation. With centred
+    curves, a controller that ignores curves performs best, and so does a robot outside the covered range.
     """
     chain, column = of.problem.chain, np.flatnonzero(of.columns)
     offsets = {chain.parameters[i].joint: i for i in chain.law.offset.parameters.tolist()}
@@ -282,7 +304,7 @@ def _centred(of: LawProblem, found: Posterior, q: Floats) -> Posterior:
 
 
 def _without_null(covariance: Floats, before: Estimate, names: Sequence[str], units: Sequence[str]) -> Floats:
-    """The covariance (P, P) without what directions have that no observation sees: there it is the weak prior's."""
+    """Return the covariance (P, P) without null directions, along which it is that of the weak prior."""
     if not before.null_space:
         return covariance
     at = {name: i for i, name in enumerate(names)}
@@ -295,13 +317,13 @@ def _without_null(covariance: Floats, before: Estimate, names: Sequence[str], un
     return np.asarray(keep @ covariance @ keep.T)
 
 
-def _tried(chain: Chain, law: Law, nats: float, best: _Fitted | None, q: Floats) -> TriedLaw:
+def _tried(chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floats, q: Floats) -> TriedLaw:
     term = Curve.name if isinstance(law, CurveKnots) else Sag.name
     joint = chain.joints[law.joint].name
-    if best is None or law not in best.kept:
+    if law not in kept:
         return TriedLaw(joint, term, nats, kept=False)
-    whole = with_laws(chain, best.kept)
-    params = best.estimate.value[: len(whole.parameters)]
+    whole = with_laws(chain, kept)
+    params = value[: len(whole.parameters)]
     kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
     covered = float(q[:, law.joint].min()), float(q[:, law.joint].max())

@@ -1,46 +1,78 @@
-"""Which joint laws observations can show: knots over the covered range, masses whose torque varies, and their priors.
+"""Candidate joint laws that the observations can determine: knots over the covered range, sag masses, and their priors.
 
-The constants were chosen on UR10 series C (a fifth held out: curves) and on an IRB 120 with a tracker (sag), not on the other arms of docs/real-arms.md. Knots
-0.12, 0.08, 0.05 and 0.035 rad apart gave 0.176, 0.102, 0.086 and 0.082 mm on the UR10.
+The constants were chosen on UR10 series C (a fifth held out: curves) and on an IRB 120 with a tracker (sag), not on the
+other arms of docs/explanation/real-arms.md. Knots 0.12, 0.08, 0.05 and 0.035 rad apart gave 0.176, 0.102, 0.086 and
+0.082 mm on the UR10.
 
-A curve's coefficients have a stationary Gaussian-process prior: a sum of Matérn-5/2 kernels at octaves of length, each with
-its own variance. It returns to zero outside the data with honest variance, which an integrated Wiener process does not.
+The coefficients of a curve have a stationary Gaussian-process prior: a sum of Matérn-5/2 kernels at octaves of length,
+each with its own variance. Outside the data it returns to zero with a realistic variance, which an integrated Wiener
+process does not.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from truearm.errors import InputError
 from truearm.estimate.evidence import PriorBlock
 from truearm.estimate.solvers import LawMode
+from truearm.kinds.quantities import GRAVITY
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.sag import Sag
-from truearm.model.law_chain import distal_frames, with_laws
-from truearm.types import CurveKnots, Floats, Law, SagMasses
+from truearm.model.law_chain import DOWN, distal_frames, with_laws
+from truearm.types import CurveKnots, Floats, Law, ObservationTable, SagMasses
 from truearm.units import DEG
 
 SPACING = 0.05  # rad between knots, at most
 LENGTHS = 0.05 * 2.0 ** np.arange(7)  # rad
 MARGIN = 0.8  # rad beyond the covered range
-TURNS = 2.0 * math.pi - 0.3  # rad: a joint whose readings span more turns round
-STILL = 0.1  # rad: readings that span less show no curve
+TURNS = 2.0 * math.pi - 0.3  # rad: a joint whose readings span more is periodic
+STILL = 0.1  # rad: readings that span less do not determine a curve
 CURVE_CAP = 3e-4  # rad
 SAG_CAP = 3e-3  # rad per kg·m
 LEAST_TORQUE = 0.02  # kg·m, standard deviation over the poses
-IMAGES = 8  # turns to either side that a periodic kernel is summed over: Matérn of length 3.2 rad is then 1e-11
+IMAGES = 8  # turns on either side over which a periodic kernel is summed: Matérn of length 3.2 rad is then 1e-11
+ONE_DIRECTION = math.radians(1.0)  # permitted variation of gravity between rows: 2 % of a torque
 
 
-def candidates(
-    chain: Chain, q: Floats, mode: LawMode, gravity: tuple[float, float, float]
-) -> tuple[list[Law], list[str]]:
-    """The laws to try for readings q (n, j), and a sentence for each joint that can have none."""
+class Gravity(NamedTuple):
+    """Gravity's direction in the base frame, whether it is known, and by how much it varies between rows [rad]."""
+
+    direction: tuple[float, float, float]
+    known: bool
+    apart: float = 0.0
+
+
+def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | None) -> Gravity:
+    """Return the mean direction of the rows that have one, otherwise the robot's, otherwise -z.
+
+    Raises InputError for a row whose gravity has length 0.
+    """
+    given = table.column(GRAVITY.field, np.nan).reshape(len(table), -1)
+    rows = np.flatnonzero(np.isfinite(given).all(axis=1))
+    if not rows.size:
+        return Gravity(of_robot or DOWN, of_robot is not None)
+    length = np.linalg.norm(given[rows], axis=1)
+    if not length.all():
+        raise InputError(f"{table.source[rows[length == 0.0][0]]}: gravity is 0; give its direction in the base frame")
+    unit = given[rows] / length[:, None]
+    x, y, z = mean = unit.mean(axis=0) / max(float(np.linalg.norm(unit.mean(axis=0))), LEAST_TORQUE)
+    return Gravity((float(x), float(y), float(z)), True, float(np.arccos(np.clip(unit @ mean, -1.0, 1.0)).max()))
+
+
+def candidates(chain: Chain, q: Floats, mode: LawMode, gravity: Gravity) -> tuple[list[Law], list[str]]:
+    """Return the laws to try for readings q (n, j), and a sentence for each joint that can have none."""
     laws: list[Law] = []
     reasons: list[str] = []
-    if mode in (LawMode.AUTO, LawMode.SAG):
-        laws += _sags(chain, q, gravity)
+    if mode in (LawMode.AUTO, LawMode.SAG) and gravity.apart > ONE_DIRECTION:
+        apart = DEG.text(gravity.apart, ".1f")
+        reasons.append(f"gravity differs by up to {apart} between the rows: sag is fitted to one mounting at a time")
+    elif mode in (LawMode.AUTO, LawMode.SAG):
+        laws += _sags(chain, q, gravity.direction)
         if not laws:
             reasons.append("the torque of gravity does not vary at any joint: sag cannot be seen")
     if mode in (LawMode.AUTO, LawMode.CURVE):
@@ -56,7 +88,7 @@ def candidates(
 
 
 def knots(joint: int, lower: float, upper: float) -> CurveKnots:
-    """Knots over a covered range [rad] and a margin; periodic where the joint turns round."""
+    """Return knots over a covered range [rad] plus a margin; periodic if the joint turns completely."""
     if upper - lower > TURNS:
         count = math.ceil(2.0 * math.pi / SPACING)
         return CurveKnots(joint, lower, 2.0 * math.pi / count, count, periodic=True)
@@ -73,13 +105,13 @@ def _sags(chain: Chain, q: Floats, gravity: tuple[float, float, float]) -> Itera
 
 
 def unit_torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
-    """(m, n) [kg·m] of unit masses about the joint, gravity of length 1, at readings q (n, j)."""
+    """Return torques (m, n) [kg·m] of unit masses about the joint, with gravity of length 1, at readings q (n, j)."""
     own = with_laws(chain, [masses])
     return Sag.of_chain(own).by_parameters(own.params_nominal, q.T)
 
 
 def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
-    """The priors of the laws' coefficients, in their order."""
+    """Return the priors of the laws' coefficients, in order."""
     out, at = [], 0
     for law in laws:
         if isinstance(law, CurveKnots):
@@ -93,7 +125,7 @@ def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
 
 
 def _kernels(law: CurveKnots) -> Floats:
-    """(o, m, m) Matérn-5/2 between the centres, at each length; on a circle the sum over all turns."""
+    """Return Matérn-5/2 kernels (o, m, m) between the centres at each length; on a circle, the sum over all turns."""
     apart = law.spacing * np.subtract.outer(np.arange(law.count), np.arange(law.count))
     turns = np.arange(-IMAGES, IMAGES + 1) if law.periodic else np.zeros(1)
     images = apart + law.count * law.spacing * turns[:, None, None]

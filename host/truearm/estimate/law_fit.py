@@ -1,8 +1,9 @@
-"""Geometry, rig and joint laws fitted together, their variances and the noise a pose learned by the evidence.
+"""Joint fit of geometry, rig and joint laws, with their variances and the noise per pose learned by evidence.
 
-The laws are fitted with the geometry, not to its residuals: a geometry without sag has swallowed most of it. A law that raises
-the log evidence by less than GATE nats is dropped; one below EARNEST is dropped for good where the evidence, with the noise
-learned again without it, is no lower than that either. Evidence without a gate makes small data worse.
+The laws are fitted together with the geometry rather than to its residuals, because a geometry without sag has already
+absorbed most of it. A law that raises the log evidence by less than GATE nats is dropped. One below EARNEST is dropped
+for good if the evidence, with the noise learned again without it, is no lower. Evidence without a gate makes results
+on small data sets worse.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.evidence import Marginal, Weighed, block_nats, learned, revived, weigh
+from truearm.estimate.evidence import Coefficients, Marginal, block_nats, coefficients, learned, revived, seen_by, weigh
 from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
@@ -28,28 +29,29 @@ from truearm.estimate.pose_noise import (
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.linearised import Indices
+from truearm.progress import steps_of
 from truearm.types import Floats, Law
 from truearm.units import UNITS
 
 GATE = 6.0  # nats
 EARNEST = 25.0  # nats
-START = 0.2  # of the cap: standard deviations to begin with
-LEARNING_POSES = 3000  # a random choice of more learns variances and noise
-NOISE_POSES = 1000  # of these learn the noise
+START = 0.2  # of the cap: initial standard deviations
+LEARNING_POSES = 3000  # variances and noise are learned from a random selection of at most so many
+NOISE_POSES = 1000  # of these, for the noise
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
 FIRST_STEPS, STEPS = 30, 12  # of the variances, in the first rounds and later
-NOISE_END = 0.02  # a round that changes the noise's variances by less is the last
+NOISE_END = 0.02  # the last round changes the noise variances by less
 SHARED_START = 1e-10  # m²
-NOTHING = (1e-3, 1e-14, 1e-13)  # noise below this adds nothing: it may fall for ever
-RIG_SIGMA = 10.0  # m, rad: what no prior holds stays finite where the data see nothing
+NOTHING = (1e-3, 1e-14, 1e-13)  # smaller noise is negligible and could decrease for ever
+RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
 
 
 @dataclass(frozen=True, eq=False)
 class LawProblem:
-    """A problem whose robot has laws. The prior of what is not a law is about ``reference`` (P,) with ``sigma`` (k,)."""
+    """A problem whose robot has laws. Parameters other than laws have a prior about ``reference`` (P,) with ``sigma`` (k,)."""
 
     problem: Problem
-    columns: NDArray[np.bool_]  # (P,) what is fitted, k of them
+    columns: NDArray[np.bool_]  # (P,) the k fitted ones
     is_law: NDArray[np.bool_]  # (k,)
     pose: Indices  # (n_rows,)
     start: Floats  # (P,) as fitted without laws
@@ -58,7 +60,7 @@ class LawProblem:
     laws: tuple[Law, ...]
 
     def some(self, n: int) -> LawProblem:
-        """With a random choice of at most n poses."""
+        """Return the problem with a random selection of at most n poses."""
         numbers = np.unique(self.pose)
         if numbers.size <= n:
             return self
@@ -67,16 +69,16 @@ class LawProblem:
 
     @property
     def shares_poses(self) -> bool:
-        """Whether any pose has several rows."""
+        """Return whether any pose has several rows."""
         return bool((np.bincount(self.pose) > 1).any())
 
 
 def law_problem(
     problem: Problem, columns: NDArray[np.bool_], start: Floats, laws: Sequence[Law], pose: Indices
 ) -> LawProblem:
-    """A problem whose robot has these laws, their parameters the robot's last; ``start`` (P,): the rest as fitted without.
+    """Return a problem whose robot has these laws, with their parameters last; ``start`` (P,): the rest, fitted without.
 
-    What no prior holds has a weak one about ``start``, so that redundant parameters are welcome.
+    Unknowns without a prior get a weak one about ``start``, so redundant parameters are allowed.
     """
     blocks = prior_blocks(laws)
     is_law = np.zeros(columns.size, dtype=bool)
@@ -90,9 +92,9 @@ def law_problem(
 
 
 class Learned(NamedTuple):
-    """What the evidence chose: the variances of each law's prior, the noise, and by how many nats each law pays.
+    """The result of the evidence: the variances of each law's prior, the noise, and each law's gain in nats.
 
-    ``evidence`` is the log evidence of the rows that were learned from.
+    ``evidence`` is the log evidence of the rows that were used to learn.
     """
 
     variances: Mapping[Law, Floats]
@@ -102,16 +104,21 @@ class Learned(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """The unknowns at some variances and noise: x (P,), the covariance (k, k) and the log evidence."""
+    """The unknowns at given variances and noise: x (P,), the covariance (k, k) and the log evidence.
+
+    ``information`` (l, l) is the data's information about the laws; ``prior_root`` (l, p) times its transpose is their
+    prior.
+    """
 
     x: Floats
     covariance: Floats
-    weighed: Weighed
     evidence: float
+    information: Floats
+    prior_root: Floats
 
 
 def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> Learned:
-    """Learn variances and noise from at most LEARNING_POSES poses; ``variances`` may lack laws, which begin small."""
+    """Learn variances and noise from at most LEARNING_POSES poses; laws missing in ``variances`` start small."""
     part, blocks = of.some(LEARNING_POSES), prior_blocks(of.laws)
     values = [
         variances.get(law, np.full(len(block.kernels), (START * block.cap) ** 2))
@@ -122,23 +129,26 @@ def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> 
         noise = noise._replace(shared=SHARED_START)
     every = max(1, np.unique(part.pose[_rows_used(part.problem)]).size // NOISE_POSES)
     x = of.start
-    for i in range(ROUNDS):
+    for i in steps_of(range(ROUNDS), "learning the sizes of joint laws and noise"):
         marginal, rest = _marginal(part, x, noise)
-        values = learned(marginal, blocks, revived(marginal, blocks, values), FIRST_STEPS if i < 2 else STEPS)
-        here = _posterior(part, x, rest, weigh(marginal, blocks, values))
+        seen = seen_by(marginal, blocks)
+        values = learned(seen, blocks, revived(seen, blocks, values), FIRST_STEPS if i < 2 else STEPS)
+        weighed = weigh(seen, blocks, values)
+        found = coefficients(marginal, weighed, blocks, values)
+        here = _posterior(part, x, marginal, rest, found, weighed.nats)
         samples = _samples(part, x, here, every)
         x, old, noise = here.x, noise, learned_noise(samples, noise, shared)
         new, before = np.array(noise), np.array(old)
         if i > 2 and np.all((np.abs(new - before) <= NOISE_END * new) | (new < NOTHING)):
             break
-    nats = {law: block_nats(here.weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
+    nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
     return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence)
 
 
 def gated(
     make: Callable[[Sequence[Law]], LawProblem], laws: Sequence[Law], found: Learned
 ) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
-    """Drop the laws that the evidence does not carry; ``make`` makes the problem with some laws.
+    """Drop the laws that the evidence does not support; ``make`` builds the problem with some laws.
 
     Returns the laws that are kept, what was learned with them, and the nats at which each of the others was dropped.
     """
@@ -165,25 +175,27 @@ def gated(
 
 
 def posterior(of: LawProblem, found: Learned, rounds: int = 2) -> Posterior:
-    """All poses at what was learned, linearised where it ends."""
+    """Return the posterior of all poses with the learned variances and noise, linearised where it ends."""
     x, blocks = of.start, prior_blocks(of.laws)
+    values = [found.variances[law] for law in of.laws]
     for _ in range(rounds):
         marginal, rest = _marginal(of, x, found.noise)
-        here = _posterior(of, x, rest, weigh(marginal, blocks, [found.variances[law] for law in of.laws]))
+        weighed = weigh(seen_by(marginal, blocks), blocks, values)
+        here = _posterior(of, x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
         x = here.x
     return here
 
 
 class _Rest(NamedTuple):
-    """What is not a law, integrated out: solutions (k − l, l + 1) for the laws' columns and the residual, and more."""
+    """Everything except laws, integrated out: solutions (k − l, l + 1) for the laws' columns and the residual, and more."""
 
     solved: Floats
-    covariance: Floats  # (k − l, k − l) with the laws known
-    evidence: float  # of no laws
+    covariance: Floats  # (k − l, k − l) given the laws
+    evidence: float  # without laws
 
 
 def _marginal(of: LawProblem, x: Floats, noise: PoseNoise) -> tuple[Marginal, _Rest]:
-    """What the poses say of the laws, linearised at x (P,), about no laws and the reference of the rest."""
+    """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest."""
     normals = normal_matrix(of.problem, x, of.columns, of.pose, noise)
     n, rhs, square = normals.matrix[:-1, :-1], normals.matrix[:-1, -1], float(normals.matrix[-1, -1])
     moved = (x - of.reference)[of.columns]
@@ -192,7 +204,7 @@ def _marginal(of: LawProblem, x: Floats, noise: PoseNoise) -> tuple[Marginal, _R
     rest, law = ~of.is_law, of.is_law
     weight = 1.0 / of.sigma[rest]
     inner = n[np.ix_(rest, rest)] + np.diag(weight**2)
-    scale = 1.0 / np.sqrt(np.diag(inner))  # metres and radians alike, before the condition is squared
+    scale = 1.0 / np.sqrt(np.diag(inner))  # makes metres and radians comparable before the condition is squared
     factor = scipy.linalg.cho_factor(inner * scale * scale[:, None], check_finite=False)
     right = np.column_stack([n[np.ix_(rest, law)], rhs[rest]])
     solved = scale[:, None] * scipy.linalg.cho_solve(factor, scale[:, None] * right, check_finite=False)
@@ -204,8 +216,10 @@ def _marginal(of: LawProblem, x: Floats, noise: PoseNoise) -> tuple[Marginal, _R
     return Marginal(0.5 * (a + a.T), b), _Rest(solved, inverse, evidence)
 
 
-def _posterior(of: LawProblem, x: Floats, rest: _Rest, weighed: Weighed) -> Posterior:
-    c, covariance = weighed.posterior()
+def _posterior(
+    of: LawProblem, x: Floats, marginal: Marginal, rest: _Rest, found: Coefficients, nats: float
+) -> Posterior:
+    c, covariance = found.value, found.covariance
     by_law = -rest.solved[:, :-1]
     law = of.is_law
     value, full = np.zeros(law.size), np.zeros((law.size, law.size))
@@ -216,16 +230,16 @@ def _posterior(of: LawProblem, x: Floats, rest: _Rest, weighed: Weighed) -> Post
     full[np.ix_(~law, ~law)] = rest.covariance + cross @ by_law.T
     out = x.copy()
     out[of.columns] = of.reference[of.columns] + value
-    return Posterior(out, full, weighed, rest.evidence + weighed.nats)
+    return Posterior(out, full, rest.evidence + nats, marginal.information, found.prior_root)
 
 
 def _samples(of: LawProblem, x: Floats, here: Posterior, every: int) -> list[PoseSample]:
-    """The poses' residuals at the posterior, linearised at x."""
+    """Return the poses' residuals at the posterior, linearised at x."""
     mix = unknowns_of_rows(of.problem, x, of.columns)
     step = mix @ np.append((x - here.x)[of.columns], 1.0)
     return pose_samples(of.problem, x, of.pose, step, mix[:, :-1] @ here.covariance @ mix[:, :-1].T, every)
 
 
 def _rows_used(problem: Problem) -> Indices:
-    """The rows of the table that a problem has observations of."""
+    """Return the rows of the table that a problem has observations of."""
     return np.concatenate([group.row for group in problem.groups if group.row is not None])

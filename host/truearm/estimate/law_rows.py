@@ -1,4 +1,4 @@
-"""What a fit with laws says of its rows: errors of fits without a row's pose, standardised distances, the declared noise's part."""
+"""Per-row results of a fit with laws: errors of fits without a row's pose, standardised distances, declared-noise part."""
 
 from __future__ import annotations
 
@@ -10,29 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.law_fit import LawProblem, Posterior
-from truearm.estimate.pose_noise import PoseNoise, pose_rows, unknowns_of_rows
+from truearm.estimate.pose_noise import PoseNoise, pose_rows, spread_of, unknowns_of_rows
 from truearm.estimate.whitened_rows import gate, noise_root
 from truearm.kinds.group import unit_columns
 from truearm.types import Floats, ResidualParts, Residuals
 from truearm.units import UNITS
 
-LEAST_SHARE = 1e-9  # of a pose's variance that the unknowns must leave
+LEAST_SHARE = 1e-9  # of a pose's variance that must remain after fitting the unknowns
 
 
 class LawRows(NamedTuple):
-    """Of n rows, those without a fit NaN; errors by SI unit."""
+    """Results for n rows, NaN for those without a fit; errors by SI unit."""
 
-    left_out: Residuals  # size of each row's error by a fit without its pose
-    distance: Floats  # (n,) from what is due, in standard deviations of the learned noise
+    left_out: Residuals  # magnitude of each row's error in a fit without its pose
+    distance: Floats  # (n,) from the prediction, in standard deviations of the learned noise
     beyond: NDArray[np.bool_]  # (n,) farther than one clean row in a million
-    parts: Mapping[str, ResidualParts]  # what the declared noise makes of the residuals, and what is left
+    parts: Mapping[str, ResidualParts]  # part of the residuals due to declared noise, and the rest
 
 
 def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
-    """Judge the rows that were fitted.
+    """Evaluate the fitted rows.
 
-    With a pose's residuals r, their noise R and J P Jᵀ its fit without that pose leaves R (R − J P Jᵀ)⁻¹ r, to first order
-    and with the variances as they are (``mean_error`` has it for R = I). The distance is √(rᵀ(R − J P Jᵀ)⁻¹ r) of the row.
+    With a pose's residuals r, their noise R and J P Jᵀ, the fit without that pose leaves R (R − J P Jᵀ)⁻¹ r, to first
+    order and with unchanged variances (``mean_error`` has the case R = I). The distance of a row is √(rᵀ(R − J P Jᵀ)⁻¹
+    r).
     """
     problem = of.problem
     left_out, distance = problem.no_residuals(), np.full(problem.n_rows, np.nan)
@@ -46,7 +47,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
             continue
         w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
-        spread = (poses.rows @ posterior) @ poses.rows.swapaxes(1, 2)
+        spread = spread_of(poses.rows, posterior)
         values, vectors = np.linalg.eigh(cov - spread)
         values = np.maximum(values, LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True))
         weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] / values[..., None]))[..., 0]
@@ -66,5 +67,5 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
 
 
 def _in_units(root: Floats, whitened: Floats) -> Floats:
-    """(n, w) in the components' units."""
+    """Return (n, w) in the components' units."""
     return np.asarray((root @ whitened[..., None])[..., 0])

@@ -1,6 +1,7 @@
 """Systematic errors in the residuals of a fit with joint laws: the tests of ``systematic`` under the learned noise.
 
-What the laws follow is part of what the parameters follow, so that a law is no systematic error, and their prior is what limits it.
+The laws' parameters, limited by their prior, are among the fitted parameters, so a law is not reported as a systematic
+error.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from truearm.estimate.whitened_rows import only
 from truearm.kinds.linearised import Indices
 from truearm.types import Floats, SystematicErrors
 
-MOST_NUMBERS = 2_500_000  # of the tested rows' derivatives, 20 MB; of more rows an even choice of poses is tested
+MOST_NUMBERS = 1_200_000  # of the tested rows' derivatives, 10 MB; of more, evenly spaced poses are tested
 
 
 def law_systematic(
     of: LawProblem, found: Posterior, noise: PoseNoise, how: Measured, declared: Goodness
 ) -> SystematicErrors | None:
-    """What is off beyond chance in the rows that were fitted; ``declared``: what the declared noise says of the fit.
+    """Return the systematic errors beyond chance in the fitted rows, or None if there are none.
 
-    None where nothing is off. χ² stays against the declared noise.
+    ``declared`` is the goodness of fit under the declared noise; χ² remains relative to the declared noise.
     """
     x, columns = found.x, of.columns
     problem = with_pose_noise(only(of.problem, _tested(of)), x, noise)
@@ -36,7 +37,7 @@ def law_systematic(
     seen = data.root @ prior
     lower = np.linalg.cholesky(np.eye(prior.shape[1]) + seen.T @ seen)
     root = scipy.linalg.solve_triangular(lower, prior.T, lower=True).T
-    # The step that is left: of these rows and of the prior, which pulls towards the reference.
+    # The remaining step: of these rows and of the prior, which pulls towards the reference.
     away = np.linalg.lstsq(prior, (x - of.reference)[columns], rcond=None)[0]
     left = root.T @ (data.root.T @ data.rhs) - scipy.linalg.solve_triangular(lower, away, lower=True)
     fitted = Fitted(root, left)
@@ -50,12 +51,12 @@ def law_systematic(
 
 
 def _remaining(root: Floats, rhs: Floats, fitted: Fitted) -> float:
-    """The part of χ² within the triangle's rows, once the step that is left is done."""
+    """Return the part of χ² within the triangle's rows after the remaining step."""
     return float(((rhs - root @ (fitted.root @ fitted.left)) ** 2).sum())
 
 
 def _tested(of: LawProblem) -> np.ndarray:
-    """(n_rows,) all rows, or those of an even choice of poses."""
+    """Return a mask (n_rows,) of all rows, or of those of evenly spaced poses."""
     width = max((group.sensor_cov.shape[1] for group in of.problem.groups if group.row is not None), default=1)
     most = max(1, MOST_NUMBERS // (width * int(of.columns.sum())))
     every = -(-of.pose.size // most)
@@ -64,10 +65,10 @@ def _tested(of: LawProblem) -> np.ndarray:
 
 
 def _prior_root(of: LawProblem, found: Posterior) -> Floats:
-    """W (k, r): W Wᵀ is the prior's covariance of the unknowns."""
+    """Return W (k, r), where W Wᵀ is the prior covariance of the unknowns."""
     law = np.flatnonzero(of.is_law)
     rest = np.flatnonzero(~of.is_law)
-    out = np.zeros((of.is_law.size, rest.size + found.weighed.root.shape[1]))
+    out = np.zeros((of.is_law.size, rest.size + found.prior_root.shape[1]))
     out[rest, np.arange(rest.size)] = of.sigma[rest]
-    out[law, rest.size :] = found.weighed.root
+    out[law, rest.size :] = found.prior_root
     return out

@@ -1,26 +1,29 @@
 """Levenberg–Marquardt (Goswami, Quaid, Peshkin 1993, (4)–(10)), on the square-root information.
 
-The paper's step is Δ = (JᵀJ + λI)⁻¹ Jᵀf with f = measured − computed; J is then ∂computed/∂x, the negative of what its
-(9) defines. λI depends on the units of x; here columns are scaled to length 1 first (Marquardt 1963), so that λ is a
-pure number. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the step is
+The paper's step is Δ = (JᵀJ + λI)⁻¹ Jᵀf with f = measured − computed; J is then ∂computed/∂x, the negative of the
+definition in its (9). λI depends on the units of x. Here columns are scaled to length 1 first (Marquardt 1963), so that λ
+is dimensionless. With the scaled root R D⁻¹ = U diag(s) Vᵀ and Qᵀf = z the step is
 
     Δ = D⁻¹ V diag(s / (s² + λ)) Uᵀ z ,
 
-over the singular values that are seen (``information.seen``) only: along directions that the observations cannot see x does not move,
-so a model with redundant parameters (54 where 36 can be seen) converges like one without. ``plain`` takes D = I, the
-paper's own λI, with λ counted in s_max², which makes it independent of the noise's unit but not of the parameters'.
+over the significant singular values only (``information.seen``). x does not move along null directions, so a model with
+redundant parameters (54 of which 36 are identifiable) converges like one without. ``plain`` takes D = I, the paper's own
+λI, with λ in units of s_max², which makes it independent of the unit of the noise but not of the units of the parameters.
 
-λ falls by 1000 after a step that the linearised problem foretold to 10 % and that was not refused at a smaller λ before; else it
-follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05), λ · max(1/3, 1 − (2ρ − 1)³) with ρ
-the part of the foretold gain that came, so that in a curved valley it settles at the largest step that pays
-(docs/decisions/0019-damping.md compares). It grows by 4 after a step that did not reduce χ².
+λ is divided by 1000 after a step that the linearised problem predicted to within 10 % and that was not rejected before
+at a smaller λ. Otherwise it follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05),
+λ · max(1/3, 1 − (2ρ − 1)³), where ρ is the ratio of the actual to the predicted gain. In a curved valley it thus settles
+at the largest worthwhile step (docs/decisions/0019-damping.md has a comparison). λ is multiplied by 4 after a step that
+did not reduce χ².
 
-The end: what the linearised problem still promises, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (then x
-is within some 1e-5 σ of the minimum), or below 1e-10 a residual (data without noise), or the step is rounding. Where no step reduces χ²
-any more although x is within 1e-5 σ of the minimum, the gain is lost in χ²'s rounding: that is the minimum, too.
+The iteration ends when the reduction still predicted by the linearised problem, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (x is then
+within about 1e-5 σ of the minimum) or below 1e-10 per residual (data without noise), or when the step is at rounding
+level. If no step reduces χ² any more although x is within 1e-5 σ of the minimum, the gain is lost in the rounding of χ²:
+this is the minimum, too.
 
-Where weights depend on x (joint noise, information.py), x is compared with x + Δ under the weights of x: with each
-under its own, χ² has its minimum beside the point where the gradient Jᵀ C f vanishes, and no step would reach that.
+Where weights depend on x (joint noise, information.py), x and x + Δ are compared under the weights of x. If each had its
+own weights, the minimum of χ² would not coincide with the point where the gradient Jᵀ C f vanishes, and no step would
+reach that point.
 """
 
 from __future__ import annotations
@@ -37,18 +40,18 @@ from truearm.types import Floats
 DAMPING_START = 1e-4
 DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
-REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that 10 needs, with the rule above
+REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that it needs with 10, with the rule above
 STRAIGHT = 1e-3
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
 ROUNDING_END = (
-    1e-5  # σ; far below what any estimate tells, far above χ²'s rounding for residuals of metres over micrometres
+    1e-5  # σ; far below the precision of any estimate, far above χ²'s rounding for residuals of metres over micrometres
 )
 
 
 class Minimum(NamedTuple):
-    """Where the iteration ended; ``status`` is "converged", "max_iterations" or "stalled"."""
+    """The end point of the iteration; ``status`` is "converged", "max_iterations" or "stalled"."""
 
     x: Floats  # (k,)
     status: str
@@ -68,12 +71,12 @@ def minimise(
     cost: Callable[[Floats, Floats], float] | None = None,
     move: Step = added,
 ) -> Minimum:
-    """Minimise χ² = fᵀf from x (k,). ``linearise`` gives root, Qᵀf and χ² at an x; ``on_step`` hears of each step.
+    """Minimise χ² = fᵀf from x (k,).
 
-    ``damping`` 0 begins with full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns.
-    ``cost(there, here)`` is χ² at ``there`` with the weights of ``here``; needed only where weights depend on x.
-    ``move(x, Δ)`` is where a step leads.
-    An iteration is an accepted step. Not to converge is a status, not an exception.
+    ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``damping`` 0 starts with
+    full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns. ``cost(there, here)`` is χ² at
+    ``there`` with the weights of ``here``; needed only if weights depend on x. ``move(x, Δ)`` is the point that a step
+    leads to. An iteration is an accepted step. Failure to converge is a status, not an exception.
     """
     here = linearise(x)
     for iteration in range(max_iterations + 1):
@@ -94,12 +97,12 @@ def minimise(
         unit = parts.singular[0] ** 2 if plain else 1.0
         refused = False
         while True:
-            delta, foretold = step(parts, promised, damping * unit)
+            delta, predicted = step(parts, promised, damping * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 goal = move(x, delta)
                 there = linearise(goal)
                 chi2 = there.chi2 if cost is None else cost(goal, x)
-            if chi2 < here.chi2:  # False for a step so wild that χ² is no number
+            if chi2 < here.chi2:  # False for a diverging step with a NaN χ²
                 break
             refused = True
             damping = after_refusal(damping)
@@ -107,41 +110,42 @@ def minimise(
                 if promised @ promised <= ROUNDING_END**2:
                     return Minimum(x, "converged", "what a step promises is lost in rounding", iteration, here)
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
-        gain = (here.chi2 - chi2) / foretold
+        gain = (here.chi2 - chi2) / predicted
         damping = after_step(damping, gain, refused)
         x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
-    return Minimum(x, "max_iterations", f"not converged after {max_iterations} iterations", max_iterations, here)
+    return Minimum(x, "max_iterations", f"{max_iterations} iterations were not enough", max_iterations, here)
 
 
 def after_refusal(damping: float) -> float:
-    """λ after a step that did not reduce χ²."""
+    """Return λ after a step that did not reduce χ²."""
     return max(damping * REFUSED, DAMPING_MIN if damping else DAMPING_START)
 
 
 def after_step(damping: float, gain: float, refused: bool) -> float:
-    """λ after a step of which ``gain``, a part of the foretold reduction, came; ``refused``: a smaller λ was tried before."""
+    """Return λ after a step that achieved the part ``gain`` of the predicted reduction; ``refused``: a smaller λ failed."""
+    gain = min(gain, 1.0)  # if almost no gain was predicted, a larger ratio means only that the model was correct
     damping *= STRAIGHT if gain > 0.9 and not refused else max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
     return max(damping, DAMPING_MIN) if damping else 0.0
 
 
 def _unscaled(root: Floats) -> Spectrum:
-    """The root decomposed as it is, for damping by λI."""
+    """Return the decomposition of the unscaled root, for damping by λI."""
     u, singular, vt = np.linalg.svd(root)
     return Spectrum(u, singular, vt, np.ones(root.shape[1]))
 
 
 def promise(parts: Spectrum, rhs: Floats) -> Floats:
-    """Uᵀz on the directions that are seen, zero elsewhere; its square is the reduction of χ² that is left."""
+    """Return Uᵀz on the identifiable directions, zero elsewhere; its square is the remaining reduction of χ²."""
     return np.where(seen(parts), parts.u.T @ rhs, 0.0)
 
 
 def step(parts: Spectrum, promised: Floats, damping: float) -> tuple[Floats, float]:
-    """Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem foretells."""
+    """Return Δ (k,) for a damping λ, and the reduction of χ² that the linearised problem predicts."""
     some = promised != 0.0
     filtered = np.zeros_like(promised)
     filtered[some] = parts.singular[some] / (parts.singular[some] ** 2 + damping) * promised[some]
     left = promised - parts.singular * filtered
-    foretold = float(promised @ promised - left @ left)
-    return (parts.vt.T @ filtered) / parts.scale, max(foretold, np.finfo(float).tiny)
+    predicted = float(promised @ promised - left @ left)
+    return (parts.vt.T @ filtered) / parts.scale, max(predicted, np.finfo(float).tiny)

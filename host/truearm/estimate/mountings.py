@@ -1,20 +1,26 @@
-"""What was mounted at each dwell of a ball-bar session, from all that speaks of it, as a probability.
+"""Probability of what was mounted at each dwell of a ball-bar session, from all available evidence.
 
-The hidden state of a dwell is a pairing of the rig (bar, chuck, sphere), or something that the rig does not have. It changes as operators change
-it: mostly where the plan asks for it, now and then not at all, too late, or to something else, mostly with one wrong part (``transition``). What was typed
-is a witness of what is mounted from then on, wrong once in a while (TYPED), but not where it repeats the plan: Enter confirms what was asked for, whatever is in hand. The reading is the other witness: what the sensor shows against what each pairing predicts; a
-sensor beyond its stroke speaks against every pairing that should be within it. One dwell cannot decide, with a nominal robot another pairing often
-fits as well. Runs of dwells can, which is what the forward-backward algorithm of a hidden Markov model weighs (Rabiner 1989, Proc. IEEE 77, III-B).
+The hidden state of a dwell is a pairing of the rig (bar, chuck, sphere), or something that is not in the rig. It
+changes as operators change it: mostly where the plan asks for it, sometimes not at all, too late, or to something else,
+mostly with one wrong part (``transition``). What the operator typed is evidence of what is mounted from then on, wrong
+occasionally (TYPED). It does not count where it repeats the plan: Enter confirms the request, whatever is in hand. The
+reading is the other evidence: the sensor value compared with the prediction for each pairing. A sensor beyond its
+stroke is evidence against every pairing that should be within it. A single dwell is not decisive, because with a
+nominal robot another pairing often fits as well. Runs of dwells are, and the forward-backward algorithm of a hidden
+Markov model weighs them (Rabiner 1989, Proc. IEEE 77, III-B).
 
-The nominal robot predicts to some millimetres or centimetres, with errors that neighbouring poses share. So the robot is fitted meanwhile: its
-parameters, with a Gaussian prior about the nominal ones, linearised, from the dwells by the probability of their pairing. A dwell is judged by the
-fit without the run that it belongs to, else a wrong run would confirm itself; within a run each dwell is judged given the one before, since a
-prediction that is off by a common amount still predicts the difference. The covariance of that fit is the uncertainty of its prediction, widened where
-the usual misfit is larger. Fit and judgement alternate, with a noise that falls from NOISE's first to its last value, so that what is still labelled
-wrongly cannot bend the first fits (deterministic annealing).
+The nominal robot predicts to a few millimetres or centimetres, with errors shared by neighbouring poses. The robot is
+therefore fitted at the same time: its parameters, linearised and with a Gaussian prior about the nominal ones, are
+fitted to the dwells weighted by the probability of their pairing. A dwell is judged by the fit without the run that it
+belongs to; otherwise a wrong run would confirm itself. Within a run each dwell is judged given the one before, since a
+prediction with a common error still predicts the difference. The covariance of that fit is the uncertainty of its
+prediction, increased where the usual misfit is larger. Fit and judgement alternate, with a noise that falls from the
+first to the last value of NOISE, so that remaining wrong labels cannot distort the first fits (deterministic
+annealing).
 
-How far off the robot is nobody knows: there are two priors, the weak and the wide one. Each fit predicts dwells that it has not seen, and the product of
-these densities over the session is its evidence (the pseudo-marginal likelihood: Geisser & Eddy 1979, JASA 74, 153). The labels of both count by their evidence.
+The size of the robot's errors is unknown, so there are two priors, the weak and the wide one. Each fit predicts dwells
+that it was not fitted to, and the product of these densities over the session is its evidence (the pseudo-marginal
+likelihood: Geisser & Eddy 1979, JASA 74, 153). The labels of both are weighted by their evidence.
 """
 
 from __future__ import annotations
@@ -32,19 +38,20 @@ from scipy.linalg import cho_factor, cho_solve
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import build_problem
 from truearm.model.chain import Chain
+from truearm.progress import steps_of
 from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-# How operators change what is mounted, as probabilities. Nothing depends on their second digit.
+# How operators change what is mounted, as probabilities. The result is insensitive to the second digit.
 DONE = 0.9  # the plan asks for another pairing, and it is mounted
-FORGOTTEN = 0.05  # the old one stays
-PUT_RIGHT = 0.1  # at a dwell where the plan asks for nothing new, what is not as planned is mounted as planned
-UNASKED = 2e-3  # something else, at any dwell
-FOREIGN = 1e-3  # something that the rig does not have
-ANOTHER_PART = 0.1  # what is mounted wrongly differs in one part, and in each further one so often
+FORGOTTEN = 0.05  # the old one remains
+PUT_RIGHT = 0.1  # at a dwell where the plan asks for nothing new, a wrong mounting is corrected to the planned one
+UNASKED = 2e-3  # anything else, at any dwell
+FOREIGN = 1e-3  # something that is not in the rig
+ANOTHER_PART = 0.1  # a wrong mounting differs in one part, and with this probability in each further part
 TYPED = (
     20.0  # how much likelier a pairing that the plan does not ask for is named when it is mounted than when it is not
 )
@@ -63,43 +70,46 @@ NOISE = (
     3e-4,
     3e-4,
 )  # m, of a reading about the fitted robot, round by round
-TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off without being of another pairing
-SOFT = 2.5  # σ, beyond which a reading counts for less in the fit (Cauchy's loss)
-LOST = 0.02  # a sensor whose bar is within its stroke is beyond it all the same
-# m, rad and 1: σ of what the rig says is unknown. It is described all the same: were a chuck farther off than the travel that a plan keeps in
-# reserve (22 mm), the bar would leave its stroke.
+TAIL, TAIL_SIGMAS = 0.01, 10.0  # a reading may be off although the pairing is correct
+SOFT = 2.5  # σ, beyond which a reading has less weight in the fit (Cauchy's loss)
+LOST = 0.02  # a sensor is beyond its stroke although the bar is within
+# m, rad and 1: σ of rig values declared as unknown. They are described nevertheless: if a chuck were farther off than
+# the travel that a plan keeps in reserve (22 mm), the bar would leave its stroke.
 DIFFUSE = 0.02
 MOST_PAIRINGS = 150
-MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out where the fit misses by so much more than it claims
+MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out if the fit misses by this factor more than predicted
 
-SURE = 0.998  # the least probability of a label that is used by the evidence alone
-SETTLED = 0.9  # where all labels have so much, the fit to them is not tried again
-FITS = 0.999  # where a label that plan and operator agree on has less, all evidence is asked
-BORNE_OUT = 0.97  # the least probability of such a label, by all evidence, if the readings lower it
+SURE = 0.998  # minimum probability of a label based on the evidence alone
+SETTLED = 0.9  # if all labels have at least this, the fit to them is not retried
+FITS = 0.999  # if a label on which plan and operator agree has less, all evidence is used
+BORNE_OUT = 0.97  # minimum probability of such a label, by all evidence, if the readings lower it
 
 
 @dataclass(frozen=True)
 class Readings:
-    """The dwells of a session in their order."""
+    """The dwells of a session, in order."""
 
     q: Floats  # (n, j) rad or m
-    extension: Floats  # (n,) m, of the sensor; NaN: there is no reading
-    beyond: Mask  # (n,) there is none since the sensor is beyond its stroke
+    extension: Floats  # (n,) m, of the sensor; NaN: no reading
+    beyond: Mask  # (n,) no reading because the sensor is beyond its stroke
 
     @property
     def read(self) -> Mask:
-        """(n,) whether there is a reading."""
+        """Return a mask (n,) of dwells with a reading."""
         return np.isfinite(self.extension)
 
     def take(self, part: slice) -> Readings:
-        """Some of the dwells."""
+        """Return some of the dwells."""
         return Readings(self.q[part], self.extension[part], self.beyond[part])
 
 
 @dataclass(frozen=True)
 class Words:
-    """What is said of each of n dwells: ``planned``, the pairings that the plan may have had mounted, () where it says nothing;
-    ``typed``, what was named since the dwell before, in order."""
+    """What plan and operator state about each of n dwells.
+
+    ``planned``: the pairings that the plan may have mounted, () if unknown. ``typed``: what was entered since the dwell
+    before, in order.
+    """
 
     planned: Sequence[Sequence[Pairing]]
     typed: Sequence[Sequence[Pairing]]
@@ -107,22 +117,25 @@ class Words:
 
 @dataclass(frozen=True)
 class Mountings:
-    """``probability`` (n, k + 1) of each of the k ``pairings`` at each dwell, the last column that of none of them; ``by_words``: by
-    plan and words without the readings."""
+    """The probability of each mounting at each dwell.
+
+    ``probability`` (n, k + 1) is that of each of the k ``pairings`` at each dwell, with a last column for none of them.
+    ``by_words`` is the same from plan and operator input, without the readings.
+    """
 
     pairings: tuple[Pairing, ...]
     probability: Floats
     by_words: Floats
 
     def sure(self) -> list[Pairing | None]:
-        """The pairing of each dwell, None where none is as probable as SURE."""
+        """Return the pairing of each dwell, None where no pairing is as probable as SURE."""
         best = self.probability[:, :-1].argmax(axis=1)
         return [
             self.pairings[k] if p[k] >= SURE else None for k, p in zip(best.tolist(), self.probability, strict=True)
         ]
 
     def bears_out(self, dwell: int, label: Pairing) -> bool:
-        """Whether a label that plan and operator agree on stands: it is sure enough, or the readings do not speak against it."""
+        """Return whether a label on which plan and operator agree holds: it is certain enough, or not contradicted."""
         if label not in self.pairings:
             return False
         k = self.pairings.index(label)
@@ -130,9 +143,9 @@ class Mountings:
 
 
 def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> Mountings:
-    """What was mounted at each dwell. ``free`` (p,): the robot's parameters that are fitted.
+    """Return what was mounted at each dwell. ``free`` (p,): the robot's parameters that are fitted.
 
-    Raises ProblemError where dwells and robot do not go together.
+    Raises ProblemError if dwells and robot are inconsistent.
     """
     pairings = candidates(rig, words)
     transitions, told = _course(words, pairings)
@@ -146,15 +159,15 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:
-    """(n,) probability that each dwell is of the pairing that it is said to be of, and not of anything else.
+    """Return the probability (n,) that each dwell belongs to the pairing of its label, and not to anything else.
 
-    Raises ProblemError where dwells and robot do not go together.
+    Raises ProblemError if dwells and robot are inconsistent.
     """
     changed = [True, *(a != b for a, b in pairwise(labels))]
     steps = [np.array([[DONE, 1.0 - DONE]] * 2), np.array([[1.0 - UNASKED, UNASKED], [PUT_RIGHT, 1.0 - PUT_RIGHT]])]
     transitions, told = [steps[0] if new else steps[1] for new in changed], np.zeros((len(labels), 2))
     weak, wide = weak_prior(chain), wide_prior(chain)
-    # where nothing is wrong nothing bends the first fit
+    # if nothing is wrong, nothing distorts the first fit
     for prior, noise in ((weak, NOISE[-3:]), (wide, NOISE[-3:]), (weak, NOISE), (wide, NOISE)):
         fit = _Fit(chain, rig, readings, [[label] for label in labels], free, prior)
         probability, _ = _annealed(fit, transitions, told, noise)
@@ -165,7 +178,7 @@ def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[P
 
 
 def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
-    """All pairings of a rig; of one with very many, those that plan or operator name."""
+    """Return all pairings of a rig; for a rig with very many, those named by plan or operator."""
     every = tuple(product(rig.bars, rig.chucks, rig.spheres))
     if len(every) <= MOST_PAIRINGS:
         return every
@@ -176,12 +189,12 @@ def candidates(rig: Rig, words: Words) -> tuple[Pairing, ...]:
 def _annealed(
     fit: _Fit, transitions: Sequence[Floats], told: Floats, noise: Sequence[float] = NOISE
 ) -> tuple[Floats, float]:
-    """(n, k + 1) probabilities of the states, the fit and the labels settled together under a noise [m] that falls, and their evidence."""
+    """Return state probabilities (n, k + 1) and their evidence, from fit and labels alternated under decreasing noise [m]."""
     nothing = np.zeros_like(told)
     probability, evidence = posterior(transitions, told, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
-    for fit.noise in noise:
+    for fit.noise in steps_of(noise, "settling what was mounted"):
         seen = fit.judge(probability)
         probability, evidence = posterior(transitions, told, *fit.densities(seen))
         fit.move(probability, seen)
@@ -195,7 +208,7 @@ def _annealed(
 
 
 def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Floats]:
-    """The transition to each dwell, the first from anything, and (n, k + 1) what the operator's words add to the log-likelihood."""
+    """Return the transition to each dwell (the first from anything), and (n, k + 1) the log-likelihood of operator input."""
     number = {pairing: i for i, pairing in enumerate(pairings)}
     told = np.zeros((len(words.planned), len(pairings) + 1))
     wrong = mistakes(pairings)
@@ -207,17 +220,17 @@ def _course(words: Words, pairings: Sequence[Pairing]) -> tuple[list[Floats], Fl
         now = said if follows_words else [number[pairing] for pairing in planned if pairing in number]
         if follows_words or not set(said) <= set(
             now
-        ):  # who has a wrong part in hand confirms what was asked for all the same
+        ):  # an operator with a wrong part in hand confirms the request anyway
             told[i, said] += np.log(TYPED)
         asked = bool(now) and set(now) != set(wanted)
         wanted = now or wanted
         transitions.append(transition(wrong, wanted, asked))
-    transitions[0][:] = transitions[0][:-1].mean(axis=0)  # what was mounted before the first dwell is of the rig
+    transitions[0][:] = transitions[0][:-1].mean(axis=0)  # what was mounted before the first dwell belongs to the rig
     return transitions, told
 
 
 def mistakes(pairings: Sequence[Pairing]) -> Floats:
-    """(k, k) how probable it is that each pairing is mounted by mistake in place of each that is wanted (row)."""
+    """Return (k, k) the probability that each pairing is mounted by mistake instead of the wanted one (row)."""
     parts = np.array(pairings)
     differing = (parts[:, None] != parts).sum(axis=2)
     share = np.where(differing > 0, ANOTHER_PART ** (differing - 1.0), 0.0)
@@ -225,8 +238,11 @@ def mistakes(pairings: Sequence[Pairing]) -> Floats:
 
 
 def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
-    """(k + 1, k + 1) from what was mounted to what is, where ``wanted`` are the pairings that the plan may want and ``asked``
-    says whether it wants them from this dwell on; ``wrong`` (k, k): ``mistakes``."""
+    """Return probabilities (k + 1, k + 1) of the transition from the old to the new mounting.
+
+    ``wanted`` are the pairings that the plan may want, and ``asked`` is whether it wants them from this dwell on;
+    ``wrong`` (k, k): ``mistakes``.
+    """
     k = len(wrong)
     out = np.full((k + 1, k + 1), UNASKED / k)
     out[:, k] = FOREIGN
@@ -245,10 +261,11 @@ def transition(wrong: Floats, wanted: Sequence[int], asked: bool) -> Floats:
 
 
 def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed: Floats) -> tuple[Floats, float]:
-    """(n, s) probability of each state at each dwell, by the forward-backward algorithm, and the evidence: the log-likelihood of all dwells.
+    """Return the probability (n, s) of each state at each dwell (forward-backward algorithm), and the log-likelihood.
 
-    ``transitions`` (s, s) to each dwell, of the first the mean over all states; ``told`` (n, s) log-likelihoods of the words; ``came`` (n, s) those of
-    the readings where another state was before, ``stayed`` where the same was.
+    ``transitions`` (s, s) lead to each dwell, the first from the mean over all states. ``told`` (n, s) are
+    log-likelihoods of the operator input; ``came`` (n, s) those of the readings if the state changed before, ``stayed``
+    if it did not.
     """
     top = np.maximum(came, stayed).max(axis=1, keepdims=True)
     came, stayed = np.exp(came - top + told), np.exp(stayed - top + told)
@@ -273,9 +290,9 @@ def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed:
 
 
 class _Seen(NamedTuple):
-    """How the readings miss the predictions of the candidates, by the fit without the run of the dwell [m], all (n, k).
+    """Differences between readings and predictions for the candidates, by the fit without the dwell's run [m], all (n, k).
 
-    ``after``, ``after_sigma``: given the dwell before, in the same state; NaN where there is none.
+    ``after``, ``after_sigma``: given the dwell before, in the same state; NaN if there is none.
     """
 
     misfit: Floats
@@ -285,9 +302,9 @@ class _Seen(NamedTuple):
 
 
 class _Fit:
-    """The robot that the dwells show, linearised about its parameters so far.
+    """The robot fitted to the dwells, linearised about its current parameters.
 
-    ``candidates``: the k pairings that each dwell may be of; ``prior`` (p,): σ of the robot's parameters.
+    ``candidates``: the k pairings that each dwell may belong to; ``prior`` (p,): σ of the robot's parameters.
     """
 
     def __init__(
@@ -318,8 +335,8 @@ class _Fit:
         self.prior = 1.0 / np.minimum(self.problem.prior_sigma[self.columns], DIFFUSE) ** 2
         self.x = self.problem.start.copy()
         self.widened = 1.0
-        self.left_out = np.zeros(self.n, dtype=bool)  # of the fit, as they may be wrong
-        self.soft = np.ones(self.n)  # what Cauchy's loss leaves of each dwell
+        self.left_out = np.zeros(self.n, dtype=bool)  # of the fit, because they may be wrong
+        self.soft = np.ones(self.n)  # weight of each dwell in Cauchy's loss
         self._linearise()
 
     def _linearise(self) -> None:
@@ -331,7 +348,7 @@ class _Fit:
         self.residual, self.jac = residual.reshape(self.n, self.k), jac.reshape(self.n, self.k, -1)
 
     def _weighted(self, probability: Floats) -> tuple[Indices, Floats]:
-        """The likeliest candidate of each dwell, and (n,) its weight in the fit [1/m²], 0 where it is not likely."""
+        """Return the most probable candidate of each dwell, and its weight in the fit (n,) [1/m²], 0 where improbable."""
         best = probability[:, : self.k].argmax(axis=1)
         likely = probability[np.arange(self.n), best]
         return best, np.where(
@@ -339,7 +356,7 @@ class _Fit:
         ) / self.noise**2
 
     def _normal(self, best: Indices, weight: Floats) -> tuple[Floats, Floats]:
-        """Information and right-hand side of the prior and all dwells."""
+        """Return information and right-hand side of the prior and all dwells."""
         rows = np.arange(self.n)
         weighted = self.jac[rows, best] * weight[:, None]
         info = np.diag(self.prior) + weighted.T @ self.jac[rows, best]
@@ -347,7 +364,7 @@ class _Fit:
         return info, self.prior * away + weighted.T @ self.residual[rows, best]
 
     def move(self, probability: Floats, seen: _Seen) -> None:
-        """Fit to all dwells, by the probability of their candidates."""
+        """Fit to all dwells, weighted by the probability of their candidates."""
         best, _ = self._weighted(probability)
         rows = np.arange(self.n)
         self.soft = 1.0 / (1.0 + (seen.misfit[rows, best] / (SOFT * seen.sigma[rows, best])) ** 2)
@@ -356,9 +373,9 @@ class _Fit:
         self._linearise()
 
     def suspect(self, probability: Floats, seen: _Seen) -> bool:
-        """Leave the run that misses most out of the fit while the fit is worse than its noise; whether one was left out.
+        """Leave the run with the largest misfit out while the fit is worse than its noise; return whether one was left out.
 
-        Half of the readings stay: a run can be held against the others only where they are the majority.
+        Half of the readings remain: a run can be checked against the others only if they are the majority.
         """
         if self.widened < WIDENED:
             return False
@@ -375,14 +392,14 @@ class _Fit:
         return True
 
     def judge(self, probability: Floats) -> _Seen:
-        """Hold each dwell against the fit without its run."""
+        """Compare each dwell with the fit without its run."""
         best, weight = self._weighted(probability)
         rows = np.arange(self.n)
         jac, residual = self.jac[rows, best], self.residual[rows, best]
         info, rhs = self._normal(best, weight)
 
         def without(out: slice, used: slice) -> tuple[Floats, Floats]:
-            """(m, k) misfits of some dwells by the fit without others, and (m, k, p) their derivatives, whitened by its covariance."""
+            """Return misfits (m, k) of some dwells by the fit without others, and their whitened derivatives (m, k, p)."""
             less = jac[out] * weight[out, None]
             root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[out]))
             delta = root.T @ (root @ (rhs - less.T @ residual[out]))
@@ -406,7 +423,7 @@ class _Fit:
         return seen
 
     def _condition(self, seen: _Seen, part: slice, misfit: Floats, along: Floats) -> None:
-        """Note what the dwells of a part miss, each given the one before in it."""
+        """Record the misfits of the dwells of a part, each given the one before in it."""
         variance = (along**2).sum(axis=2) + self.noise**2
         ratio = (along[1:] * along[:-1]).sum(axis=2) / variance[:-1]
         both = (self.readings.read[part][1:] & self.readings.read[part][:-1])[:, None]
@@ -415,7 +432,7 @@ class _Fit:
         seen.after_sigma[later] = np.sqrt(np.maximum(variance[1:] - ratio**2 * variance[:-1], self.noise**2))
 
     def densities(self, seen: _Seen) -> tuple[Floats, Floats]:
-        """(n, k + 1) log-likelihoods [1/m] of what each dwell shows, where another state was before, and where the same was."""
+        """Return log-likelihoods (n, k + 1) [1/m] of each dwell's reading, if the state changed before and if it did not."""
         k, read, beyond = self.k, self.readings.read, self.readings.beyond & ~self.readings.read
         came = np.zeros((self.n, k + 1))
         came[read, :k] = log_density(seen.misfit[read], seen.sigma[read], seen.sigma[read])
@@ -432,7 +449,7 @@ class _Fit:
 
 
 def log_density(misfit: Floats, sigma: Floats, wide: Floats) -> Floats:
-    """Of a reading that misses its prediction by so much: a normal distribution of ``sigma``, with a foot by ``wide``."""
+    """Return the log density of a misfit: a normal distribution of ``sigma`` plus a wide tail of ``wide``."""
 
     def normal(s: Floats) -> Floats:
         return np.asarray(-0.5 * (misfit / s) ** 2 - np.log(s) - 0.5 * np.log(2.0 * np.pi))
@@ -441,7 +458,7 @@ def log_density(misfit: Floats, sigma: Floats, wide: Floats) -> Floats:
 
 
 def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> float:
-    """Widen σ where the usual misfit of the likeliest candidates of some rows is larger than it; by how much."""
+    """Increase σ if the usual misfit of some rows' most probable candidates is larger; return the factor."""
     ratio = np.abs(misfit[rows, best[rows]]) / sigma[rows, best[rows]]
     if not np.isfinite(ratio).any():
         return 1.0
@@ -451,6 +468,6 @@ def widen(misfit: Floats, sigma: Floats, rows: Indices, best: Indices) -> float:
 
 
 def runs(labels: Indices) -> list[slice]:
-    """Runs of equal labels (n,)."""
+    """Return the runs of equal labels (n,)."""
     edges = (np.flatnonzero(np.diff(labels)) + 1).tolist()
     return [slice(a, b) for a, b in pairwise([0, *edges, len(labels)])]

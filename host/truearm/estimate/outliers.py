@@ -1,11 +1,11 @@
-"""Single bad rows: left out of a least-squares fit one after the other, by what all other rows say of them.
+"""Outlying rows, left out of a least-squares fit one after the other according to their prediction by all other rows.
 
-A bad row pushes its neighbours beyond the gate, so those beyond it in the first fit are too many. As in the recursive
-solver, of the rows beyond the gate only those leave in one round that are no nearer than half the farthest; then the rest is
-fitted again, and rows that have come back within the gate return. In the end the list holds the bad rows alone.
+An outlier pushes its neighbours beyond the gate, so the first fit flags too many rows. As in the recursive solver, each
+round leaves out only those rows beyond the gate that are at least half as far as the farthest. The rest is then fitted
+again, and rows that are back within the gate return. The final list holds only the outliers.
 
-That holds for single rows. If more than MOST of all rows leave, or more than LONGEST_RUN of them that follow each other, it
-is not the rows that are bad but the model: something moved, a label is wrong, or the noise is not what was declared.
+This works for individual rows. If more than MOST of all rows are left out, or more than LONGEST_RUN consecutive ones,
+the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared.
 """
 
 from __future__ import annotations
@@ -18,22 +18,64 @@ from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.problem import Problem
 from truearm.estimate.recursive import within
 from truearm.estimate.solution import Options, Solution
-from truearm.estimate.whitened_rows import only, squared_distances
+from truearm.estimate.whitened_rows import only, squared_distances, whitened_blocks
+from truearm.types import Floats
 
 MOST = 0.05  # of the rows
 LONGEST_RUN = 3
 MAX_ROUNDS = 50
+GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
+GROSS_ROUNDS = 5
+
+Mask = NDArray[np.bool_]
+
+
+def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats]:
+    """Return the rows (n_rows,) to exclude from the start of a fit, and x (P,) without them.
+
+    ``x`` is a fit of x[columns] to all rows. No row is gross if there are too many, or too many in sequence, for
+    outliers.
+    """
+    gross, there = np.zeros(problem.n_rows, dtype=bool), x
+    for _ in range(GROSS_ROUNDS):
+        size = _times_the_median(problem, there, columns, gross)
+        found = size > GROSS
+        if np.array_equal(found, gross):
+            break
+        if not _single(found):
+            return np.zeros(problem.n_rows, dtype=bool), x
+        gross = found
+        if columns.any():
+            there = fit(only(problem, ~gross), columns, there, Options()).x
+    return gross, there
+
+
+def _times_the_median(problem: Problem, x: Floats, columns: Mask, gross: Mask) -> Floats:
+    """Return each row's whitened residual (n_rows,) over the median of those of its kind that are not gross."""
+    size = np.zeros(problem.n_rows)
+    for part in whitened_blocks(problem, x, columns):
+        if part.row is not None:
+            length = np.linalg.norm(part.residual, axis=1)
+            others = length[~gross[part.row]]
+            usual = float(np.median(others)) if others.size else 0.0
+            size[part.row] = length / usual if usual > 0.0 else 0.0
+    return size
+
+
+def _single(bad: Mask) -> bool:
+    """Return whether so many of all rows can be outliers."""
+    return bool(bad.sum() <= MOST * bad.size) and _longest_run(bad) <= LONGEST_RUN
 
 
 def without_outliers(
-    problem: Problem, columns: NDArray[np.bool_], found: Solution, options: Options
+    problem: Problem, columns: Mask, found: Solution, options: Options, gross: Mask
 ) -> Solution | None:
-    """Return the fit without bad rows, which have weight 0 in it; None where there are none, or where the model is wrong.
+    """Return the fit without outliers, which have weight 0 in it; None if there are none, or if the model is wrong.
 
-    ``found`` is a converged least-squares fit of all rows over x[columns].
+    ``found`` is a converged least-squares fit over x[columns] of all rows except those that are ``gross`` (n_rows,).
     """
     n = problem.n_rows
-    used = np.ones(n, dtype=bool)
+    used = ~gross
     options = options._replace(on_step=None)
     here, seen_sets = found, set()
     for _ in range(MAX_ROUNDS):
@@ -51,7 +93,7 @@ def without_outliers(
             return None
     else:
         return None
-    if used.all() or _longest_run(~used) > LONGEST_RUN:
+    if used.all() or not _single(~used):
         return None
     information = here.information._replace(residual=observe(problem, here.x, columns).residual)
     return here._replace(
@@ -59,7 +101,7 @@ def without_outliers(
     )
 
 
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    """The most of them that follow each other."""
+def _longest_run(flags: Mask) -> int:
+    """Return the length of the longest run of set flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))

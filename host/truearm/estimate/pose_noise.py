@@ -1,9 +1,10 @@
-"""Noise a pose, beyond what is declared: R = m·I + p·T Tᵀ + q·C Cᵀ of whitened rows.
+"""Noise per pose in addition to the declared noise: R = m·I + p·T Tᵀ + q·C Cᵀ for whitened rows.
 
-Rows are whitened by their declared covariance first, so m is a factor on it: 1 where the sensors are what they are said to
-be. With T = ∂(rows)/∂(a translation of the end) and C = ∂(rows)/∂(joint readings), p [m²] is a displacement of the end that
-all rows of a pose share, q [rad²] an error of every joint's own. The three are learned by their evidence (``learned_noise``):
-a model error that a pose's rows share would else pass for information, and joint laws for what is noise of the arm.
+Rows are first whitened by their declared covariance, so m is a factor on it: 1 where the sensors are as declared. With
+T = ∂(rows)/∂(a translation of the end) and C = ∂(rows)/∂(joint readings), p [m²] is the variance of a displacement of
+the end shared by all rows of a pose, and q [rad²] that of an independent error of each joint. The three are learned by
+their evidence (``learned_noise``). Without them, a model error shared by the rows of a pose would count as information,
+and noise of the arm would be fitted by joint laws.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from truearm.kinds.linearised import Indices
 from truearm.model.constant_folding import folded
 from truearm.types import Floats
 
-CHUNK = 1_000_000  # numbers of a chunk's rows: 8 MB
-SMALLEST_SHARE = 0.01  # of the rows left to a part of the noise, however much the unknowns spend
+CHUNK = 1_000_000  # numbers per chunk of rows: 8 MB
+SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb
 SETTLED = 1e-3  # relative change of the variances from step to step
 LEAST_FACTOR = 1e-6  # on the declared variances
-LARGEST_POSE = 24  # observations of one pose; of more each run of so many counts as one
-FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that see a translation of the end
+LARGEST_POSE = 24  # observations of one pose; of more, each run of this many counts as one
+FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that depend on a translation of the end
 
 
 class PoseNoise(NamedTuple):
@@ -39,9 +40,9 @@ class PoseNoise(NamedTuple):
 
 
 class PoseRows(NamedTuple):
-    """n poses of w whitened residuals each, as many rows of the table a pose."""
+    """n poses with w whitened residuals each, and equally many rows of the table per pose."""
 
-    group: Group  # pose by pose; of knowledge (``row`` None) the noise is as declared
+    group: Group  # pose by pose; for knowledge (``row`` None) the noise is as declared
     declared: Floats  # (n·rows a pose, …) the rows' covariances, as ``residual_noise`` has them
     rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
     by_joints: Floats  # (n, w, j)
@@ -64,14 +65,17 @@ class PoseRows(NamedTuple):
 
 
 class Normals(NamedTuple):
-    """[J|f]ᵀ R⁻¹ [J|f] (k + 1, k + 1), and the log determinant of R."""
+    """The normal matrix [J|f]ᵀ R⁻¹ [J|f] (k + 1, k + 1), and the log determinant of R."""
 
     matrix: Floats
     logdet: float
 
 
 def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[PoseRows]:
-    """All poses (``pose`` (n_rows,): their numbers) linearised at x, or each ``every``-th, in chunks of as many rows a pose."""
+    """Return all poses, or every ``every``-th, linearised at x, in chunks with equally many rows per pose.
+
+    ``pose`` (n_rows,) holds the numbers of the poses.
+    """
     width = len(folded(problem.chain, x[: problem.n_robot]).twists) + len(problem.names) - problem.n_robot + 1
     for group in problem.groups:
         for piece, count in _pieces(group, pose, width, every):
@@ -79,7 +83,7 @@ def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Ite
 
 
 def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tuple[Group, int]]:
-    """Some of a group's observations, pose by pose, and how many of them a pose has."""
+    """Yield some of a group's observations, pose by pose, and the number of them per pose."""
     if group.row is None:
         yield group, 1
         return
@@ -111,7 +115,7 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> PoseRows
 
 
 def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
-    """The problem with this noise, at x (P,), in place of the declared one; what the rows of a pose share is in each row alone."""
+    """Return the problem with this noise at x (P,) instead of the declared one; shared noise is added to each row alone."""
     groups = []
     for group in problem.groups:
         if group.row is None:
@@ -131,7 +135,7 @@ def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
 
 
 def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise) -> Normals:
-    """The observations' information on x[columns] and the residual, at x under a noise."""
+    """Return the observations' information on x[columns] and the residual, at x with the given noise."""
     mix = unknowns_of_rows(problem, x, columns)
     total, logdet = np.zeros((len(mix), len(mix))), 0.0
     for poses in pose_rows(problem, x, pose):
@@ -144,7 +148,7 @@ def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose:
 
 
 def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Floats:
-    """(b + r + 1, k + 1): ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
+    """Return (b + r + 1, k + 1): ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
     b, p = twists.shape
@@ -155,8 +159,14 @@ def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) ->
     return mix
 
 
+def spread_of(rows: Floats, posterior: Floats) -> Floats:
+    """Return J P Jᵀ (n, w, w) of the rows (n, w, b) of poses, P (b, b)."""
+    n, w, b = rows.shape
+    return np.asarray((rows.reshape(n * w, b) @ posterior).reshape(n, w, b) @ rows.swapaxes(1, 2))
+
+
 class PoseSample(NamedTuple):
-    """Poses of one number of rows, as their noise's evidence needs them."""
+    """Poses with equal numbers of rows, in the form that the evidence of their noise needs."""
 
     residual: Floats  # (n, w) at the estimate
     spread: Floats  # (n, w, w) J P Jᵀ
@@ -167,22 +177,24 @@ class PoseSample(NamedTuple):
 def pose_samples(
     problem: Problem, x: Floats, pose: Indices, step: Floats, posterior: Floats, every: int
 ) -> list[PoseSample]:
-    """What the poses say of the noise once x has moved by a step: both are in what ``unknowns_of_rows`` mixes, (b + r + 1,)
-    and (b + r + 1, b + r + 1)."""
+    """Return the poses' information about the noise once x has moved by a step.
+
+    Step and posterior are in terms of ``unknowns_of_rows``, (b + r + 1,) and (b + r + 1, b + r + 1).
+    """
     out = []
     for poses in pose_rows(problem, x, pose, every):
         if poses.group.row is not None:
-            spread = (poses.rows @ posterior) @ poses.rows.swapaxes(1, 2)
+            spread = spread_of(poses.rows, posterior)
             out.append(PoseSample(poses.rows @ step, spread, poses.translation.copy(), poses.by_joints.copy()))
     return out
 
 
 def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool, steps: int = 30) -> PoseNoise:
-    """The noise at which the evidence's gradient vanishes for the posterior as it is; without ``shared`` p stays 0.
+    """Return the noise at which the gradient of the evidence vanishes for a fixed posterior; without ``shared`` p stays 0.
 
-    With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k). The last
-    is the share of the part's rows that the unknowns have used up; it is kept while the variances are found
-    (MacKay's γ): with the posterior kept instead a smaller R would make it exceed the rows there are.
+    With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k).
+    The last term is the share of the part's rows absorbed by the unknowns. It is kept constant while the variances are
+    found (MacKay's γ): if the posterior were kept instead, a smaller R would make it exceed the number of rows.
     """
     spent = _parts(samples, noise).spent
     for _ in range(steps):
@@ -196,7 +208,7 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool,
 
 
 class _Parts(NamedTuple):
-    """Of m, p and q: Σ eᵀ R_k e, Σ tr R⁻¹R_k, and what share of the latter the unknowns have spent."""
+    """Of m, p and q: Σ eᵀ R_k e, Σ tr R⁻¹R_k, and the share of the latter absorbed by the unknowns."""
 
     gain: Floats
     rows: Floats

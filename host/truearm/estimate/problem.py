@@ -1,13 +1,14 @@
 """A problem: one robot, the rigs around it and a table of observations, with every unknown named.
 
-The parameter vector x (P,) is the robot's params followed by what the rigs leave unknown, kind by kind as in
+The parameter vector x (P,) consists of the robot's params followed by the unknowns of the rigs, kind by kind as in
 ``kinds.registry``: ``chuck.<name>.x .y .z``, ``sphere.<name>.x .y .z``, ``bar.<name>.zero .gain``,
 ``socket.<place>.<socket>.x .y .z``, ``target.<name>.x .y .z``, ``line.<name>.x .y .z .rx .ry .rz``, ``tracker.<name>``
-likewise, ``time_offset``, ``plane.<name>.offset .tilt1 .tilt2``; of all these only what a row uses and the rig does not
-know exactly. Sockets are always unknown and start at the mean of the ball's positions that the nominal robot predicts.
+likewise, ``time_offset``, ``plane.<name>.offset .tilt1 .tilt2``. It includes only those that a row uses and that the
+rig does not know exactly. Sockets are always unknown and start at the mean of the ball positions predicted by the
+nominal robot.
 
-Several sessions of one robot, each with a rig of its own, make one problem: the robot's parameters are shared, a rig's
-unknowns carry its name in front (``monday.chuck.c1.x``).
+Several sessions of one robot, each with its own rig, make one problem: they share the robot's parameters, and the
+unknowns of a rig are prefixed with its name (``monday.chuck.c1.x``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from truearm.model.chain import Chain
 from truearm.types import Floats, ObservationTable, Residuals, Rig
 from truearm.units import UNITS
 
-BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns fills 1.8 MB, about the second-level cache
+BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns takes 1.8 MB, about the second-level cache
 WIDE = 128  # parameters of a robot; error curves have hundreds
 NO_ERRORS = Errors((), ())
 Rigs = Rig | Mapping[str, Rig]
@@ -38,7 +39,7 @@ Rigs = Rig | Mapping[str, Rig]
 
 @dataclass(frozen=True)
 class Problem:
-    """Observations compiled against x; ``prior_sigma`` is inf where x has no prior, whose mean is ``start``."""
+    """Observations compiled against x; ``prior_sigma`` is inf where x has no prior, and the prior's mean is ``start``."""
 
     chain: Chain
     names: tuple[str, ...]  # P
@@ -48,15 +49,15 @@ class Problem:
     groups: tuple[Group, ...]
     n_rows: int  # of the table
     joint_cov: Floats | None = None  # (j, j) of the joint readings; None: exact
-    errors: Errors = NO_ERRORS  # by what the predictions can be off, in the order of ``effects.error_columns``
-    causes: tuple[Cause, ...] = ()  # how things can be off, as their kinds declare it
+    errors: Errors = NO_ERRORS  # possible errors of the predictions, in the order of ``effects.error_columns``
+    causes: tuple[Cause, ...] = ()  # how items can be off, as declared by their kinds
 
     @property
     def n_robot(self) -> int:
         return len(self.chain.parameters)
 
     def no_residuals(self) -> dict[str, Floats]:
-        """(n_rows,) NaN for each unit that residuals of the table's rows have, to be filled by ``note``."""
+        """Return NaN (n_rows,) for each unit of the table's residuals, to be filled by ``note``."""
         have = {unit for group in self.groups if group.row is not None for unit in group.COMPONENTS}
         return {unit: np.full(self.n_rows, np.nan) for unit in UNITS if unit in have}
 
@@ -68,13 +69,15 @@ def build_problem(
     prior_sigma: Mapping[str, float] | Floats | None = None,
     effects: Sequence[Modelled] = (),
 ) -> Problem:
-    """Compile a table. ``prior_sigma``: σ of robot parameters by name, or (p,) with inf for none.
+    """Compile a table into a problem.
 
-    ``rig`` is one rig for all rows, or rigs by the name that the table's ``rig`` column has. ``effects`` are systematic
-    errors that are parameters too, the last of x.
+    ``prior_sigma``: σ of robot parameters by name, or (p,) with inf for none. ``rig`` is one rig for all rows, or rigs
+    by the names in the table's ``rig`` column. ``effects`` are systematic errors that become parameters too, the last
+    of x.
 
-    Raises ProblemError for joint readings that do not fit the robot, for unknown kinds, chucks, spheres or bars (naming
-    the row), for missing readings, for σ that are not positive and for rigs that differ in the joints' noise.
+    Raises ProblemError for joint readings that do not match the robot, for unknown kinds, chucks, spheres or bars
+    (naming the row), for missing readings, for σ that are not positive, and for rigs that differ in the noise of the
+    joints.
     """
     _check_joints(chain, table)
     bad = np.flatnonzero(~np.isin(table.kind, list(kinds())))
@@ -112,14 +115,14 @@ def build_problem(
 def _errors(
     chain: Chain, rigs: Mapping[str, Rig], layout: Layout, uses: Sequence[RigUse]
 ) -> tuple[Errors, tuple[Cause, ...]]:
-    """By what predictions can be off, and by which things: the rig's, each joint, the base, the tool where it has several points."""
+    """Return the possible errors of predictions and their causes: rig items, joints, base, and tool if it has several points."""
     rig = [*layout.unknown, *layout.known]
     joints = [joint.name for joint in chain.joints]
     names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
     units = (*(number.unit for number in rig), *chain.joint_units, *(unit for _, unit in BASE))
     causes = {}
     for used in (used for use in uses for used in use.used):
-        for thing in filter(None, used.numbers):  # a device whose every number is given has none
+        for thing in filter(None, used.numbers):  # a device with every number given has none
             for fault in used.faults:
                 some = tuple(number.name for number in thing[fault.numbers])
                 name = some[0] if len(some) == 1 else some[0].rpartition(".")[0]
@@ -142,9 +145,10 @@ def _errors(
 
 
 def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
-    """The problem with effects as its last parameters, with the weak prior: of a chuck that moved some direction may be unseen.
+    """Return the problem with effects as its last parameters, with the weak prior.
 
-    An offset in all rows of what is a parameter already is that parameter with a prior so weak.
+    The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. An
+    offset in all rows of an existing parameter is that parameter with an equally weak prior.
     """
     named = {one.effect.parameter(one.column): one for one in effects}
     weak = np.array([UNITS[unit].weak_sigma for unit in problem.units])
@@ -178,7 +182,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
 
 
 def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
-    """The problem with what links may lie beside their encoders by, ``sigma`` (n_rows, j), counted as noise of those rows."""
+    """Return the problem with unknown deviations of links from their encoders, ``sigma`` (n_rows, j), as noise of the rows."""
     groups: list[Group] = []
     for group in problem.groups:
         of_rows = np.zeros((0, 0)) if group.row is None else sigma[group.row]
@@ -192,44 +196,46 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
 
 
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
-    """The problem's observations, at most ``size`` at once, and fewer where the robot has more than WIDE parameters."""
+    """Yield the problem's observations, at most ``size`` at once, and fewer if the robot has more than WIDE parameters."""
     size = max(1, min(size, BLOCK * WIDE // problem.n_robot)) if problem.n_robot > WIDE else size
     for group in problem.groups:
         yield from pieces(group, size)
 
 
 def pieces(group: Group, size: int = BLOCK) -> Iterator[Group]:
-    """A group's observations, at most ``size`` at once."""
+    """Yield a group's observations, at most ``size`` at once."""
     for at in range(0, len(group.sensor_cov), size):
         yield group.take(slice(at, at + size))
 
 
 def note(block: Group, residual: Floats, out: Residuals) -> None:
-    """Write a block's residuals (n·w,) to their rows of the table, unit by unit; knowledge belongs to no row."""
+    """Write a block's residuals (n·w,) to their rows of the table, unit by unit; knowledge does not belong to any row."""
     if block.row is not None:
         for unit, figure in block.by_unit(residual).items():
             out[unit][block.row] = figure
 
 
 def settled(problem: Problem, x: Floats) -> Problem:
-    """The problem with its observations settled (``Group.settle``), to count what they can see at x."""
+    """Return the problem with its observations settled (``Group.settle``), to compute their rank at x."""
     return replace(problem, groups=tuple(group.settle(problem.chain, x) for group in problem.groups))
 
 
 def without_knowledge(problem: Problem) -> Problem:
-    """The problem without what is known beside the table, as the distance between two sockets."""
+    """Return the problem without knowledge that is not in the table, such as the distance between two sockets."""
     return replace(problem, groups=tuple(group for group in problem.groups if group.row is not None))
 
 
 def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:
-    """Rigs by the names that the rows have, checked."""
+    """Return the checked rigs by the names that the rows have."""
     rigs = {"": rig} if isinstance(rig, Rig) else rig
     bad = np.flatnonzero(~np.isin(table.rig, list(rigs)))
     if bad.size:
         have = ", ".join(sorted(filter(None, rigs))) or "one rig without a name"
-        raise ProblemError(f"{table.source[bad[0]]}: belongs to rig {str(table.rig[bad[0]])!r}; given: {have}")
+        raise ProblemError(
+            f"{table.source[bad[0]]}: belongs to rig {str(table.rig[bad[0]])!r}; the rigs given are {have}"
+        )
     if len({(one.joint_cov, one.backlash, one.backlash_sigma) for one in rigs.values()}) > 1:
-        raise ProblemError("the rigs differ in joint_cov, but it is the robot's; give all rigs the same")
+        raise ProblemError("joint_cov belongs to the robot, so all rigs need the same one")
     return rigs
 
 

@@ -1,38 +1,40 @@
-"""Recursive estimation (Renders 1991, II-F): one observation at a time, with a gate against faulty ones.
+"""Recursive estimation (Renders 1991, II-F): one observation at a time, with a gate against outliers.
 
 The paper's (18) and (20), corrected (the scan lost (18), and the printed "=" and signs after (19) are wrong):
 
     P(N) = P − P Jᵀ [J P Jᵀ + C⁻¹]⁻¹ J P ,   P = P(N−1), P(0) = S_θ
     Δ(N) = Δ(N−1) + P(N) Jᵀ C [Δx − J Δ(N−1)] .
 
-Here rows are whitened (C = I) and P = S Sᵀ, which cannot lose its symmetry or sign. For one scalar row j with residual r
-(Potter 1963): φ = Sᵀj, v = φᵀφ + 1 the variance of the innovation ν = r − jΔ, and
+Here rows are whitened (C = I) and P = S Sᵀ, which always remains symmetric and positive semidefinite. For one scalar row
+j with residual r (Potter 1963), φ = Sᵀj, v = φᵀφ + 1 is the variance of the innovation ν = r − jΔ, and
 
     Δ ← Δ + S φ ν / v ,   S ← S − S φ φᵀ / (v + √v) .
 
-**Relinearising without counting twice.** A pass takes every row once, all linearised at one x, from the same prior about
-the same mean. The next pass begins again from that prior, linearised where the last one ended. A pass is thus one step
-of the batch solution (12), to rounding, and P belongs to the data counted once. Where such a step would raise χ² (weighed
-as where it began) the pass is made again from a narrower prior, narrowed about x: Marquardt's damping, by ``lm``'s rule. (III-E of the paper takes P(N) of a run
-as P(0) of the next; ``renders1991`` does so and says what it costs.)
+**Relinearising without counting data twice.** A pass processes every row once, all linearised at one x, starting from
+the same prior about the same mean. The next pass starts again from that prior, linearised where the last one ended. A
+pass is thus one step of the batch solution (12), to rounding, and P counts the data once. If such a step would increase
+χ² (with the weights of its starting point), the pass is repeated from a narrower prior about x: Marquardt's damping, by
+the rule of ``lm``. (III-E of the paper uses P(N) of a run as P(0) of the next; ``renders1991`` reproduces this and
+explains its cost.)
 
-**The gate.** While a pass runs, the distance of an innovation, νᵀ(J P Jᵀ + I)⁻¹ν, judges a row by those before it, which
-is what can be said live. It is no verdict: early innovations are large where the first linearisation is poor, so a clean
-row may look faulty and a fault may hide in a prior still wide. The verdict comes after the passes have converged, with
-all other rows as the witness: for a row that was used, residual e and leverage H = J P Jᵀ give the distance of its
-deleted residual, eᵀ(I − H)⁻¹e; for one that was not, eᵀ(I + H)⁻¹e. Both are χ² with the row's width as its degrees of
-freedom, whatever the order. Of the rows beyond the gate only those no nearer than half the farthest leave in one
-round, since a fault pushes its neighbours out too; rows that have come back within the gate return.
+**The gate.** During a pass, the distance of an innovation, νᵀ(J P Jᵀ + I)⁻¹ν, compares a row with those before it, which
+is all that is possible live. It is not final: early innovations are large where the first linearisation is poor, so a
+clean row may look like an outlier, and an outlier may be hidden by a prior that is still wide. The final decision is
+made after the passes have converged, using all other rows. For a row that was used, the residual e and leverage
+H = J P Jᵀ give the distance of its deleted residual, eᵀ(I − H)⁻¹e; for a row that was not used, it is eᵀ(I + H)⁻¹e. Both
+are χ² with the row's width as degrees of freedom, regardless of the order. Each round leaves out only those rows beyond
+the gate that are at least half as far as the farthest, since an outlier pushes its neighbours out too. Rows that are
+back within the gate return.
 
-P is the same as the inverse of the information, to rounding, and that is what ``solve`` reports, since it is zero along
-what nothing sees.
+P equals the inverse of the information, to rounding. ``solve`` reports the latter because it is zero along null
+directions.
 
-**Memory.** ``update`` needs the filter, 8(k² + k) bytes, and one row, however many came before: live use is bounded, and the
-distance of the innovation is the verdict of the moment. ``minimise`` holds all whitened rows, since relinearising needs
-every row again and the gate asks those of the past: measured, with copies on the way, 2.3 kB a length at 54 unknowns. For
-more rows than that allows, ``lm`` and ``map`` work in blocks.
+**Memory.** ``update`` needs the filter, 8(k² + k) bytes, and one row, regardless of how many came before. Live use is
+therefore bounded, and the distance of the innovation is the decision at that time. ``minimise`` stores all whitened
+rows, since relinearisation and the gate need every past row: 2.3 kB per length at 54 unknowns, measured including
+temporary copies. For more rows than that allows, ``lm`` and ``map`` work in blocks.
 
-P(0) must be finite: an unknown without prior starts with a σ that no robot reaches (``DIFFUSE``, 10 m, 10 rad, 10).
+P(0) must be finite: an unknown without a prior starts with a σ larger than any robot (``DIFFUSE``, 10 m, 10 rad, 10).
 """
 
 from __future__ import annotations
@@ -51,7 +53,7 @@ from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.estimate.whitened_rows import GATE_LEVEL, deleted_distance, gate, only, whitened_blocks
 from truearm.types import Floats
 
-DIFFUSE = 10.0  # σ of an unknown without prior; 1e5 times what a millimetre's work would leave, 1e-10 in the result
+DIFFUSE = 10.0  # σ of an unknown without a prior; 1e5 times what millimetre work would leave, 1e-10 in the result
 NEAR_FARTHEST = 0.25  # of the farthest squared distance: half the distance
 MAX_ROUNDS = 50
 
@@ -64,17 +66,17 @@ class Filter(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Whitened observations linearised at one x; w scalar rows an observation, padded with zeros to the widest."""
+    """Whitened observations linearised at one x; w scalar rows per observation, padded with zeros to the widest."""
 
     jac: Floats  # (n, w, k)
     residual: Floats  # (n, w)
     width: NDArray[np.intp]  # (n,) scalar rows that are not padding
-    row: NDArray[np.intp]  # (n,) rows of the table; -1: knowledge (a known distance), which no gate judges
+    row: NDArray[np.intp]  # (n,) rows of the table; -1: knowledge (a known distance), not subject to the gate
     noise_root: Floats  # (n, w, w) noise_root @ residual is in m
 
 
 class Pass(NamedTuple):
-    """One run through all rows; what each looked like just before it was taken in."""
+    """One pass through all rows, with the state of each row just before it was processed."""
 
     filter: Filter
     innovation: Floats  # (n, w) whitened, r − J Δ(N−1): the prediction error of Fig. 4 is noise_root @ innovation
@@ -82,7 +84,7 @@ class Pass(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """Where the passes ended; ``distance`` is each row's verdict, ``used`` the rows that P and x rest on."""
+    """The result of the passes; ``distance`` is each row's final distance, ``used`` the rows that P and x are based on."""
 
     x: Floats  # (k,)
     status: str
@@ -92,21 +94,21 @@ class Ending(NamedTuple):
     used: NDArray[np.bool_]  # (n,) of ``rows``
     distance: Floats  # (n,) squared, see ``deleted_distance``
     rows: Rows  # at x
-    first: Pass  # of the first pass, as an operator would have seen it live
+    first: Pass  # of the first pass, as seen live
 
 
 def start(mean_minus_x: Floats, sigma: Floats) -> Filter:
-    """The prior: Δ(0) = mean − x (k,), P(0) = diag(σ²); an infinite σ becomes ``DIFFUSE`` about x itself."""
+    """Return the prior: Δ(0) = mean − x (k,), P(0) = diag(σ²); an infinite σ becomes ``DIFFUSE`` about x itself."""
     some = np.isfinite(sigma)
     return Filter(np.where(some, mean_minus_x, 0.0), np.diag(np.where(some, sigma, DIFFUSE)))
 
 
 def update(state: Filter, jac: Floats, residual: Floats) -> tuple[Filter, Floats, float]:
-    """Take in one observation of w whitened rows: jac (w, k), residual (w,).
+    """Process one observation of w whitened rows: jac (w, k), residual (w,).
 
     Returns the new filter, the innovation (w,) and its squared Mahalanobis distance. Rows are independent after
-    whitening, so they go in one by one, and the distance is the sum of ν²/v over them. Measured: 18 µs a scalar row at
-    60 unknowns.
+    whitening, so they are processed one by one, and the distance is the sum of ν²/v over them. Measured: 18 µs per
+    scalar row at 60 unknowns.
     """
     before = residual - jac @ state.delta
     delta, root, distance = state.delta, state.root, 0.0
@@ -122,7 +124,7 @@ def update(state: Filter, jac: Floats, residual: Floats) -> tuple[Filter, Floats
 
 
 def run(state: Filter, rows: Rows, used: NDArray[np.bool_]) -> Pass:
-    """All rows in their order; rows that are not ``used`` are judged but not taken in."""
+    """Process all rows in order; rows that are not ``used`` are evaluated but not included."""
     innovation, distance = np.zeros_like(rows.residual), np.zeros(len(rows.residual))
     for i, width in enumerate(rows.width.tolist()):
         after, innovation[i, :width], distance[i] = update(state, rows.jac[i, :width], rows.residual[i, :width])
@@ -132,7 +134,7 @@ def run(state: Filter, rows: Rows, used: NDArray[np.bool_]) -> Pass:
 
 
 def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Options) -> Solution:
-    """Recursive estimation over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
+    """Estimate recursively over x[columns] from x (P,); rows beyond the gate have weight 0 in the result."""
 
     def linearise(part: Floats) -> Rows:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -158,7 +160,7 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
 
 
 def rows_of(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Rows:
-    """All observations at x (P,) in the order of the table, what is known beforehand first."""
+    """Return all observations at x (P,) in the order of the table, preceded by prior knowledge."""
     blocks = list(whitened_blocks(problem, x, columns))
     widest = max((b.residual.shape[1] for b in blocks), default=1)
     k = int(columns.sum())
@@ -187,11 +189,11 @@ def minimise(
     level: float = GATE_LEVEL,
     move: Step = added,
 ) -> Ending:
-    """Pass after pass from x (k,) until neither x nor the set of rows within the gate changes.
+    """Repeat passes from x (k,) until neither x nor the set of rows within the gate changes.
 
-    ``linearise(x)`` gives all rows at x; the prior is ``mean`` (k,) ± ``sigma`` (k,), inf for none. A pass whose step
-    changes what the rows predict by 1e-6 of their σ, or of their residuals, in the root mean square, ends the relinearising;
-    then the gate is asked. Not to converge is a status, not an exception.
+    ``linearise(x)`` returns all rows at x; the prior is ``mean`` (k,) ± ``sigma`` (k,), inf for none. Relinearising
+    ends with a pass whose step changes the predictions of the rows by an RMS of 1e-6 of their σ, or of their residuals.
+    Then the gate is applied. Failure to converge is a status, not an exception.
     """
     rows = linearise(x)
     used = np.ones(len(rows.residual), dtype=bool)
@@ -211,7 +213,7 @@ def minimise(
             )
         settled = moved <= lm.RELATIVE_END * max(np.sqrt(rows.residual.size), np.linalg.norm(rows.residual[used]))
         if passes == max_passes and not settled:
-            message = f"not converged after {max_passes} passes"
+            message = f"{max_passes} passes were not enough"
             return _ending(x, "max_iterations", message, passes, state, used, rows, first)
         if not settled:
             nearer = _nearer(search, x, rows, used, state.delta, damping)
@@ -235,7 +237,7 @@ def minimise(
 
 
 class _Search(NamedTuple):
-    """What stays the same from pass to pass: the rows by x, the prior, where a step leads."""
+    """The data that stay the same from pass to pass: rows as a function of x, prior, and step function."""
 
     linearise: Callable[[Floats], Rows]
     mean: Floats  # (k,)
@@ -246,9 +248,9 @@ class _Search(NamedTuple):
 def _nearer(
     search: _Search, x: Floats, rows: Rows, used: NDArray[np.bool_], delta: Floats, damping: float
 ) -> tuple[Floats, Rows, float] | None:
-    """Where a pass leads that fits the used rows and the prior better than x does, and λ for the next; None for nowhere.
+    """Return the result of a pass that fits used rows and prior better than x does, and the next λ; None if there is none.
 
-    ``delta`` is what an undamped pass says.
+    ``delta`` is the result of an undamped pass.
     """
     before = _cost(rows, rows, used, (search.mean - x) / search.sigma)
     refused = False
@@ -261,14 +263,14 @@ def _nearer(
             chi2 = _cost(there, rows, used, (search.mean - goal) / search.sigma)
         if chi2 < before:
             ahead = rows._replace(residual=rows.residual - rows.jac @ delta)
-            foretold = before - _cost(ahead, rows, used, (search.mean - x - delta) / search.sigma)
-            return goal, there, lm.after_step(damping, (before - chi2) / foretold, refused)
+            predicted = before - _cost(ahead, rows, used, (search.mean - x - delta) / search.sigma)
+            return goal, there, lm.after_step(damping, (before - chi2) / predicted, refused)
         refused, damping = True, lm.after_refusal(damping)
     return None
 
 
 def _narrowed(search: _Search, x: Floats, rows: Rows, used: NDArray[np.bool_], damping: float) -> Filter:
-    """The prior, and on top of it that x holds, with λ times the weight of all rows: Marquardt's damping as a filter has it."""
+    """Return the prior combined with one that holds x, with λ times the weight of all rows: Marquardt's damping in a filter."""
     known = np.where(np.isfinite(search.sigma), search.sigma, DIFFUSE) ** -2.0
     weight = known + damping * (known + (rows.jac[used] ** 2).sum(axis=(0, 1)))
     pull = np.where(np.isfinite(search.sigma), search.mean - x, 0.0)
@@ -276,7 +278,7 @@ def _narrowed(search: _Search, x: Floats, rows: Rows, used: NDArray[np.bool_], d
 
 
 def _cost(there: Rows, here: Rows, used: NDArray[np.bool_], prior: Floats) -> float:
-    """χ² of residuals ``there``, weighed as ``here``."""
+    """Return χ² of residuals ``there`` with the weights of ``here``."""
     widest = there.residual.shape[1]
     padding = np.arange(widest) >= here.width[:, None]
     roots = here.noise_root + padding[:, :, None] * np.eye(widest)
@@ -285,7 +287,7 @@ def _cost(there: Rows, here: Rows, used: NDArray[np.bool_], prior: Floats) -> fl
 
 
 def within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The rows for the next round: the farthest out, those that came back in."""
+    """Return the rows for the next round: without the farthest, and with those that are back within the gate."""
     far = distance / limit
     worst = far[used].max(initial=0.0)
     leaving = used & (far > 1.0) & (far >= NEAR_FARTHEST * worst)

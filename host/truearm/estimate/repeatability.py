@@ -1,17 +1,17 @@
-r"""How well a robot repeats, from visits to the same poses from different sides: spread, backlash, noise, each with its interval.
+r"""Repeatability of a robot from visits to the same poses from different sides: spread, backlash and noise, with intervals.
 
-Visit i of pose g has the length ℓ_i, the mean joint reading q_i and came with each joint j from the side s_ij = ±1 (the
-direction of its last motion). What the readings show of where the robot went is taken out, y_i = ℓ_i − J_g (q_i − q̄_g); the
-rest is what an identification, which trusts the readings, calls noise. Links that lie behind their encoders by half the
-backlash b make of it
+Visit i of pose g has the length ℓ_i and the mean joint reading q_i, and joint j approached from the side s_ij = ±1 (the
+direction of its last motion). The part explained by the readings is subtracted, y_i = ℓ_i − J_g (q_i − q̄_g). The rest
+is noise to an identification, which takes the readings as correct. If the links lag their encoders by half the backlash
+b,
 
     y_i = μ_g − ½ Σ_j J_gj s_ij b_j + e_i,
 
-a linear regression: b with its t intervals, and the spread of e. The visits of one pose from one side differ by e alone
-(pure error), so that an F test says whether b explains the differences between the sides (lack of fit).
+which is a linear regression: it gives b with its t intervals, and the spread of e. Visits to one pose from one side
+differ by e alone (pure error), so an F test shows whether b explains the differences between the sides (lack of fit).
 
-Intervals are of 95 %: χ² for standard deviations of Gaussian numbers, t for means and regressions, order statistics for
-quantiles.
+Intervals are 95 %: χ² for standard deviations of Gaussian numbers, t for means and regressions, and order statistics
+for quantiles.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from truearm.errors import ProblemError
 from truearm.types import Floats
 
 LEVEL = 0.95
-MISFIT = 1e-3  # a smaller probability of the lack of fit is said
-SAME_POSE = 2e-3  # rad or m in each joint; servo and settling stray by far less, poses differ by more
-UNSEEN = 1e-4  # of the largest: a joint that moves the bar by less a radian is not seen
+MISFIT = 1e-3  # a smaller probability of the lack of fit is reported
+SAME_POSE = 2e-3  # rad or m in each joint; servo and settling errors are far smaller, and poses differ by more
+UNSEEN = 1e-4  # of the largest: below it, a joint's effect on the bar per radian is negligible
 
 
 class Interval(NamedTuple):
-    """An estimate and its interval of 95 %; NaN where it is not known."""
+    """An estimate and its 95 % interval; NaN where unknown."""
 
     value: float
     low: float
@@ -45,8 +45,11 @@ UNKNOWN = Interval(float("nan"), float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class Visited:
-    """n visits. ``jac`` (n, j): ∂length/∂joints; ``length_var`` (n,): of the mean length by its samples; ``reading_var`` (n, j):
-    of the mean reading, quantisation included."""
+    """n visits to poses.
+
+    ``jac`` (n, j): ∂length/∂joints. ``length_var`` (n,): variance of the mean length from its samples. ``reading_var``
+    (n, j): variance of the mean reading, including quantisation.
+    """
 
     length: Floats
     length_var: Floats
@@ -58,12 +61,14 @@ class Visited:
 
 @dataclass(frozen=True)
 class Repeatability:
-    """``along``: spread of the length at one pose from one side, m; ``unexplained``: of it what the readings do not show.
+    """Repeatability and backlash of a robot.
 
-    ``backlash`` (j): rad or m, link behind encoder, full width; ``backlash_sigma`` (j): its standard deviation. ``spread`` (j): of the mean reading at one pose from one side;
-    ``difference`` (j): of the mean reading between the sides, up less down. ``bar_sigma`` and ``joint_sigma`` (j) are what an
-    identification should be told: see ``repeatability()``. ``misfit``: probability of differences between the sides at
-    least as large if backlash were all; NaN where too few visits repeat.
+    ``along`` [m] is the spread of the length at one pose from one side, and ``unexplained`` the part that the readings
+    do not explain. ``backlash`` (j) [rad or m] is the full width by which the link lags the encoder; ``backlash_sigma``
+    (j) is its standard deviation. ``spread`` (j) is that of the mean reading at one pose from one side, and
+    ``difference`` (j) that of the mean reading between the sides, up minus down. ``bar_sigma`` and ``joint_sigma`` (j)
+    are the values to give to an identification: see ``repeatability()``. ``misfit`` is the probability of differences
+    between the sides at least this large if backlash were the only cause; NaN if too few visits repeat.
     """
 
     n_visits: int
@@ -81,11 +86,11 @@ class Repeatability:
 
 
 def repeatability(visited: Visited) -> Repeatability:
-    """What the visits say. Raises ProblemError where too few of them repeat.
+    """Return repeatability and backlash from visits. Raises ProblemError if too few of them repeat.
 
-    ``bar_sigma``² is the regression's residual variance less the part of samples and joint readings, which an identification
-    counts by itself. ``joint_sigma``² is the variance of a mean reading plus b²/4: where the side is not known the link is off
-    by ±b/2. b² is too large by its variance in the mean, which errs to the safe side.
+    ``bar_sigma``² is the residual variance of the regression minus the part due to samples and joint readings, which an
+    identification counts separately. ``joint_sigma``² is the variance of a mean reading plus b²/4: if the side is
+    unknown, the link is off by ±b/2. On average b² is too large by its variance, which errs on the safe side.
     """
     pose = poses_of(visited.q)
     sided = np.all(visited.side != 0.0, axis=1)
@@ -127,7 +132,7 @@ def repeatability(visited: Visited) -> Repeatability:
 
 
 def poses_of(q: Floats, tolerance: float = SAME_POSE) -> NDArray[np.int64]:
-    """Number (n,) of the pose of each visit: those within the tolerance of a pose's first visit are at the same pose."""
+    """Return the number (n,) of the pose of each visit: visits within the tolerance of a pose's first visit share it."""
     pose = np.full(len(q), -1, dtype=np.int64)
     for i in range(len(q)):
         if pose[i] < 0:
@@ -137,7 +142,7 @@ def poses_of(q: Floats, tolerance: float = SAME_POSE) -> NDArray[np.int64]:
 
 
 def mean_interval(values: Floats) -> Interval:
-    """Mean of independent numbers (n,), those that are NaN left out, and its t interval."""
+    """Return the mean of independent numbers (n,), ignoring NaN, and its t interval."""
     values = values[np.isfinite(values)]
     if values.size < 2:
         return UNKNOWN
@@ -147,15 +152,15 @@ def mean_interval(values: Floats) -> Interval:
 
 
 def quantile_interval(values: Floats, share: float) -> Interval:
-    """A quantile of independent numbers (n,), whatever their distribution, between two of them; NaN left out.
+    """Return a quantile of independent numbers (n,) of any distribution, with an interval between two of them; ignores NaN.
 
-    Where n is too small for an order statistic above the quantile its upper end is infinite.
+    If n is too small for an order statistic above the quantile, its upper end is infinite.
     """
     values = np.sort(values[np.isfinite(values)])
     n = values.size
     if not n:
         return UNKNOWN
-    below = bdtr(np.arange(n + 1), n, share)  # probability that at most so many lie below the quantile
+    below = bdtr(np.arange(n + 1), n, share)  # probability that at most this many are below the quantile
     low, high = np.searchsorted(below, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL]).tolist()
     return Interval(
         float(np.quantile(values, share)),
@@ -165,16 +170,17 @@ def quantile_interval(values: Floats, share: float) -> Interval:
 
 
 def sigma_interval(variances: Floats) -> Interval:
-    """Standard deviation by independent estimates (n,) of a variance, alike but of unknown degrees of freedom."""
+    """Return the standard deviation from independent estimates (n,) of one variance with unknown degrees of freedom."""
     mean, low, high = mean_interval(variances)
     return Interval(float(np.sqrt(mean)), float(np.sqrt(max(low, 0.0))), float(np.sqrt(high)))
 
 
 def rounding_variance(step: Floats, sigma: Floats) -> Floats:
-    """Variance (j,) of the mean of many readings by their steps (j,), if the noise of one is ``sigma`` (j,) before rounding.
+    """Return the variance (j,) of the mean of many readings with steps (j,) and noise ``sigma`` (j,) before rounding.
 
-    The mean is wrong by Σ_k (−1)^k step/(πk) exp(−2π²k²σ²/step²) sin(2πkx/step) (Widrow and Kollár, Quantization Noise, 2008), so
-    over all x by the variance Σ_k step²/(2π²k²) exp(−4π²k²σ²/step²): step²/12 without noise, nothing for half a step of it.
+    The mean has the error Σ_k (−1)^k step/(πk) exp(−2π²k²σ²/step²) sin(2πkx/step) (Widrow and Kollár, Quantization
+    Noise, 2008), so over all x the variance Σ_k step²/(2π²k²) exp(−4π²k²σ²/step²): step²/12 without noise, and none
+    with a noise of half a step.
     """
     k = np.arange(1, 200)[:, None]
     share = np.divide(sigma, step, out=np.full(step.shape, np.inf), where=step > 0.0)
@@ -187,12 +193,12 @@ def _select(visited: Visited, rows: NDArray[np.bool_]) -> Visited:
 
 
 def _numbered(rows: Floats) -> NDArray[np.int64]:
-    """Number (n,) of each row among the different ones."""
+    """Return the number (n,) of each row among the distinct ones."""
     return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1]).reshape(-1)
 
 
 def _group_means(values: Floats, group: NDArray[np.int64]) -> Floats:
-    """The mean of its group for each row."""
+    """Return the mean of its group for each row."""
     _, number, count = np.unique(group, return_inverse=True, return_counts=True)
     number = number.reshape(-1)
     sums = np.zeros((len(count), *values.shape[1:]))
@@ -201,20 +207,20 @@ def _group_means(values: Floats, group: NDArray[np.int64]) -> Floats:
 
 
 def _within(values: Floats, group: NDArray[np.int64]) -> float:
-    """Variance about the means of the groups."""
+    """Return the variance about the means of the groups."""
     deviation = values - _group_means(values, group)
     return float(deviation @ deviation) / (len(values) - len(np.unique(group)))
 
 
 def _regression(y: Floats, x: Floats, pose: NDArray[np.int64]) -> tuple[Floats, Floats, Floats, int]:
-    """Coefficients (j,), their covariance (j, j), residuals (n,) and degrees of freedom; NaN for columns that say nothing."""
+    """Return coefficients (j,), their covariance (j, j), residuals (n,) and degrees of freedom; NaN for empty columns."""
     y, x = y - _group_means(y, pose), x - _group_means(x, pose)
     size = np.linalg.norm(x, axis=0)
     seen = size > UNSEEN * max(float(size.max()), 1e-300)
     basis, root = np.linalg.qr(x[:, seen])
     if np.linalg.cond(root) > 1e6:
         raise ProblemError(
-            "the joints' sides are not independent of each other; record what truearm plan characterize plans"
+            "the joints' sides are not independent of each other; record a plan of truearm plan characterize"
         )
     solution = np.linalg.solve(root, basis.T @ y)
     residual = y - x[:, seen] @ solution
@@ -227,14 +233,14 @@ def _regression(y: Floats, x: Floats, pose: NDArray[np.int64]) -> tuple[Floats, 
 
 
 def _difference(q: Floats, pose: NDArray[np.int64], side: Floats) -> Interval:
-    """Of one joint's readings (n,) that came from below less those from above."""
+    """Return the difference of one joint's readings (n,) between approaches from below and from above."""
     width, cov, _, freedom = _regression(q, 0.5 * side[:, None], pose)
     half = _t(freedom) * float(np.sqrt(cov[0, 0]))
     return Interval(float(width[0]), float(width[0]) - half, float(width[0]) + half)
 
 
 def _misfit(variance: float, freedom: int, pure: float, pure_freedom: int) -> float:
-    """Probability of so large a lack of fit by chance."""
+    """Return the probability of so large a lack of fit by chance."""
     lacking = freedom - pure_freedom
     if lacking < 1 or pure <= 0.0:
         return float("nan")
@@ -247,19 +253,19 @@ def _t(freedom: int) -> float:
 
 
 def _sigma(variance: float, freedom: int) -> Interval:
-    """Standard deviation by an estimate of the variance with so many degrees of freedom."""
+    """Return the standard deviation for an estimate of the variance with the given degrees of freedom."""
     low, high = chdtri(freedom, np.array([0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL]))
     return Interval(*(float(np.sqrt(variance * freedom / q)) for q in (freedom, low, high)))
 
 
 def _less(sigma: Interval, variance: float) -> Interval:
-    """Without a part that is counted elsewhere; never below a tenth, lest a row be trusted beyond all others."""
+    """Return sigma without a part that is counted elsewhere, at least a tenth, so that no row has excessive weight."""
     return Interval(*(float(np.sqrt(max(value**2 - variance, (0.1 * value) ** 2))) for value in sigma))
 
 
 def _joint_sigma(backlash: Interval, reading: float) -> Interval:
-    """Of a joint's reading: its own noise and half the backlash either way."""
-    if not np.isfinite(backlash.value):  # a joint that the bar does not show
+    """Return the standard deviation of a joint's reading: its own noise and half the backlash either way."""
+    if not np.isfinite(backlash.value):  # a joint that does not affect the bar
         own = float(np.sqrt(reading))
         return Interval(own, own, float("inf"))
     low = 0.0 if backlash.low <= 0.0 <= backlash.high else min(abs(backlash.low), abs(backlash.high))

@@ -1,16 +1,17 @@
-"""How uncertain a residual is: the sensors' covariance and, through the arm, the joint readings' (errors in variables).
+"""Covariance of a residual: that of the sensors plus that of the joint readings through the arm (errors in variables).
 
-A reading q carries an error δq of covariance S_q, so the residual measured − predicted(q) has the covariance
+A reading q has an error δq of covariance S_q, so the residual measured − predicted(q) has the covariance
 
     C⁻¹ = S_x + J_q S_q J_qᵀ
 
-(Renders, Rossignol, Becquet, Hanus 1991, (7)–(12), there "C_i"), J_q the derivative by the joint readings. J_q depends
-on the pose and, a little, on the parameters: it is renewed at each linearisation. Leaving S_q out hardly moves the
-estimate but claims a far too small covariance (on Renders' figures a normalised error of 76 where 36 is due).
+(Renders, Rossignol, Becquet, Hanus 1991, (7)–(12), there "C_i"), where J_q is the derivative by the joint readings. J_q
+depends on the pose and, slightly, on the parameters, so it is updated at each linearisation. Omitting S_q hardly
+changes the estimate but yields a covariance that is far too small (with Renders' figures a normalised error of 76
+instead of 36).
 
-The weights must stand still while a step is judged, or a solver that compares χ² before and after would find it changed
-by the weights and stall: ``information.weighed`` gives a problem with the weights of one x. Where the steps end, the
-weights belong to the estimate.
+The weights must stay constant while a step is evaluated. Otherwise a solver that compares χ² before and after would
+see the change due to the weights and stall. ``information.weighed`` returns a problem with the weights of one x. At the
+end of the iteration the weights are those of the estimate.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from truearm.types import Floats, Matrix
 
 
 def residual_cov(sensor_cov: Floats, jac_joints: Floats, joint_cov: Floats | None) -> Floats:
-    """S_x + J_q S_q J_qᵀ of n observations of w residuals each.
+    """Return S_x + J_q S_q J_qᵀ of n observations with w residuals each.
 
     sensor_cov : (n, w) variances or (n, w, w); jac_joints : (n·w, j); joint_cov : (j, j), or None for exact readings.
-    Returns what it was given for exact readings, (n, 1) for w = 1, and (n, w, w) otherwise.
+    Returns ``sensor_cov`` for exact readings, (n, 1) for w = 1, and (n, w, w) otherwise.
     """
     if joint_cov is None:
         return sensor_cov
@@ -44,7 +45,7 @@ def residual_cov(sensor_cov: Floats, jac_joints: Floats, joint_cov: Floats | Non
 def whiten(stacked: Floats, cov: Floats) -> None:
     """Divide (k, w, n) in place by the root of n covariances, (n, w) variances or (n, w, w).
 
-    With C⁻¹ = L Lᵀ they become L⁻¹ rows, whose noise is of unit covariance.
+    With C⁻¹ = L Lᵀ they become L⁻¹ rows, whose noise has unit covariance.
     """
     if cov.ndim == 2:
         stacked *= 1.0 / np.sqrt(cov.T)
@@ -57,15 +58,15 @@ def whiten(stacked: Floats, cov: Floats) -> None:
 
 
 def checked_joint_cov(matrix: Matrix, joints: int) -> Floats | None:
-    """(j, j) from a rig's ``joint_cov``, None where it is empty or zero. Raises ProblemError unless it is a covariance."""
+    """Return (j, j) from a rig's ``joint_cov``, None if it is empty or zero. Raises ProblemError unless it is a covariance."""
     if not matrix:
         return None
     cov = np.array(matrix, dtype=float) if all(len(row) == len(matrix) for row in matrix) else np.zeros((0, 0))
     if cov.shape != (joints, joints):
-        raise ProblemError(f"joint_cov must be {joints}×{joints}, one row a joint")
+        raise ProblemError(f"joint_cov must be {joints}×{joints}, one row per joint")
     if not (np.isfinite(cov).all() and np.allclose(cov, cov.T, rtol=1e-9, atol=0.0)):
         raise ProblemError("joint_cov must be a symmetric matrix of finite numbers")
     least, most = np.linalg.eigvalsh(cov)[[0, -1]]
     if least < -1e-12 * max(most, 0.0):
-        raise ProblemError("joint_cov has a negative eigenvalue, so it is no covariance")
+        raise ProblemError("joint_cov has a negative eigenvalue, so it is not a covariance")
     return cov if most > 0.0 else None

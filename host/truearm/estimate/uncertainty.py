@@ -1,27 +1,30 @@
-"""What an estimate is worth: how well it fits (χ²), and where the robot's end really is (its covariance).
+"""Quality of an estimate: how well it fits (χ²), and how uncertain the position of the robot's end is (covariance).
 
-**χ².** Reported is the squared sum of the whitened residuals of the n data alone, at the estimate, over ν = n − tr(H),
-H = J(JᵀJ + M)⁻¹Jᵀ being what the fit follows the data with (M: the prior's information). With h the eigenvalues of H and
-1 − h the share that the prior has in each direction, let the true parameters lie about the prior's mean with c² times the
-prior's covariance: c = 1 is a true prior, c → 0 one that is far too wide. The residuals (I − H)(ε + Jδ) have the covariance
+**χ².** The reported value is the sum of squares of the whitened residuals of the n data alone, at the estimate, over ν
+= n − tr(H), where H = J(JᵀJ + M)⁻¹Jᵀ is the hat matrix (M: the prior's information). Let h be the eigenvalues of H, so
+that 1 − h is the share of the prior in each direction, and let the true parameters be distributed about the prior's
+mean with c² times the prior's covariance: c = 1 is a true prior, and c → 0 one that is far too wide. The residuals (I −
+H)(ε + Jδ) have the covariance
 
     (I − H)(I + c²JM⁻¹Jᵀ)(I − H) ,   along an eigenvector (1 − h)² + c²·h(1 − h) ,
 
 so χ² is a sum of n squares with these weights. For a true prior the weights are 1 − h, their sum is ν and the mean of
-χ²/ν is 1. For one too wide the mean falls by Σh(1 − h)/ν: by nothing where data or prior decide alone (h near 1 or 0),
-by ¼/ν for each direction in which they weigh alike. The weights grow with c, hence all quantiles do; a band from the lower
-quantile of c = 0 to the upper of c = 1 holds χ²/ν with at least its probability for every prior that is true or too wide.
-Without a prior H is a projection, ν = n − rank and both ends are those of χ²(ν). Sums of weighted squares are taken for
-a χ² of the same mean and variance (Satterthwaite 1946); nearly all weights are 1.
+χ²/ν is 1. For one that is too wide the mean is lower by Σh(1 − h)/ν: by nothing where data or prior alone determine a
+direction (h near 1 or 0), and by ¼/ν for each direction in which they have equal weight. The weights increase with c,
+and so do all quantiles. A range from the lower quantile of c = 0 to the upper of c = 1 therefore contains χ²/ν with at
+least its probability for every prior that is true or too wide. Without a prior, H is a projection, ν = n − rank and
+both ends are those of χ²(ν). Sums of weighted squares are approximated by a χ² with the same mean and variance
+(Satterthwaite 1946); nearly all weights are 1.
 
-The whole cost, prior included, would be χ²(n) for a true prior but has the mean ν for one too wide: it would tell more of
-how wide the prior was than of the residuals. A prior too tight raises both, as it should: data and prior disagree.
+The total cost, including the prior, would be χ²(n) for a true prior but has the mean ν for one that is too wide, so it
+would depend on the width of the prior more than on the residuals. A prior that is too tight increases both, as it
+should: data and prior disagree.
 
-**Cartesian error** (Renders 1991, II-D). To first order a point of the end errs by J Δ, so with the parameters'
-covariance Σ the error has covariance J Σ Jᵀ, 3 × 3 at each pose. Σ = diag(tolerance²) gives the a priori analysis of the
-paper: how large the error will be before anything was measured, where it is largest (points worth measuring: III-G), and
-in which direction of motion it is smallest. Σ = P gives the same a posteriori. P must be that of all free parameters
-together: the parameters alone may be uncertain by metres along directions that no pose shows.
+**Cartesian error** (Renders 1991, II-D). To first order a point of the end has the error J Δ. If the parameters have
+the covariance Σ, this error has the covariance J Σ Jᵀ, 3 × 3 at each pose. Σ = diag(tolerance²) gives the a priori
+analysis of the paper: how large the error will be before any measurement, where it is largest (points worth measuring:
+III-G), and in which direction of motion it is smallest. Σ = P gives the same a posteriori. P must be the covariance of
+all free parameters together: individual parameters may be uncertain by metres along directions that affect no pose.
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ LEAST_FREEDOM = 0.5  # of a residual
 
 
 class Goodness(NamedTuple):
-    """How well an estimate fits the data: χ²/ν, ν, and where χ²/ν lies if model, σ and prior are right."""
+    """The quality of a fit: χ²/ν, ν, and the range of χ²/ν if model, σ and prior are correct."""
 
     reduced: float
     freedom: float
@@ -51,19 +54,19 @@ class CartesianError(NamedTuple):
     """The error of a point of the end over n poses; the standard deviations are along the principal axes."""
 
     covariance: Floats  # (n, 3, 3) m², base frame
-    rms: Floats  # (n,) m, expected norm in the root mean square: sqrt(trace)
+    rms: Floats  # (n,) m, RMS of the expected norm: sqrt(trace)
     sigma_smallest: Floats  # (n,) m
-    direction_smallest: Floats  # (n, 3) unit vectors of the base frame, in which the error is smallest
+    direction_smallest: Floats  # (n, 3) unit vectors of the base frame in which the error is smallest
     sigma_largest: Floats  # (n,) m
 
     @property
     def worst(self) -> int:
-        """Index of the pose with the largest expected error."""
+        """Return the index of the pose with the largest expected error."""
         return int(np.argmax(self.rms))
 
 
 def prior_shares(covariance_root: Floats, prior_sigma: Floats) -> Floats:
-    """(r,) 1 − h in each direction that is seen, 0 where the data decide and 1 where the prior does.
+    """Return 1 − h (r,) in each identifiable direction, 0 where the data determine it and 1 where the prior does.
 
     covariance_root (k, r): S with SSᵀ = (JᵀJ + M)⁻¹, prior_sigma (k,): inf for none.
     """
@@ -71,9 +74,10 @@ def prior_shares(covariance_root: Floats, prior_sigma: Floats) -> Floats:
 
 
 def goodness(chi2: float, n: int, shares: Floats, probability: float = 0.95) -> Goodness:
-    """χ² of n whitened data, judged. ``shares`` (r,) is the prior's in the r directions that data or prior determine.
+    """Return the quality of a fit from χ² of n whitened data.
 
-    All NaN but the degrees of freedom where these are fewer than LEAST_FREEDOM, since then everything fits.
+    ``shares`` (r,) is the share of the prior in the r directions that data or prior determine. All values except the
+    degrees of freedom are NaN if there are fewer than LEAST_FREEDOM of these, because any model then fits.
     """
 
     def total(power: int) -> float:
@@ -89,21 +93,22 @@ def goodness(chi2: float, n: int, shares: Floats, probability: float = 0.95) -> 
 
 
 def _quantile(mean: float, squares: float, probability: float) -> float:
-    """Of Σwz², z normal, with Σw = mean and Σw² = squares (Satterthwaite)."""
+    """Return a quantile of Σwz², z normal, with Σw = mean and Σw² = squares (Satterthwaite)."""
     return float(squares / mean * special.chdtri(mean**2 / squares, 1.0 - probability))
 
 
 def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats, p_end_point: Floats) -> CartesianError:
-    """Error of a point of the end, from the covariance (p, p) of the robot's parameters, at params (p,) and q (n, j).
+    """Return the error of a point of the end from the covariance (p, p) of the robot's parameters.
 
-    Raises ProblemError for a covariance of another shape or with entries that are not finite, and for no poses.
+    It is evaluated at params (p,) and q (n, j). Raises ProblemError for a covariance of another shape or with entries
+    that are not finite, and if there are no poses.
     """
     p = len(chain.parameters)
     covariance, q = np.asarray(covariance, dtype=float), np.atleast_2d(np.asarray(q, dtype=float))
     if covariance.shape != (p, p) or not np.isfinite(covariance).all():
-        raise ProblemError(f"the covariance must be {p} × {p} finite numbers, is of shape {covariance.shape}")
+        raise ProblemError(f"the covariance must be {p} × {p} finite numbers, its shape is {covariance.shape}")
     if len(q) == 0:
-        raise ProblemError("no poses to predict the error at; give at least one row of joint readings")
+        raise ProblemError("no poses to predict the error for; give at least one row of joint readings")
     root = covariance_root(covariance)
     parts = []
     for at in range(0, len(q), CHUNK):
@@ -123,7 +128,7 @@ def predicted_error(chain: Chain, params: Floats, covariance: Floats, q: Floats,
 
 
 def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats) -> CartesianError:
-    """A priori: the error that tolerances σ (p,) of independent parameters make at the nominal robot.
+    """Return the a priori error that tolerances σ (p,) of independent parameters cause at the nominal robot.
 
     Raises ProblemError for σ of another shape, negative or not finite.
     """
@@ -134,7 +139,7 @@ def tolerance_error(chain: Chain, sigma: Floats, q: Floats, p_end_point: Floats)
 
 
 def covariance_root(covariance: Floats) -> Floats:
-    """S with S Sᵀ = covariance, which may be singular; rounding below zero is cut."""
+    """Return S with S Sᵀ = covariance, which may be singular; negative eigenvalues due to rounding are set to zero."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     divisor = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / divisor / divisor[:, None])

@@ -1,20 +1,23 @@
-"""A robot judged by observations that it was not fitted to: which rows can judge, and what they say.
+"""Validation of a robot on observations that it was not fitted to: which rows can be used, and what they show.
 
-What the rig does not know (a socket's place, a line's pose, a ball's) is settled on the judging rows themselves, with the
-robot fixed, as nothing could be predicted there otherwise. Rows that fit such unknowns whatever they say are no judges. Unknowns
-that the identification found may be kept as it left them: they are then judged with the robot.
+Unknowns of the rig (a socket's position, a line's pose, a ball's position) are estimated from the validation rows
+themselves, with the robot fixed, because nothing could be predicted otherwise. Rows that fit such unknowns exactly,
+whatever the reading, are not used. Unknowns that the identification estimated can be kept at their identified values;
+they are then validated together with the robot.
 
-How large an error should be if the robot, and what is kept beside it, is as it was identified, with covariance P, follows from both.
-Of whitened rows with noise ε and the robot's error δ, r = ε − A δ, the rig's other unknowns J u (with their priors, as rows of their
-own below J) take the part H r away, H = U₁U₁ᵀ of the thin SVD's U₁ beside J. What is left has the covariance
+This also determines how large the errors should be if the robot, and what is kept with it, is as identified, with
+covariance P. For whitened rows with noise ε and the robot's error δ, r = ε − A δ. The other unknowns of the rig, J u
+(with their priors as additional rows below J), absorb the part H r, H = U₁U₁ᵀ, with U₁ the rows of J in the U of its
+thin SVD. The rest has the covariance
 
     (I − H) + (I − H) A P Aᵀ (I − H) .
 
-Whether the errors are of that size is one χ² test. With P as the prior of the robot's parameters about the identified ones the
-least sum of squares, data and priors together, is χ² with as many degrees of freedom as there are residuals and priors more
-than unknowns: rᵀ(I + A P Aᵀ)⁻¹r after the rig. What rows share, the robot's error and the rig's, is in it exactly, and so is
-how much n rows can tell. Directions of the robot that the identification did not see have no prior. The residuals of that fit are
-tested for systematic errors as those of any other (``systematic``).
+One χ² test decides whether the errors have that size. With P as the prior of the robot's parameters about the
+identified ones, the minimum sum of squares of data and priors together is χ² with as many degrees of freedom as there
+are residuals and priors in excess of unknowns: rᵀ(I + A P Aᵀ)⁻¹r once the rig is eliminated. This accounts exactly for
+the errors that rows share, of the robot and of the rig, and for how much n rows can show. Null directions of the
+identification have no prior. The residuals of this fit are tested for systematic errors like those of any other fit
+(``systematic``).
 """
 
 from __future__ import annotations
@@ -43,34 +46,34 @@ from truearm.model.chain import Chain
 from truearm.types import Effect, Floats, ObservationTable, Residuals, SystematicErrors
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
-LEVEL = 0.99  # of consistent sessions that are called so
-LEAST_FREEDOM = 1e-6  # share of a row's residuals that must be left to judge by; rounding leaves 1e-12
+LEVEL = 0.99  # probability that a consistent session is reported as consistent
+LEAST_FREEDOM = 1e-6  # share of a row's residuals that must remain for validation; rounding leaves 1e-12
 
 
 class Judgement(NamedTuple):
-    """What n rows say of a robot."""
+    """The errors of a robot on n rows."""
 
-    error: Residuals  # sizes of the rows' residuals by unit
-    judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever they say
+    error: Residuals  # magnitudes of the rows' residuals by unit
+    judging: NDArray[np.bool_]  # (n,) False for rows that fit whatever the reading
     problem: Problem
     x: Floats  # (P,)
-    settled: NDArray[np.bool_]  # (P,) unknowns of the rig that were settled on these rows; all others are as identified
+    settled: NDArray[np.bool_]  # (P,) unknowns of the rig estimated on these rows; all others are as identified
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """The names of the parameters that are as identified: the robot's, then what was kept of the rig."""
+        """Return the names of the parameters kept as identified: the robot's, then those of the rig."""
         return tuple(name for name, settled in zip(self.problem.names, self.settled, strict=True) if not settled)
 
 
 class Expected(NamedTuple):
-    """What n rows should say of a robot that is as identified: mean squares of the errors in one SI unit.
+    """The expected errors on n rows if the robot is as identified: mean squares of the errors in one SI unit.
 
-    NaN and False of rows without such an error.
+    NaN and False for rows without such an error.
     """
 
-    by_noise: Floats  # (n,) by the sigmas that rig and table declare
-    by_parameters: Floats  # (n,) by the parameters' covariance
-    unseen: NDArray[np.bool_]  # (n,) rows that a direction moves of which the identification saw nothing
+    by_noise: Floats  # (n,) from the sigmas declared in rig and table
+    by_parameters: Floats  # (n,) from the parameters' covariance
+    unseen: NDArray[np.bool_]  # (n,) rows affected by a null direction of the identification
 
 
 def judge(
@@ -82,16 +85,18 @@ def judge(
     place: NDArray[np.bool_] | None = None,
     allowed: Sequence[Effect] = (),
 ) -> Judgement:
-    """Judge the robot with parameters (p,) by a table. Raises ProblemError as ``build_problem``.
+    """Evaluate the robot with parameters (p,) on a table. Raises ProblemError for the same reasons as ``build_problem``.
 
-    kept : values of the rig's unknowns that are held and not settled, by name; others are passed over.
-    allowed : systematic errors in all rows that the identification estimated; of them those that are kept are parameters here too.
-    place : (p,) parameters of the robot that are fitted to these rows as the rig's unknowns are: where base and tool stand.
+    kept : values of the rig's unknowns, by name, that are kept instead of estimated; others are skipped.
+    allowed : systematic errors in all rows that the identification estimated; those that are kept are parameters here
+    too.
+    place : (p,) parameters of the robot that are fitted to these rows like the rig's unknowns: the pose of base and
+    tool.
     """
     # The known distance between sockets must not help to place them: the error is the spread about each socket.
     plain = build_problem(chain, rig, table)
-    things = {cause.name: cause for cause in plain.causes}
-    mine = [one for one in allowed if one.what in things and set(things[one.what].numbers) <= set(kept)]
+    causes = {cause.name: cause for cause in plain.causes}
+    mine = [one for one in allowed if one.what in causes and set(causes[one.what].numbers) <= set(kept)]
     effects = modelled_effects(plain.causes, mine, Circumstances.of(table))
     problem = without_knowledge(build_problem(chain, rig, table, None, effects) if effects else plain)
     p = problem.n_robot
@@ -106,9 +111,10 @@ def judge(
 
 
 def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mapping[str, Expected]:
-    """What the rows of a judgement should say, by SI unit, with covariance (k, k) and ``unseen`` directions (k, d) of what is as identified.
+    """Return the expected errors on the rows of a judgement, by SI unit.
 
-    The largest weight of each direction is 1.
+    ``covariance`` (k, k) and the null directions ``unseen`` (k, d), each with a largest weight of 1, are those of the
+    parameters kept as identified.
     """
     problem, x, rig = settled(judgement.problem, judgement.x), judgement.x, judgement.settled
     parts = [part for part in whitened_blocks(problem, x, np.ones(x.size, dtype=bool)) if part.row is not None]
@@ -135,9 +141,9 @@ def expected(judgement: Judgement, covariance: Floats, unseen: Floats) -> Mappin
 
 
 class Consistency(NamedTuple):
-    """How the rows agree with declared noise and the calibration's covariance.
+    """Consistency of the rows with declared noise and the calibration's covariance.
 
-    ``chi2`` of ``freedom`` degrees is at most ``limit`` with probability LEVEL if the robot is as identified.
+    ``chi2`` with ``freedom`` degrees is at most ``limit`` with probability LEVEL if the robot is as identified.
     """
 
     chi2: float
@@ -147,14 +153,14 @@ class Consistency(NamedTuple):
 
     @property
     def explained(self) -> bool:
-        """Whether noise and covariance explain the errors, and nothing is off."""
+        """Return whether noise and covariance explain the errors, and there is no systematic error."""
         return self.chi2 <= self.limit and self.systematic is None
 
 
 def consistency(
     judgement: Judgement, table: ObservationTable, covariance: Floats, unseen: Floats
 ) -> Consistency | None:
-    """Test a judgement of the ``table``'s rows; arguments as of ``expected``. None without a degree of freedom."""
+    """Test a judgement of the ``table``'s rows; arguments as for ``expected``. None without a degree of freedom."""
     problem, x, settle = judgement.problem, judgement.x, judgement.settled
     identified = np.flatnonzero(~settle)
     spread = covariance_root(covariance)
@@ -163,7 +169,7 @@ def consistency(
     columns[identified] = spread.any(axis=1) | unseen.any(axis=1)
     prior = np.where(settle, problem.prior_sigma, np.inf)[columns]
     information = with_prior(observe(problem, x, columns), (problem.start - x)[columns], prior)
-    # What was seen varies with its covariance as the prior, what was not without one; then the rig's unknowns.
+    # Identified directions have their covariance as the prior, null directions have none; then the rig's unknowns.
     rig = np.eye(x.size)[columns][:, settle]
     of_robot, elsewhere = (np.zeros((x.size, part.shape[1])) for part in (spread, unseen))
     of_robot[identified], elsewhere[identified] = spread, unseen
@@ -187,9 +193,9 @@ def consistency(
 
 
 def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
-    """(d, e) the combinations of ``unseen`` directions (k, d) that move the rows otherwise than the rig's unknowns (k, s) can.
+    """Return combinations (d, e) of ``unseen`` directions (k, d) that move the rows unlike the rig's unknowns (k, s) can.
 
-    By more than MOVES of what a single parameter does, in the information's ``root`` (k, k).
+    They do so by more than MOVES times the effect of a single parameter, in the information's ``root`` (k, k).
     """
     basis, weight, _ = np.linalg.svd(root @ rig, full_matrices=False)
     basis = basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)]
@@ -199,7 +205,7 @@ def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
 
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:
-    """U₁ (m, r) of whitened derivatives (m, u) by the rig's unknowns."""
+    """Return U₁ (m, r) of whitened derivatives (m, u) by the rig's unknowns."""
     known = np.isfinite(prior_sigma)
     stacked = np.concatenate([jac, np.diag(1.0 / np.where(known, prior_sigma, np.inf))[known]])
     stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
@@ -208,10 +214,10 @@ def _taken(jac: Floats, prior_sigma: Floats) -> Floats:
 
 
 def has_freedom(problem: Problem, columns: NDArray[np.bool_], x: Floats) -> NDArray[np.bool_]:
-    """Rows (n,) that the unknowns x[columns], settled on them, could not make to fit whatever they say.
+    """Return a mask (n,) of rows that the unknowns x[columns], estimated on them, cannot fit whatever the reading.
 
-    The trace of a row's block of the hat matrix J (JᵀJ)⁺ Jᵀ is its number of residuals where they fit by construction:
-    the only seat in a socket, say.
+    The trace of a row's block of the hat matrix J (JᵀJ)⁺ Jᵀ equals its number of residuals if they fit by construction,
+    as for the only seat in a socket.
     """
     free = np.ones(problem.n_rows, dtype=bool)
     if not columns.any():

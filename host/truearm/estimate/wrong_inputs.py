@@ -1,23 +1,29 @@
-"""Why a fit is absurd: readings of the inputs that would explain the observations, tried and ranked.
+"""Explanations for an absurd fit: alternative interpretations of the inputs that are tried and ranked.
 
-A robot whose residuals remain larger than a drawing's tolerances (1 mm, 5 mrad) after it was identified, or whose fit does not
-converge, was rarely made so. Tried are what goes wrong in a lab:
+If a robot's residuals after identification are larger than the tolerances of a drawing (1 mm, 5 mrad), or its fit does
+not converge, the cause is rarely the robot. (If a trial fit, which runs longer, ends within the tolerances, only the
+iteration was stopped early.) The usual mistakes in a lab are tried:
 
-- units: joints in degrees called radians or the reverse, a measured column or the rig's points in millimetres called metres or the reverse;
-- joints: two exchanged, their order turned round or shifted, the signs of any of them;
-- robot: the other built-in ones with as many joints;
-- labels: names exchanged, renamed in a circle, or wrong in some groups of rows (``label_search``);
+- units: joints in degrees labelled as radians or the reverse; a measured column or the rig's points in millimetres
+  labelled as metres or the reverse;
+- joints: two exchanged, their order reversed or shifted, wrong signs of any of them;
+- robot: the other built-in robots with the same number of joints;
+- labels: names exchanged, renamed in a cycle, or wrong in some groups of rows (``label_search``);
+- stuck joint: the reading of one joint is identical to the last digit in a run of rows while others move;
 - set-up: the first or the last rows belong to another one;
-- held parameters: few were freed, and those that the robot has free by default explain the rest, were it by less. Then the inputs are right and the fit is what was asked for.
+- held parameters: too few were free, and those that are free by default explain the rest, even if only by less. Then
+  the inputs are correct and the fit is as requested.
 
-Each reading is fitted to the same few rows under the same wide prior (``trial_fit``). One explains the observations if it brings χ²
-down by HUNDREDFOLD (the RMS tenfold), leaves residuals within a drawing's tolerances and the robot within STRAYED tolerances of a hand, and this is beyond chance: if all readings were as wrong as the given one, their mean
-squares would differ as F(ν, ν) does, so a drop by r has the chance P(F < r), times the number of readings tried (Bonferroni). That
-is LEVEL at most for each sort of reading; at LEVEL/5 a sort, false alarms are LEVEL in all. Where the given reading is right, others
+Each interpretation is fitted to the same few rows under the same wide prior (``trial_fit``). It explains the
+observations if it reduces χ² by HUNDREDFOLD (the RMS tenfold), leaves residuals within the tolerances of a drawing and
+the robot within STRAYED tolerances of manual mounting, and if this is beyond chance. If all interpretations were as
+wrong as the given one, their mean squares would differ as F(ν, ν) does, so a reduction by r has the probability P(F <
+r), times the number of interpretations tried (Bonferroni). That is at most LEVEL for each type of interpretation; at
+LEVEL/5 per type, false alarms have the probability LEVEL in total. If the given interpretation is correct, another
 would have to be a hundred times better than the truth.
 
-Of what explains the observations, the most probable is named first: with unknown variances the logarithm of the evidence is
-−½ Σ log σ² over the residuals, rows that a reading leaves out counting with the variance of the given one.
+The most probable explanation is listed first. With unknown variances, the logarithm of the evidence is −½ Σ log σ² over
+the residuals; rows that an interpretation leaves out count with the variance of the given one.
 """
 
 from __future__ import annotations
@@ -56,29 +62,29 @@ from truearm.types import (
 from truearm.units import DEG, MM, UNITS
 
 HUNDREDFOLD = 0.01  # of χ²
-FAMILY = 1e-3  # false alarms of all kinds of wrong input together
+FAMILY = 1e-3  # false alarms of all types of wrong input together
 LEVEL = FAMILY / len(WrongInput)
 MOST_ROWS = 200
-FEW_ROWS = 60  # enough to order arrangements of joints
+FEW_ROWS = 60  # enough to rank arrangements of joints
 LEAST_ROWS = 5  # of another set-up
 MOST_NAMED = 3
 MOST_HELD = 6  # names of parameters
-STRAYED = 5.0  # tolerances of a hand: the paper's PUMA strays by 1.3
-MOST_FITTED = 4  # of the orders and signs of joints, those with the least residuals before the robot is fitted
-AS_LIKELY = 4.0  # χ² of explanations that are named beside the best
+STRAYED = 5.0  # tolerances of manual mounting: the paper's PUMA differs by 1.3
+MOST_FITTED = 4  # of the orders and signs of joints, those with the smallest residuals before the robot is fitted
+AS_LIKELY = 4.0  # χ² of explanations that are reported with the best
 
 Mask = NDArray[np.bool_]
 
 
 class Candidate(NamedTuple):
-    """Another robot that the observations may be of: its chain and the parameters to free (p,)."""
+    """Another robot that the observations may belong to: its chain and the parameters to free (p,)."""
 
     chain: Chain
     free: Mask
 
 
 class _Reading(NamedTuple):
-    """Another reading of the inputs, and what to say if it explains the observations."""
+    """Another interpretation of the inputs, and the message if it explains the observations."""
 
     text: str
     chain: Chain
@@ -102,17 +108,18 @@ def diagnosed(
     robots: Mapping[str, Candidate] | None = None,
     usual: Mask | None = None,
 ) -> Estimate:
-    """The estimate with what explains it if it is doubtful, and why it is not usable if it is not.
+    """Return the estimate with explanations if it is doubtful, and with the reason if it is not usable.
 
-    ``free`` (p,) is what was asked to be identified, before anything was held by default, ``usual`` (p,) what the robot has free
-    unless something else is asked for; ``robots`` are others to try.
+    ``free`` (p,) are the parameters requested for identification, before any were fixed by default; ``usual`` (p,)
+    those that the robot has free by default; ``robots`` are others to try.
     """
-    if absurd(estimate):
+    explanations: tuple[Explanation, ...] = ()
+    labels = Search((), "not needed")
+    finished = _finished(chain, rig, table, estimate.fitted, free) if _unconverged(estimate) else None
+    if absurd(estimate) and finished is None:
         explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual)
-    elif _elsewhere(estimate):
+    elif _elsewhere(estimate) or (finished is not None and max(finished.moved, finished.strayed) > FAR):
         explanations, labels = _turned_about(chain, rig, table, estimate.fitted, free)
-    else:
-        return estimate
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     return replace(estimate, unusable=_unusable(estimate))
 
@@ -126,7 +133,7 @@ def explanations_of(
     robots: Mapping[str, Candidate],
     usual: Mask | None = None,
 ) -> tuple[tuple[Explanation, ...], Search]:
-    """What explains the ``rows`` (n,) of a table better than the inputs as given, the most probable first; and the labels."""
+    """Return explanations of the ``rows`` (n,) of a table better than the given inputs, the most probable first; and labels."""
     n = int(rows.sum())
     labels = Search((), "not needed")
     given = table.select(np.flatnonzero(rows)[_thin(n)])
@@ -135,7 +142,8 @@ def explanations_of(
         return (), labels
     found: list[_Found] = []
     if usual is not None and (usual & ~free).any():
-        # Few parameters do not show which reading is right: all are judged by what the robot has free.
+        # A few parameters do not show which interpretation is correct: all are judged with the robot's default free
+        # set.
         held, free = usual & ~free, usual | free
         freed = _Reading(_held(chain, held), chain, rig, given, free)
         found += _explaining(WrongInput.HELD, [freed], before, 1.0)
@@ -151,27 +159,36 @@ def explanations_of(
         if not found:
             found += _explaining(what, list(readings()), before)
     if not found:
+        found += _stuck(chain, rig, table, np.flatnonzero(rows), free, before)
+    if not found:
         found += _set_up(chain, rig, table, np.flatnonzero(rows), free, before)
         labels = relabellings(chain, rig, table, rows, free, [of.fit for of in found])
         found += _by_labels(labels, table, n)
     return _ranked(found), labels
 
 
+def _finished(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask) -> Trial | None:
+    """Return the fit of some ``rows`` (n,) if it is as good as with correct inputs: then the iteration ended too early."""
+    fit = tried(chain, rig, table.select(np.flatnonzero(rows)[_thin(int(rows.sum()))]), free)
+    within = fit is not None and all(rms <= UNITS[unit].weak_sigma for unit, rms in fit.rms.items())
+    return fit if within else None
+
+
 def _turned_about(
     chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask
 ) -> tuple[tuple[Explanation, ...], Search]:
-    """Labels by which base and tool stand where they were described, of a fit that leaves nothing to explain but that they do not."""
+    """Return labels that place base and tool where they were described, for a fit without any other sign of error."""
     labels = relabellings(chain, rig, table, rows, free)
     return _ranked(list(_by_labels(labels, table, int(rows.sum())))), labels
 
 
 def absurd(estimate: Estimate) -> bool:
-    """Whether right inputs hardly leave such a fit: it has not converged, or its residuals are beyond a drawing's tolerances."""
+    """Return whether correct inputs hardly give such a fit: not converged, or residuals beyond a drawing's tolerances."""
     return _unconverged(estimate) or _beyond(estimate, "weak_sigma")
 
 
 def _elsewhere(estimate: Estimate) -> bool:
-    """Whether a parameter went far from where it was described: labels may turn a fixture about."""
+    """Return whether a parameter moved far from its described value: wrong labels may rotate a fixture."""
     p = estimate.n_robot_parameters
     wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])
     return bool((np.abs(estimate.value - estimate.nominal)[:p] > FAR * wide).any())
@@ -192,24 +209,22 @@ def _unconverged(estimate: Estimate) -> bool:
 
 
 def _beyond(estimate: Estimate, tolerance: str) -> bool:
-    """Whether the rows that were used have an RMS beyond a tolerance, and the declared noise does not explain it."""
+    """Return whether the rows used have an RMS beyond a tolerance that the declared noise does not explain."""
     if estimate.chi2_reduced <= estimate.chi2_band[1]:
         return False
-    used = estimate.fitted & ~(estimate.weight == 0.0) if estimate.weight.size else estimate.fitted
-    return any(
-        of.rms > getattr(UNITS[unit], tolerance) for unit, of in Figures.by_unit(estimate.residual, used).items()
-    )
+    figures = Figures.by_unit(estimate.residual, estimate.used)
+    return any(of.rms > getattr(UNITS[unit], tolerance) for unit, of in figures.items())
 
 
 def _thin(n: int, most: int = MOST_ROWS) -> NDArray[np.intp]:
-    """An even choice of n rows."""
+    """Return an evenly spaced selection of n rows."""
     return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
 
 
 def _explaining(
     what: WrongInput, readings: Sequence[_Reading], before: Trial, ratio: float = HUNDREDFOLD
 ) -> Iterator[_Found]:
-    """Those readings that explain the observations and bring χ² below ``ratio`` of what it was."""
+    """Return the interpretations that explain the observations and reduce χ² below ``ratio`` of its value."""
     for one in readings:
         after = tried(one.chain, one.rig, one.table, one.free)
         if after is not None and _explains(before, after, len(readings), ratio):
@@ -217,9 +232,9 @@ def _explaining(
 
 
 def _explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD) -> bool:
-    """Better by far, beyond chance, no longer absurd, and by about the robot that was described.
+    """Return whether a fit is far better, beyond chance, no longer absurd, and close to the described robot.
 
-    A reading that makes everything small explains nothing, nor does one to which the robot must shrink.
+    An interpretation that shrinks everything explains nothing, and neither does one that requires the robot to shrink.
     """
     ratio = after.reduced / before.reduced
     fits = all(rms <= UNITS[unit].weak_sigma for unit, rms in after.rms.items())
@@ -234,7 +249,7 @@ def _explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOL
 def _found(
     what: WrongInput, text: str, n: int, before: Trial, after: Trial, count: int, apply: str = "", of: int = 0
 ) -> _Found:
-    """``n`` of ``of`` rows are explained, all of them by default; ``count`` readings were tried."""
+    """Return an explanation of ``n`` of ``of`` rows, by default all; ``count`` interpretations were tried."""
     ratio = after.reduced / before.reduced
     chance = math.exp(min(log_chance(ratio, after.freedom) + math.log(count), 0.0))
     score = (n / of if of else 1.0) * math.log(max(ratio, 1e-300))
@@ -242,7 +257,7 @@ def _found(
 
 
 def _ranked(found: Sequence[_Found]) -> tuple[Explanation, ...]:
-    """The best, and those that explain as much nearly as well."""
+    """Return the best explanation, and those that explain as much nearly as well."""
     if not found:
         return ()
     best = min(found, key=lambda of: of.score)
@@ -254,7 +269,7 @@ def _ranked(found: Sequence[_Found]) -> tuple[Explanation, ...]:
 
 
 def _held(chain: Chain, held: Mask) -> str:
-    """Which parameters (p,) are held."""
+    """Return a mask (p,) of the fixed parameters."""
     names = [name for name, one in zip(chain.parameter_names, held, strict=True) if one]
     more = f" and {len(names) - MOST_HELD} more" if len(names) > MOST_HELD else ""
     are = "is" if len(names) == 1 else "are"
@@ -262,9 +277,9 @@ def _held(chain: Chain, held: Mask) -> str:
 
 
 def _units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[_Reading]:
-    """Columns and points in the other unit."""
+    """Return columns and points in the other unit."""
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
-    # Where nothing is measured but that the end comes back, less motion leaves less residual, whatever the unit.
+    # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
     if all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used):
         for unit, scale, names in (
             ("rad", DEG.scale, ("degrees", "radians")),
@@ -305,7 +320,7 @@ def _with_column(table: ObservationTable, field: str, factor: float) -> Observat
 
 
 def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
-    """The rig, or rigs, with some points' coordinates multiplied; None where there are none."""
+    """Return the rig, or rigs, with some points' coordinates multiplied; None if there are none."""
     if not isinstance(rig, Rig):
         scaled = {name: _with_points(one, entry, factor) for name, one in rig.items()}
         every = {name: one for name, one in scaled.items() if isinstance(one, Rig)}
@@ -327,7 +342,7 @@ def _robots(chain: Chain, rig: Rigs, table: ObservationTable, robots: Mapping[st
 
 
 def _joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[_Reading]:
-    """The orders and signs of joints that leave least before the robot is fitted."""
+    """Return the orders and signs of joints with the smallest residuals before the robot is fitted."""
     names = [joint.name for joint in chain.joints]
     few = table.select(_thin(len(table), FEW_ROWS))
     scored = []
@@ -351,7 +366,7 @@ def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -
 
 
 def _arrangements(n: int) -> Iterator[tuple[list[int], Floats]]:
-    """Orders and signs of n joints: exchanges of two, circles, the reverse; all signs."""
+    """Return orders and signs of n joints: exchanges of two, cycles, the reverse; all signs."""
     same, plus = list(range(n)), np.ones(n)
     for a, b in combinations(same, 2):
         order = list(same)
@@ -375,16 +390,45 @@ def _arranged(names: Sequence[str], order: Sequence[int], signs: Floats) -> str:
     return f"the joints' columns are in another order: {', '.join(names[order.index(i)] for i in range(len(names)))}"
 
 
+def _stuck(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: NDArray[np.intp], free: Mask, before: Trial
+) -> Iterator[_Found]:
+    """Return joints with a constant reading in a run of rows while others change, if all other rows fit."""
+    n, runs = rows.size, _same_readings(table.q[rows])
+    for joint, first, end in runs:
+        others = rows[np.r_[:first, end:n]]
+        after = tried(chain, rig, table.select(others[_thin(others.size)]), free) if others.size else None
+        if after is None or not _explains(before, after, len(runs)):
+            continue
+        where = f"{_row(table, rows[first])} to {_row(table, rows[end - 1])}"
+        text = f"the reading of {chain.joints[joint].name} is stuck: it is the same in {counted(end - first, 'row')} from {where}, while others move"
+        apply = f"{rows[first] + 1}:{rows[end - 1] + 1}"
+        yield _found(WrongInput.STUCK, text, others.size, before, after, len(runs), apply, n)
+
+
+def _same_readings(q: Floats) -> list[tuple[int, int, int]]:
+    """Return the longest run (first row, one after the last) of each joint in readings (n, j) in which it alone is constant."""
+    found = []
+    for joint in range(q.shape[1]):
+        edges = np.r_[0, np.flatnonzero(np.diff(q[:, joint])) + 1, len(q)]
+        longest = int(np.argmax(np.diff(edges)))
+        first, end = int(edges[longest]), int(edges[longest + 1])
+        moving = np.delete(np.ptp(q[first:end], axis=0), joint)
+        if LEAST_ROWS <= end - first < len(q) and moving.any():
+            found.append((joint, first, end))
+    return found
+
+
 def _set_up(
     chain: Chain, rig: Rigs, table: ObservationTable, rows: NDArray[np.intp], free: Mask, before: Trial
 ) -> Iterator[_Found]:
-    """First or last rows that do not fit the others, which fit."""
+    """Return first or last rows that do not fit the others, which fit."""
     n = rows.size
     if n < 4 * LEAST_ROWS:
         return
     for main in (np.arange(n // 2, n), np.arange(n // 2)):
         after, cut = None, 0
-        for _ in range(2):  # of half of the rows, then of all on that side of the change
+        for _ in range(2):  # from half of the rows, then from all on that side of the change
             some = rows[main[_thin(main.size)]]
             after = tried(chain, rig, table.select(some), free)
             if after is None:
@@ -407,7 +451,7 @@ def _set_up(
 
 
 def _change(square: Floats) -> int:
-    """The row from which on the variance is another (maximum likelihood)."""
+    """Return the row from which on the variance differs (maximum likelihood)."""
     n = square.size
     k = np.arange(LEAST_ROWS, n - LEAST_ROWS + 1)
     total = np.concatenate([[0.0], np.cumsum(square)])
@@ -429,7 +473,7 @@ def _by_labels(labels: Search, table: ObservationTable, n: int) -> Iterator[_Fou
 
 
 def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
-    """What is wrong with the labels: names that are exchanged throughout, else the rows of each wrong label."""
+    """Return sentences about wrong labels: names exchanged throughout, otherwise the rows of each wrong label."""
     exchanged = _exchanged(found, table)
     if exchanged:
         return exchanged
@@ -447,12 +491,12 @@ def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> li
 
 
 def _row(table: ObservationTable, row: int) -> str:
-    """Where a row comes from, without the folder: that says where somebody works."""
+    """Return where a row comes from, without the folder, which would reveal somebody's paths."""
     return re.split(r"[\\/]", str(table.source[row]))[-1]
 
 
 def _exchanged(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
-    """Names of one column that are exchanged in all rows that have them; empty where that is not so."""
+    """Return the names of one column that are exchanged in all rows that have them; empty if there are none."""
     sentences = []
     for column in dict.fromkeys(column for one in found for column in one.columns):
         renamed: dict[str, set[str]] = {}

@@ -1,4 +1,4 @@
-"""Calibrated robots as robot files (TOML, docs/robot-format.md): tables to read, and to identify from again.
+"""Calibrated robots as robot files (TOML, docs/reference/robot-format.md): tables to read, and to identify from again.
 
 Every convention has its table: ``dh`` and ``modified_dh`` rows between base and tool, ``sheth_uicker`` links of six. The
 mountings stand in base and tool, or in the first and the last link; the comment at the top has them by themselves.
@@ -86,7 +86,7 @@ def _check_turning(robot: LinkFrames) -> None:
     for joint in robot.joints:
         if joint.kind != "revolute":
             raise RobotError(
-                f"joint {joint.name} slides; rows of four are written of turning joints only, use sheth-uicker"
+                f"joint {joint.name} is prismatic; this format holds revolute joints only, use sheth-uicker"
             )
 
 

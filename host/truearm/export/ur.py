@@ -32,7 +32,7 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
     """U (6, 4, 4), and (4, 4) what is left between the last of them and the robot's flange."""
     check_gains(robot, "a kinematics file")
     if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
-        raise RobotError(f"robot {robot.name}: a kinematics file of Universal Robots is of six turning joints")
+        raise RobotError(f"robot {robot.name}: a Universal Robots kinematics file has six revolute joints")
     shifts = [elementary("tz", float(link[2, 3])) for link in robot.links[1:]]
     out = []
     before = np.eye(4)
@@ -48,7 +48,7 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
     if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:
         raise RobotError(
-            f"robot {robot.name}: its axes do not lie as those of Universal Robots' arms; use another format"
+            f"robot {robot.name}: its axes are not arranged like those of a Universal Robots arm; use another format"
         )
     segments, _ = ur_segments(robot)
     lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]

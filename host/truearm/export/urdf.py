@@ -80,7 +80,7 @@ def _path(chain: Chain) -> list[_PathJoint]:
         origin = elements[at : at + 6]
         names = [chain.parameter_names[e.parameter].rpartition(".") for e in origin if e.parameter is not None]
         if [name[2] for name in names] != ["x", "y", "z", "yaw", "pitch", "roll"]:
-            raise RobotError(f"robot {chain.name} is not from a URDF; a new one can be written of it")
+            raise RobotError(f"robot {chain.name} was not read from a URDF; a new URDF can be written for it")
         at += 6
         end = at
         while end < len(elements) and elements[end].parameter is None:
@@ -91,7 +91,7 @@ def _path(chain: Chain) -> list[_PathJoint]:
 
 
 def _product(elements: tuple[Element, ...], params: Floats) -> Floats:
-    """The product of elements that are no joints."""
+    """The product of elements that are not joints."""
     amounts = [e.value if e.parameter is None else params[e.parameter] for e in elements]
     return _chained([elementary(e.motion, amount) for e, amount in zip(elements, amounts, strict=True)])
 
@@ -174,7 +174,7 @@ def _tag_end(data: bytes, start: int) -> int:
     """Behind the > of the tag that begins at start; > may stand in quotes."""
     match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(data, start)
     if match is None:
-        raise RobotError("URDF: a tag does not end")
+        raise RobotError("URDF: a tag is not closed")
     return match.end()
 
 
@@ -236,7 +236,7 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
         elif joint.kind == "revolute":
             kind = "continuous"
         else:
-            raise RobotError(f"joint {joint.name} slides without limits, which a URDF cannot say")
+            raise RobotError(f"joint {joint.name} is prismatic without limits, which a URDF cannot express")
         moving = f'    <axis xyz="0 0 1"/>\n{limit}'
         at = origin @ joint_motion(joint, float(robot.offsets[i]))
         lines += _joint(joint.name, kind, names[i + 1], names[i + 2], at, moving)

@@ -40,7 +40,7 @@ class Row(NamedTuple):
 def rows_of(
     lines: Iterable[str], name: str, error: type[InputError] = TableError, separator: str = ","
 ) -> Iterator[Row]:
-    """Yield the rows of lines of CSV as they come, the header among them; blank lines are passed over. Raises ``error``."""
+    """Yield the rows of lines of CSV as they come, the header among them; blank lines are skipped. Raises ``error``."""
     reader = csv.reader(lines, delimiter=separator, strict=True)
     try:
         for cells in reader:
@@ -65,12 +65,12 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     """Header and rows of a table, all of one width. Raises TableError."""
     rows = read_rows(text, name)
     if not rows:
-        raise TableError(f"{name}: is empty; a table has a header row, and rows below it")
+        raise TableError(f"{name}: is empty; a table needs a header row and rows below it")
     header = rows[0].cells
     if len(header) == 1 and re.search(r"[;\t]", header[0]):
         raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")
     if len(header) > MAX_COLUMNS:
-        raise TableError(f"{name}: has {len(header)} columns; the most is {MAX_COLUMNS}")
+        raise TableError(f"{name}: has {len(header)} columns; the maximum is {MAX_COLUMNS}")
     if len(rows) > MAX_ROWS + 1:
         raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
     for row in rows[1:]:
@@ -86,7 +86,7 @@ def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray
         cell = row.cells[column.position]
         if cell and not NAME.fullmatch(cell):
             raise TableError(
-                f"{name} row {row.number} column {column.name}: {quoted(cell)} is no identifier; "
+                f"{name} row {row.number} column {column.name}: {quoted(cell)} is not an identifier; "
                 "use up to 64 letters, digits, '-' and '_'"
             )
     return np.array([row.cells[column.position] for row in rows])
@@ -125,7 +125,7 @@ def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Fl
     missing = np.isnan(out)
     bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if bad.size:
-        raise TableError(f"{name} row {rows[bad[0]].number}: needs {what}, or none of them")
+        raise TableError(f"{name} row {rows[bad[0]].number}: needs {what} or none of them")
     return out
 
 

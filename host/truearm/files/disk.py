@@ -31,7 +31,7 @@ def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
     except OSError as exc:
         raise error(f"{path}: cannot be read: {exc.strerror}") from exc
     if len(data) > max_bytes:
-        raise error(f"{path}: is larger than {max_bytes / 2**20:.0f} MiB, the most such a file may be")
+        raise error(f"{path}: is larger than {max_bytes / 2**20:.0f} MiB, the maximum for such a file")
     return data
 
 
@@ -43,14 +43,14 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
     except UnicodeDecodeError as exc:
         raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
     if "\0" in text:
-        raise error(f"{path}: holds a NUL byte at {text.index(chr(0))}, so it is no text file")
+        raise error(f"{path}: holds a NUL byte at {text.index(chr(0))}, so it is not a text file")
     return text
 
 
 def parse_toml(
     text: str, name: str, error: type[InputError], parse_float: Callable[[str], Any] = float
 ) -> dict[str, Any]:
-    """TOML text as a dictionary; what is no TOML, or is nested beyond reason, raises ``error``.
+    """TOML text as a dictionary; what is not TOML, or is nested beyond reason, raises ``error``.
 
     ``parse_float`` makes numbers of TOML's floats, and may raise ValueError.
     """
@@ -61,13 +61,13 @@ def parse_toml(
     except RecursionError as exc:
         raise error(f"{name}: is nested too deeply") from exc
     except ValueError as exc:  # tomllib passes on int()'s limit of digits and impossible dates
-        raise error(f"{name}: is not TOML that can be used: {exc}") from exc
+        raise error(f"{name}: is not usable TOML: {exc}") from exc
 
 
 def write_atomic(path: Path, text: str | bytes) -> None:
     """Write bytes, or text as UTF-8, beside ``path`` and rename them over it; a symbolic link stays, its target is replaced.
 
-    Raises InputError when the folder is missing or cannot be written, or ``path`` is no regular file.
+    Raises InputError when the folder is missing or cannot be written, or ``path`` is not a regular file.
     """
     path = _real(path)
     _check_regular(path)
@@ -123,7 +123,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
         raise InputError(f"{path}: is a directory; give the name of a file to write")
     _check_regular(path)
     if any(same_file(path, other) for other in inputs):
-        raise InputError(f"{path}: is also read or written by this command; give another name")
+        raise InputError(f"{path}: is already an input or output of this command; give another name")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
@@ -131,7 +131,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
     if ours is not None and path.exists():
         with path.open("rb") as file:
             if not ours(file.read(1024)):
-                raise InputError(f"{path}: exists and is nothing that truearm wrote; give another name, or remove it")
+                raise InputError(f"{path}: exists and was not written by truearm; give another name, or remove it")
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -190,6 +190,6 @@ def own_folder(path: Path, mark: str) -> None:
 
 def _check_regular(path: Path) -> None:
     if path.is_symlink() and not path.exists() and _real(path).is_symlink():
-        raise InputError(f"{path}: is a link that leads in a circle; give another name")
+        raise InputError(f"{path}: is a symbolic link loop; give another name")
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a regular file; give the name of a file to write")

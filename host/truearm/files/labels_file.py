@@ -1,4 +1,4 @@
-"""SESSION.labels.json: what was mounted at each dwell, settled after the recording by ``truearm relabel`` (docs/session-format.md).
+"""SESSION.labels.json: what was mounted at each dwell, settled after the recording by ``truearm relabel`` (docs/reference/session-format.md).
 
 It stands beside the session, which is never written to, and names it by its SHA-256. Every decision is kept; the last one counts.
 """
@@ -55,13 +55,13 @@ def read_labels(session: Path) -> Labels | None:
         document = json.loads(read_text(path, MAX_BYTES, SessionError))
     except (ValueError, RecursionError) as exc:
         raise SessionError(
-            f"{path}: is no JSON: {str(exc)[:100]}; settle the labels again with truearm relabel"
+            f"{path}: is not JSON: {str(exc)[:100]}; settle the labels again with truearm relabel"
         ) from exc
     with raising(SessionError, str(path)):
         found = _LABELS.parse(document)
     if found.sha256 != sha256(session):
         raise SessionError(
-            f"{path}: was made for another session of the name {session.name}; remove it, and settle the labels again with truearm relabel"
+            f"{path}: was made for another session named {session.name}; remove it, and settle the labels again with truearm relabel"
         )
     return found
 
@@ -113,7 +113,7 @@ def _entry(label: DwellLabel) -> dict[str, Any]:
 def _label(begin_ns: int, end_ns: int, **said: Any) -> DwellLabel:
     rest = {key: said.pop(key) for key in ("pose", "probability", "detail") if key in said}
     if said and not all(key in said for key in BAR_MOUNTED):
-        raise SchemaError("names some of bar, chuck and sphere; give all of them or none")
+        raise SchemaError("names only some of bar, chuck and sphere; give all three or none")
     return DwellLabel(begin_ns, end_ns, said, **rest)
 
 

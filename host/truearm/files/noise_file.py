@@ -1,6 +1,6 @@
 """Noise files: what ``truearm characterize`` found out about a robot and a bar, for ``truearm identify --noise``.
 
-TOML, the same words as in a rig file (docs/table-format.md): ``joint_sigma_rad`` or ``joint_cov_si`` of the joint readings and
+TOML, the same words as in a rig file (docs/reference/table-format.md): ``joint_sigma_rad`` or ``joint_cov_si`` of the joint readings and
 ``[[bar]]`` entries of a name and its ``sigma``. They stand in for the rig's. ``backlash_si`` and ``backlash_sigma_si`` are the joints'.
 """
 
@@ -51,14 +51,14 @@ def _checked(noise: NoiseFile) -> NoiseFile:
     """Widths of backlash and their sigmas come together, one of each for every joint of the covariance."""
     cov, width, width_sigma = noise.joint_cov, noise.backlash, noise.backlash_sigma
     if (width or width_sigma) and not cov:
-        raise SchemaError("backlash_si needs joint_sigma_rad or joint_cov_si, of which half of it is a part")
+        raise SchemaError("backlash_si needs joint_sigma_rad or joint_cov_si, which must include half of it")
     for key, values in zip(BACKLASH, (width, width_sigma), strict=True):
         if (width or width_sigma) and len(values) != len(cov):
             joints = f"{len(cov)} value{'s' * (len(cov) != 1)}"
-            raise SchemaError(f"{key.name}: needs a list of {joints}, one a joint, has {len(values)}")
+            raise SchemaError(f"{key.name}: needs a list of {joints}, one per joint, has {len(values)}")
     for j, b in enumerate(width):
         if 0.25 * b**2 > cov[j][j] * (1.0 + 1e-9):
-            raise SchemaError(f"joint {j + 1} has a sigma of less than half its backlash, which is a part of it")
+            raise SchemaError(f"joint {j + 1} has a sigma below half its backlash; the sigma must include the backlash")
     return noise
 
 

@@ -1,4 +1,4 @@
-"""The columns of a table of observations: their names, units and which joint they are of (docs/table-format.md)."""
+"""The columns of a table of observations: their names, units and which joint they are of (docs/reference/table-format.md)."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ class Column(NamedTuple):
 
 
 def read_header(header: list[str], name: str) -> dict[str, Column]:
-    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… but x_m, x_mm and note are passed over."""
+    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… but x_m, x_mm and note are skipped."""
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):
         where = f"{name} column {position + 1} ({quoted(title)})"
         if title in seen:
-            raise TableError(f"{where}: stands twice in the header; keep one")
+            raise TableError(f"{where}: appears twice in the header; keep one")
         seen.add(title)
         if title == "note" or (title.startswith("x_") and title not in MEASURED_X):
             continue
         quantity, unit = _quantity(title, where)
         if quantity in columns:
-            raise TableError(f"{where}: {quantity} is given twice, as {columns[quantity].name} too; keep one")
+            raise TableError(f"{where}: {quantity} is given twice, also as {columns[quantity].name}; keep one")
         columns[quantity] = Column(title, position, unit)
     if "kind" not in columns:
         raise TableError(f"{name}: has no column 'kind' (ball_bar, line, ...); is the first row a header?")
@@ -61,7 +61,7 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     units = number_units() | JOINTS
     match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(map(re.escape, number_units()))})([0-9]{{0,3}})(?:_(\w*))?", title)
     if match is None or (match[2] != "") != (match[1] in JOINTS):
-        raise TableError(f"{where}: is no known column; {_suggestion(title)}")
+        raise TableError(f"{where}: is not a known column; {_suggestion(title)}")
     quantity, unit, known = match[1] + match[2], match[3], units[match[1]]
     if unit is None:
         raise TableError(f"{where}: has no unit; name it {' or '.join(f'{quantity}_{u}' for u in known)}")
@@ -106,7 +106,9 @@ def rate_columns(columns: dict[str, Column], joints: list[Column], name: str) ->
         raise TableError(f"{name}: has {len(joints)} joint columns but {len(rates)} of velocities; give all or none")
     for joint, rate in zip(joints, rates, strict=False):
         if base_unit(rate.unit) != base_unit(joint.unit):
-            raise TableError(f"{name} column {rate.name}: does not fit {joint.name}; one turns, the other slides")
+            raise TableError(
+                f"{name} column {rate.name}: does not fit {joint.name}; one is revolute, the other prismatic"
+            )
     return rates
 
 

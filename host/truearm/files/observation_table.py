@@ -1,4 +1,4 @@
-"""Tables of observations: CSV with the units in the column names, one row an observation (docs/table-format.md).
+"""Tables of observations: CSV with the units in the column names, one row an observation (docs/reference/table-format.md).
 
 A table is checked in three layers: the text is CSV of equal rows (``read_cells``), its header names known quantities with
 units (``read_header``), its cells are what their column and the row's kind demand (``parse_table``). Every complaint names
@@ -25,7 +25,7 @@ from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
-from truearm.units import SUFFIXES, UNITS, suffixes
+from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
 
 MAX_BYTES = 16 * 2**20
 
@@ -68,7 +68,7 @@ def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
     for row in rows:
         if row.cells[column.position] not in registry.NAMES:
             raise TableError(
-                f"{name} row {row.number} column kind: {quoted(row.cells[column.position])} is no kind of observation; "
+                f"{name} row {row.number} column kind: {quoted(row.cells[column.position])} is not an observation kind; "
                 f"use {' or '.join(registry.NAMES)}"
             )
     return np.array([row.cells[column.position] for row in rows])
@@ -139,12 +139,15 @@ def _check_signs(
     """A bar has a length; the distance from a plane may be on either side of it."""
     for key, of in registry.kinds().items():
         for quantity in of.quantities:
-            small = measured[quantity.field].reshape(len(rows), -1) <= 0.0
-            bad = np.argwhere(small & (kind == key)[:, None] & quantity.positive)
+            values = measured[quantity.field].reshape(len(rows), -1)
+            bad = np.argwhere((values < SMALLEST) & (kind == key)[:, None] & quantity.positive)
             for i, k in bad[:1].tolist():
                 column = columns[quantity.columns[k]]
                 cell = quoted(rows[i].cells[column.position])
-                raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} must be greater than 0")
+                wrong = (
+                    "is too small; is the column in another unit?" if values[i, k] > 0.0 else "must be greater than 0"
+                )
+                raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} {wrong}")
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
@@ -238,5 +241,5 @@ def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str])
     try:
         parse_table(text, "the table", joint_units)
     except TableError as error:
-        raise TableError(f"{path}: not written, since it could not be read again: {error}") from None
+        raise TableError(f"{path}: not written, because it could not be read back: {error}") from None
     write_atomic(path, text)

@@ -1,4 +1,4 @@
-"""Plan files: CSV with one row a place, in the order of the visits (docs/table-format.md).
+"""Plan files: CSV with one row a place, in the order of the visits (docs/reference/table-format.md).
 
 Columns ``pose, shell, bar, chuck, sphere``, then, in plans that hold more than dwells, ``move, line, target, speed_mm_s``, then ``robot``, the
 name of the robot that it was made for, which may be left out, then ``q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the session; later a dwell is known by the
@@ -34,7 +34,7 @@ FASTEST = 10.0  # m/s; a speed beyond was written in another unit
 def concatenate(*plans: Plan) -> Plan:
     """Several plans visited one after the other. Raises PlanError when their joints differ in number."""
     if len({plan.q.shape[1] for plan in plans}) != 1:
-        raise PlanError(f"plans of different robots: they have {[plan.q.shape[1] for plan in plans]} joints")
+        raise PlanError(f"the plans are for different robots: they have {[plan.q.shape[1] for plan in plans]} joints")
     return Plan(**{name: np.concatenate([getattr(plan, name) for plan in plans]) for name in Plan.columns()})
 
 
@@ -70,7 +70,7 @@ def parse_plan(text: str, name: str) -> Plan:
         return Plan(q, **ids)
     move = np.where(columns["move"] == "", Move.DWELL.value, columns["move"])
     if (move == Move.VIA).all():
-        raise PlanError(f"{name}: holds nothing to measure, only places to pass")
+        raise PlanError(f"{name}: has nothing to measure, only poses to pass through")
     speed = np.array([MM_S.to_si(float(cell)) if cell else np.nan for cell in columns["speed_mm_s"]])
     return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
 
@@ -87,29 +87,31 @@ def _joints(n_joints: int) -> list[str]:
 def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     """The names of one row and its kind of move against each other."""
     if cells["pose"] != str(pose):
-        raise PlanError(f"{where}: pose is {cells['pose'][:40]!r}, expected {pose}; poses count from 0 without gaps")
+        raise PlanError(
+            f"{where}: pose is {cells['pose'][:40]!r}, expected {pose}; poses are numbered from 0 without gaps"
+        )
     if len(cells.get(ROBOT, "")) > MAX_ROBOT:
         raise PlanError(f"{where} column {ROBOT}: has more than {MAX_ROBOT} characters")
     move = cells.get("move") or Move.DWELL
     if move not in tuple(Move):
-        raise PlanError(f"{where} column move: {move[:40]!r} is none of {', '.join(Move)}")
+        raise PlanError(f"{where} column move: {move[:40]!r} is not one of {', '.join(Move)}")
     for name in (*IDS, *LINE_MOUNTED):
         cell = cells.get(name, "")
         if not NAME.fullmatch(cell) and (cell or name in _required(Move(move))):
-            raise PlanError(f"{where} column {name}: {cell[:40]!r} is no identifier (letters, digits, '-', '_')")
+            raise PlanError(f"{where} column {name}: {cell[:40]!r} is not an identifier (letters, digits, '-', '_')")
     fitted = [name for name in BAR_MOUNTED if cells[name]]
     if move == Move.LINE:
         if pose == 0:
-            raise PlanError(f"{where}: a line is driven from the row before it, and there is none")
+            raise PlanError(f"{where}: a line starts at the row before it, and there is none")
         if fitted:
-            raise PlanError(f"{where} column {fitted[0]}: the bar is off while a line is driven; leave it empty")
+            raise PlanError(f"{where} column {fitted[0]}: no bar is mounted on a line; leave it empty")
         _speed(cells["speed_mm_s"], where)
         return
     if len(fitted) not in (0, 3):
-        raise PlanError(f"{where}: names {fitted[0]} but not bar, chuck and sphere, which a place has all or none of")
+        raise PlanError(f"{where}: names {fitted[0]} but not bar, chuck and sphere; name all three or none")
     for name in ("line", "target", "speed_mm_s"):
         if cells.get(name):
-            raise PlanError(f"{where} column {name}: only lines have one; leave it empty")
+            raise PlanError(f"{where} column {name}: only lines have this value; leave it empty")
 
 
 def _required(move: Move) -> tuple[str, ...]:
@@ -128,7 +130,7 @@ def _required(move: Move) -> tuple[str, ...]:
 def _speed(cell: str, where: str) -> None:
     if not NUMBER.fullmatch(cell[:60]) or not 0.0 < float(cell[:60]) <= MM_S.of(FASTEST):
         raise PlanError(
-            f"{where} column speed_mm_s: {cell[:40]!r} is no speed in mm/s above 0, {MM_S.of(FASTEST):g} at most"
+            f"{where} column speed_mm_s: {cell[:40]!r} is not a speed in mm/s above 0 and at most {MM_S.of(FASTEST):g}"
         )
 
 

@@ -1,4 +1,4 @@
-"""truearm.toml: what the commands in a folder have in common, so that it need not be typed (docs/project.md).
+"""truearm.toml: what the commands in a folder have in common, so that it need not be typed (docs/how-to/project.md).
 
 The file is looked for in the working folder and in those above it, as git looks for its own. Paths in it are relative to its folder.
 """
@@ -12,7 +12,7 @@ from truearm.errors import InputError
 from truearm.files.disk import parse_toml, read_text
 from truearm.schema import Key, Table, Text, read
 
-FIRST_LINE = "# A truearm project (docs/project.md)"
+FIRST_LINE = "# A truearm project (docs/how-to/project.md)"
 MAX_BYTES = 2**16
 
 _LINE = Text(longest=400, one_line=True)
@@ -63,9 +63,9 @@ def format_project(project: Project) -> str:
         "branch": "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]",
         "serial": "serial number of the robot, for the certificate",
         "operator": "who measures, for the certificate",
-        "address": "how truearm record reads the joints, such as rtde://192.168.0.2 (docs/robots.md)",
+        "address": "how truearm record reads the joints, such as rtde://192.168.0.2 (docs/how-to/robots.md)",
         "box": "the box's port; without it the one that is plugged in",
-        "rig": "chucks, spheres, bars (docs/table-format.md)",
+        "rig": "chucks, spheres, bars (docs/reference/table-format.md)",
         "plan": "the poses to measure",
         "sessions": "folder of the recordings",
         "results": "folder of the results",

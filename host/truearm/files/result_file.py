@@ -1,4 +1,4 @@
-"""result.json: what an identification found, for people, scripts and later commands (docs/result-format.md).
+"""result.json: what an identification found, for people, scripts and later commands (docs/reference/result-format.md).
 
 Strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths of the summary are in mm,
 angles in deg, parameters in the unit they name. Written whole or not at all. A checksum over its content tells damage: a digit of
@@ -242,7 +242,7 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
     entries = []
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
-        fitted, held_out = mine & estimate.fitted, mine & ~estimate.fitted
+        fitted, held_out = mine & estimate.used, mine & ~estimate.fitted
         if estimate.left_out.size:
             held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
@@ -475,13 +475,13 @@ def read_result(path: Path) -> StoredResult:
 
 
 def parse_result(text: str, name: str) -> StoredResult:
-    """Parse the text of a result.json; see ``read_result``. Unknown fields, of later versions, are passed over."""
+    """Parse the text of a result.json; see ``read_result``. Unknown fields, of later versions, are skipped."""
     document = _json_object(text, name)
     if document.get("format") != FORMAT:
-        raise InputError(f"{name}: is no result of truearm identify (its format is not {FORMAT!r})")
+        raise InputError(f"{name}: is not a result of truearm identify (its format is not {FORMAT!r})")
     version = document.get("format_version")
     if version is None:
-        raise InputError(f"{name}: has no format_version, so it is not whole; identify again")
+        raise InputError(f"{name}: has no format_version, so it is incomplete; identify again")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
         raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
     with raising(InputError, name):
@@ -498,9 +498,7 @@ def _check_whole(document: Mapping[str, Any]) -> None:
     except (ValueError, RecursionError):
         whole = False
     if not whole:
-        raise SchemaError(
-            "is not as it was written: its checksum is of another content; copy it again or identify again"
-        )
+        raise SchemaError("was changed or damaged: its checksum does not match; copy it again or identify again")
 
 
 def _json_object(text: str, name: str) -> dict[str, Any]:
@@ -618,9 +616,9 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
     if len(set(names)) != len(names):
         raise SchemaError("parameters: their names are not unique")
     if not set(covariance.names) <= set(names):
-        raise SchemaError("covariance: names parameters that are not there")
+        raise SchemaError("covariance: names parameters that the result does not have")
     if len(covariance.matrix) != size or any(len(row) != size for row in covariance.matrix):
-        raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one of each of its names")
+        raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one per name")
     defaults = fields.get("defaults", {})
     frames: tuple[NullDirection, ...] = defaults.get("frames", ())
     for where, directions in (("null_space", fields["null_space"]), ("defaults: frames", frames)):
@@ -630,7 +628,7 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
     joint_range: JointRange | None = fields.get("joint_range")
     n_joints = len(fields["robot"].joint_units)
     if joint_range is not None and (len(joint_range.lower), len(joint_range.upper)) != (n_joints, n_joints):
-        raise SchemaError(f"joint_range: needs {n_joints} numbers each, one a joint")
+        raise SchemaError(f"joint_range: needs {n_joints} numbers each, one per joint")
     return StoredResult(
         status=fields["status"],
         robot=fields["robot"],

@@ -58,7 +58,7 @@ def robot_file(robot: str) -> Path | None:
     path = Path(robot)
     if path.suffix.lower() not in (".toml", ".urdf", ".xml"):
         raise RobotError(
-            f"{robot!r} is no built-in robot (there is {', '.join(builtin_names())}) and no .toml or .urdf file"
+            f"{robot!r} is neither a built-in robot ({', '.join(builtin_names())}) nor a .toml or .urdf file"
         )
     return path
 

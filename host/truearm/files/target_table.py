@@ -1,4 +1,4 @@
-"""Tables of targets (CSV) and of what became of them (docs/target-format.md).
+"""Tables of targets (CSV) and of what became of them (docs/reference/target-format.md).
 
 A row is a pose of the end: ``x_mm, y_mm, z_mm`` (or ``_m``) and, unless only positions matter, its rotation vector
 ``rx_deg, ry_deg, rz_deg`` (or ``_rad``). ``q1_deg …`` (or ``_rad``, ``_mm``, ``_m``) are joint readings near those that the
@@ -58,7 +58,7 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
     if not rows:
         raise TargetError(f"{name}: has a header but no targets")
     if len(rows) > MAX_TARGETS:
-        raise TargetError(f"{name}: has {len(rows)} targets, the most is {MAX_TARGETS}; split it")
+        raise TargetError(f"{name}: has {len(rows)} targets, the maximum is {MAX_TARGETS}; split it")
     joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(joint_units, start=1)]
     columns = _columns(header, name, joints)
     xyz = _together(rows, columns, XYZ, name)
@@ -86,7 +86,7 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
                 raise TargetError(f"{where}: unit {unit} does not fit {quantity}; name it {' or '.join(spellings)}")
             if title == "note" or RESULTS.fullmatch(title):
                 continue
-            raise TargetError(f"{where}: is no known column; {hint(title, list(keys))}")
+            raise TargetError(f"{where}: is not a known column; {hint(title, list(keys))}")
         key = keys[title]
         if key.name in columns:
             raise TargetError(f"{where}: {key.name} is given twice; keep one")

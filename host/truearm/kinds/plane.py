@@ -1,8 +1,9 @@
-"""A flat that a target on the tool touches: its signed distance from the plane, 0 or the radius of a touching ball.
+"""A flat touched by a target on the tool: its signed distance from the plane, 0 or the radius of a touching ball.
 
-Predicted is n·(T(q)·s − c) − offset with a point c and a normal that the rig declares, n = exp([t₁e₁ + t₂e₂]×)·n₀. The
-three unknowns of a plane are its ``offset`` along n [m] and its two tilts t₁, t₂ [rad] about e₁ and e₂, which with n₀
-make a right-handed frame: e₁ is the base axis that n₀ is least along, made perpendicular to it, and e₂ = n₀ × e₁.
+The prediction is n·(T(q)·s − c) − offset, with a point c and a normal n₀ declared in the rig and n = exp([t₁e₁ +
+t₂e₂]×)·n₀. The three unknowns of a plane are its ``offset`` along n [m] and its two tilts t₁, t₂ [rad] about e₁ and e₂,
+which form a right-handed frame with n₀: e₁ is the base axis least aligned with n₀, made perpendicular to it, and e₂ =
+n₀ × e₁.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from truearm.types import Floats, Plane
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneRows(Group):
-    """n touches; indices point into x followed by ``constants``."""
+    """n touches; indices refer to x followed by ``constants``."""
 
     COMPONENTS = ("m",)
 
@@ -42,7 +43,7 @@ class PlaneRows(Group):
     axes: Floats  # (n, 3, 3) rows e₁, e₂, n₀
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (n,) and their derivatives at x (P,)."""
+        """Return residuals (n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
         trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.target))
         numbers = gather(x, self.constants, self.plane)
@@ -64,7 +65,7 @@ class PlaneRows(Group):
 
 
 def frame_of(normal: Floats) -> Floats:
-    """(3, 3) rows e₁, e₂, n₀ for a normal (3,) of any length but 0."""
+    """Return the rows e₁, e₂, n₀ (3, 3) for a normal (3,) of any length except 0."""
     n0 = np.asarray(normal) / np.linalg.norm(normal)
     e1 = np.eye(3)[np.argmin(np.abs(n0))]
     e1 = e1 - (e1 @ n0) * n0
@@ -73,13 +74,13 @@ def frame_of(normal: Floats) -> Floats:
 
 
 def plane_numbers(name: str, flat: Plane) -> list[Number]:
-    """Offset and tilts of a flat from where it is declared."""
+    """Return offset and tilts of a flat relative to its declared pose."""
     tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(flat.tilt_sigma)) for k in (1, 2)]
     return [Number(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Targets and flats that the rows use."""
+    """Return what the rows use of the rig: targets and flats."""
     table, rig = scope.table, scope.rig
     targets = use_points(scope, rows, "target", rig.targets)
     flats = use(scope, rows, "plane", rig.planes, plane_numbers)
@@ -93,7 +94,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     distance = np.nan_to_num(table.value[rows], nan=0.0)
     sigma = np.array([flat.sigma for flat in known])[flats.which]
     variance = sigmas(scope, rows, sigma[:, None]) ** 2
-    # A flat of which only the rough direction is known starts at the mean height of its touches.
+    # A flat of which only the approximate direction is known starts at the mean height of its touches.
     height = ((nominal_points(scope, rows, targets) - point) * frames[:, 2]).sum(axis=1) - distance
     for i, (offset, *_) in enumerate(flats.numbers):
         if np.isinf(offset.sigma):
@@ -120,7 +121,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 def _plane(**values: Any) -> Plane:
     plane = Plane(**values)
     if not any(plane.normal):
-        raise SchemaError("normal must not be zero; [0, 0, 1] is that of a table seen from above")
+        raise SchemaError("normal must not be zero; [0, 0, 1] is the normal of a horizontal table")
     return plane
 
 

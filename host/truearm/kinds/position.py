@@ -1,18 +1,18 @@
 """A target on the tool, measured as a point in a device's own axes: a tracker, or a line device (``line.py``).
 
-Predicted is m = R_dᵀ (T(q)·s − p_d) with the device's pose (R_d, p_d) in the base frame; the residual stays in the
+The prediction is m = R_dᵀ (T(q)·s − p_d) with the device's pose (R_d, p_d) in the base frame. The residual is in the
 device's axes, where the sensors' covariance S_x is declared. With r = T(q)·s − p_d = R_d·m, moving the device by δp and
-turning it by a small δφ about the base axes changes the prediction by
+rotating it by a small δφ about the base axes changes the prediction by
 
     δm = −R_dᵀ (δp + δφ × r) = −R_dᵀ (I, −[R_d m]×) (δp; δφ) ,
 
-Renders' (1991) device Jacobian (27), (28) with its lever in base axes: the printed one has [m]×, right only for a device
-parallel to the base. A device's parameters are x, y, z (p_d, m) and rx, ry, rz, a rotation vector ω about the base axes
-away from the orientation R_r that the rig declares (the identity where it declares none): R_d = exp([ω]×)·R_r and
-δφ = J_l(ω) δω.
+which is the device Jacobian (27), (28) of Renders (1991) with its lever in base axes. The printed one has [m]×, which is
+correct only for a device parallel to the base. A device's parameters are x, y, z (p_d, m) and rx, ry, rz, a rotation
+vector ω about the base axes relative to the orientation R_r declared in the rig (the identity if none is declared):
+R_d = exp([ω]×)·R_r and δφ = J_l(ω) δω.
 
-The joints were truly at q(t) = q_reading(t + τ), to first order q_reading + q̇·τ; so ∂m/∂τ = J_q·q̇ and the residual's
-derivative is −J_q·q̇.
+The joints were truly at q(t) = q_reading(t + τ), to first order q_reading + q̇·τ, so ∂m/∂τ = J_q·q̇ and the derivative of
+the residual is −J_q·q̇.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ from truearm.schema import Entries
 from truearm.types import Device, Floats
 from truearm.units import SMALLEST
 
-STRAIGHT = 1e-9  # points that leave a line by 3e-5 of its length do not show the roll about it
+STRAIGHT = 1e-9  # points that deviate from a line by 3e-5 of its length do not determine the roll about it
 
-Placing = Callable[[Floats, Floats, Device], tuple[Floats, Floats]]  # readings, the same by the nominal robot
+Placing = Callable[[Floats, Floats, Device], tuple[Floats, Floats]]  # readings, the same points by the nominal robot
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionRows(Group):
-    """n measured points; indices point into x followed by ``constants``."""
+    """n measured points; indices refer to x followed by ``constants``."""
 
     COMPONENTS: ClassVar[tuple[str, ...]] = ("m", "m", "m")
 
     q: Floats  # (n, j)
-    q_rate: Floats  # (n, j), 0 where the robot stood
+    q_rate: Floats  # (n, j), 0 where the robot was at rest
     xyz: Floats  # (n, 3) measured, m, in the device's axes
     target: Indices  # (n, 3) in the end frame
     device: Indices  # (n, 6) x, y, z, rx, ry, rz
@@ -58,26 +58,26 @@ class PositionRows(Group):
     time_offset: Indices  # (n, 1)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (3n,) and their derivatives at x (P,)."""
+        """Return residuals (3n,) and their derivatives at x (P,)."""
         q = joints_in_time(self, x)
         trace = trace_point(chain, x[: len(chain.parameters)], q, gather(x, self.constants, self.target))
         device = gather(x, self.constants, self.device)
-        if (self.device == self.device[:1]).all():  # one device, as a rule
+        if (self.device == self.device[:1]).all():  # usually one device
             device = device[:1]
         return in_device_axes(trace, self, x, device, rotation(device[:, 3:]) @ self.reference[: len(device)])
 
     def orientations(self) -> Indices:
-        """(r, 3) the rotation vectors of the devices."""
+        """Return the indices (r, 3) of the devices' rotation vectors."""
         return np.unique(self.device[:, 3:], axis=0)
 
 
 def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
-    """(n, j) the joint readings moved by the time offset."""
+    """Return the joint readings (n, j) shifted by the time offset."""
     return np.asarray(rows.q + rows.q_rate * gather(x, rows.constants, rows.time_offset))
 
 
 def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Floats, rot: Floats) -> Linearised:
-    """The residual and its derivatives for traced targets, devices (n or 1, 6) and their orientations (n or 1, 3, 3)."""
+    """Return residual and derivatives for traced targets, devices (n or 1, 6) and their orientations (n or 1, 3, 3)."""
     p = len(trace.chain.parameters)
     lever = trace.p_base - device[:, :3]  # r
     predicted = np.einsum("nik,ni->nk", rot, lever)
@@ -98,10 +98,10 @@ def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Flo
 
 
 def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, Floats]:
-    """The pose of a device that brings points (n, 3) of its own axes onto points of the base, by least squares.
+    """Return the pose of a device that maps points (n, 3) in its own axes to points of the base, by least squares.
 
-    Returns its position (3,) and rotation (3, 3). What the points do not show of the orientation stays as ``declared``
-    (3, 3): the roll about points on one line, all of it for a single point.
+    The pose is a position (3,) and a rotation (3, 3). The part of the orientation that the points do not determine is
+    taken from ``declared`` (3, 3): the roll about points on one line, or all of it for a single point.
     """
     middle_device, middle_base = p_device.mean(axis=0), p_base.mean(axis=0)
     rot = nearest_rotation((p_base - middle_base).T @ (p_device - middle_device), declared)
@@ -109,13 +109,13 @@ def place(p_device: Floats, p_base: Floats, declared: Floats) -> tuple[Floats, F
 
 
 def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Floats:
-    """The rotation R (3, 3) of the largest tr(Rᵀ H); among equals the one turned least away from ``declared`` R_r.
+    """Return the rotation R (3, 3) that maximises tr(Rᵀ H); among equals, the one closest to ``declared`` R_r.
 
-    With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two singular values that count, R = U diag(1, 1, ±1) Vᵀ
-    (Arun, Huang, Blostein 1987; the sign keeps it a rotation). Of points on a line one counts: H says that v₁ is turned to
-    u₁ and no more, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way nearest to what R_r has there. Of a single point
-    none counts, and R = R_r. ``most`` 1 lets but one count: the roll about the line is then the declared one, whatever
-    the points say of it.
+    With ``correlation`` H (3, 3) = Σ p_base p_deviceᵀ = U S Vᵀ and two significant singular values, R = U diag(1, 1,
+    ±1) Vᵀ (Arun, Huang, Blostein 1987; the sign ensures a rotation). Points on a line give one significant value: H
+    only requires that v₁ is rotated to u₁, so R = u₁v₁ᵀ + U⊥ Q V⊥ᵀ, with Q (2, 2) in the same way closest to R_r in
+    that plane. A single point gives none, and R = R_r. ``most`` 1 uses at most one: the roll about the line is then the
+    declared one, regardless of the points.
     """
     u, size, vt = np.linalg.svd(correlation)
     k = min(most, int((size > STRAIGHT * size[0]).sum()), 2)
@@ -125,7 +125,7 @@ def nearest_rotation(correlation: Floats, declared: Floats, most: int = 2) -> Fl
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Targets and trackers that the rows use."""
+    """Return what the rows use of the rig: targets and trackers."""
     used, make = points_of(scope, rows, "tracker", scope.rig.trackers)
     return RigUse(used, lambda layout: [make(layout)])
 
@@ -137,9 +137,9 @@ def _placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats
 def points_of(
     scope: Scope, rows: Indices, what: str, known: Mapping[str, Device], placed: Placing = _placed
 ) -> tuple[tuple[Used, ...], Callable[[Layout], PositionRows]]:
-    """Points in the axes of devices that the column ``what`` names: what they use, and how they become a group.
+    """Return what the rows use for points in the axes of the devices named in column ``what``, and how to group them.
 
-    ``placed`` is the pose of a device that the rig does not place, from its readings.
+    ``placed`` computes the pose of a device that the rig does not place, from its readings.
     """
     table = scope.table
     xyz = measured(scope, rows, POINT)
@@ -182,14 +182,14 @@ def points_of(
 
 
 def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[Number]:
-    """x, y, z, rx, ry, rz of a device; where the rig gives no pose, from its readings and the nominal robot."""
+    """Return x, y, z, rx, ry, rz of a device; if the rig has no pose, from its readings and the nominal robot."""
     sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
     if not np.isfinite(device.rotation).all():
         raise ProblemError(f"{name} has a rotation that is not finite")
     if device.xyz is not None:
         values = [*device.xyz, 0.0, 0.0, 0.0]
     elif 0.0 in sigmas:
-        raise ProblemError(f"{name} has sigma 0, known exactly, but no xyz that says where it is")
+        raise ProblemError(f"{name} has sigma 0 (exactly known) but no xyz position")
     else:
         p, rot = placed(xyz, p_base, device)
         values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]
@@ -199,9 +199,9 @@ def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, plac
 
 
 def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: Indices) -> Floats:
-    """(n, 3) variances, or (n, 3, 3) where a device's axes are correlated.
+    """Return variances (n, 3), or covariances (n, 3, 3) if a device's axes are correlated.
 
-    A row's own sigma comes before the device's, its point's own noise on top of either.
+    A row's own sigma takes precedence over the device's. The point's own noise is added to either.
     """
     cov = []
     for device in devices:
@@ -223,7 +223,7 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
 
 
 def _moving(scope: Scope) -> bool:
-    """Whether any row carries joint velocities. Raises ProblemError for a row that has some and lacks others."""
+    """Return whether any row has joint velocities. Raises ProblemError for a row that has only some of them."""
     finite = np.isfinite(scope.table.q_rate)
     bad = np.flatnonzero(~(finite.all(axis=1) | np.isnan(scope.table.q_rate).all(axis=1)))
     if bad.size:

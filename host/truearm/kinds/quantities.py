@@ -1,4 +1,4 @@
-"""Quantities that tables of observations hold, each in one column of numbers or in several that are filled in together."""
+"""Quantities in tables of observations, each in one column of numbers or in several that are filled in together."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from truearm import units
 class Quantity:
     """A measured quantity.
 
-    ``field`` is where an ObservationTable has it: one of its own fields, else of its ``more``. In the header of a file each of
-    ``columns`` has a unit at its end (``length_mm``).
+    ``field`` is its place in an ObservationTable: one of the table's own fields, otherwise a key of ``more``. In a file
+    header, each of ``columns`` has a unit suffix (``length_mm``).
     """
 
     field: str
     columns: tuple[str, ...]
     unit: str  # SI
-    largest: float = math.nan  # SI; beyond it the column was written in another unit. NaN: the unit's own
+    largest: float = math.nan  # SI; larger values indicate another unit. NaN: the unit's own limit
     positive: bool = False
 
     @property
     def words(self) -> str:
-        """What a person calls it: "length", "x, y and z"."""
+        """Return its name for display: "length", "x, y and z"."""
         *others, last = self.columns
         return f"{', '.join(others)} and {last}" if others else last
 
     @property
     def most(self) -> float:
-        """The largest size that is believed, in SI."""
+        """Return the largest plausible magnitude, in SI."""
         return units.UNITS[self.unit].largest if math.isnan(self.largest) else self.largest
 
     @property
     def title(self) -> str:
-        """The columns as a person writes them: "length_mm or length_m", "x_mm, y_mm, z_mm (or _m)"."""
+        """Return the columns as a person writes them: "length_mm or length_m", "x_mm, y_mm, z_mm (or _m)"."""
         first, *others = sorted(units.suffixes(self.unit), key=lambda suffix: suffix == self.unit)
         if len(self.columns) == 1:
             return " or ".join(f"{self.columns[0]}_{suffix}" for suffix in (first, *others))
@@ -43,15 +43,16 @@ class Quantity:
         return f"{', '.join(f'{column}_{first}' for column in self.columns)} {rest}".rstrip()
 
 
-LARGEST_NOISE = 0.1  # m: a decimetre of noise was written in another unit
+LARGEST_NOISE = 0.1  # m: a decimetre of noise indicates another unit
 LARGEST_TURN_NOISE = 0.1  # rad
 LENGTH = Quantity("value", ("length",), "m", positive=True)
-DISTANCE = Quantity("value", ("length",), "m")  # with a sign
+DISTANCE = Quantity("value", ("length",), "m")  # signed
 POINT = Quantity("xyz", ("x", "y", "z"), "m")
 BAR_TEMPERATURE = Quantity("bar_temperature", ("bar_temperature",), "degc")
 SENSOR_TEMPERATURE = Quantity("sensor_temperature", ("sensor_temperature",), "degc")
 SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=True)
-TIME = Quantity("time", ("time",), "s", 1e11)  # by any clock, since any moment; 3000 years
+TIME = Quantity("time", ("time",), "s", 1e11)  # on any clock, from any epoch; 3000 years
 TEMPERATURE = Quantity("temperature", ("temperature",), "degc")
-CIRCUMSTANCES = (TIME, TEMPERATURE)  # of a row of any kind
-TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not pass π
+GRAVITY = Quantity("gravity", ("gravity_x", "gravity_y", "gravity_z"), "m/s2")  # along the base frame's axes
+CIRCUMSTANCES = (TIME, TEMPERATURE, GRAVITY)  # for a row of any kind
+TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not exceed π

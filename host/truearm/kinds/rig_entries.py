@@ -1,4 +1,4 @@
-"""Entries of rig files that several kinds of observation share: points, and devices that measure points."""
+"""Rig file entries shared by several kinds of observation: points, and devices that measure points."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ XYZ = List(Number("m"), 3)
 
 
 def by_name(item: Any) -> str:
-    """The name of a named thing."""
+    """Return the name of a named entry."""
     return str(item.name)
 
 
 def _device(**values: Any) -> Device:
     device = Device(**values)
     if device.xyz is None and 0.0 in (device.sigma, device.turn_sigma):
-        raise SchemaError("a pose known exactly (sigma 0) needs xyz_m (or xyz_mm), and rotation_rad if turned")
+        raise SchemaError("an exactly known pose (sigma 0) needs xyz_m (or xyz_mm), and rotation_rad if it is rotated")
     return device
 
 

@@ -1,7 +1,8 @@
-"""A ball of the endpoint seated in a socket that stands somewhere: the same point for all seats of one socket.
+"""A ball of the endpoint seated in a socket at an unknown position: the same point for all seats of one socket.
 
-Predicted is the ball relative to its socket, T(q)·s − c; measured is zero. The socket's point c is unknown, three
-parameters per place and socket, so only the spread of the predicted ball about its socket says something of the robot.
+The prediction is the position of the ball relative to its socket, T(q)·s − c; the measured value is zero. The socket's
+position c is unknown, three parameters per place and socket, so only the spread of the predicted ball about its socket
+contains information about the robot.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from truearm.types import Floats, ObservationTable, Point, Rig, SocketDistance
 
 @dataclass(frozen=True, kw_only=True)
 class SeatRows(Group):
-    """n seats; indices point into x followed by ``constants``."""
+    """n seats; indices refer to x followed by ``constants``."""
 
     COMPONENTS = ("m", "m", "m")
 
@@ -37,7 +38,7 @@ class SeatRows(Group):
     socket: Indices  # (n, 3) in the base frame
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Residuals (3n,) and their derivatives at x (P,)."""
+        """Return residuals (3n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
         trace = trace_point(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
         residual = gather(x, self.constants, self.socket) - trace.p_base
@@ -49,12 +50,12 @@ class SeatRows(Group):
         return Linearised(residual.ravel(), derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints)
 
     def settle(self, chain: Chain, x: Floats) -> SeatRows:
-        """The seats with joint readings moved, as little as possible, until every ball sits in its socket at x.
+        """Return the seats with joint readings moved, as little as possible, until every ball is in its socket at x.
 
-        A rank test needs it. Turning the base and all sockets together changes no spread, yet the Jacobian's column for
-        it is −ω × residual: only where the residuals vanish does the Jacobian show the model's own null space. Three
-        Newton steps; a seat whose joints cannot move the ball in some direction (1e-3 of its best one) keeps that
-        residual.
+        A rank test needs this. Rotating the base and all sockets together changes no spread, but the Jacobian's column
+        for that rotation is −ω × residual. Only where the residuals vanish does the Jacobian have the null space of the
+        model. Takes three Newton steps. A seat whose joints cannot move the ball in some direction (1e-3 of the best
+        one) keeps that residual.
         """
         rows = self
         for _ in range(3):
@@ -65,7 +66,7 @@ class SeatRows(Group):
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Balls and sockets that the rows use, and the distances that are known between these sockets."""
+    """Return what the rows use of the rig: balls, sockets, and known distances between these sockets."""
     table, rig = scope.table, scope.rig
     balls = use_points(scope, rows, "sphere", rig.spheres)
     sockets = _sockets(scope, rows, balls)
@@ -86,7 +87,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
-    """The sockets of the seat rows, by (place, socket): the rig's, else unknown and first at the mean of the predicted ball."""
+    """Return the sockets of the seat rows by (place, socket): the rig's, otherwise unknown, at the mean predicted ball."""
     table = scope.table
     labels, which = enumerate_labels(list(zip(table.place[rows].tolist(), table.socket[rows].tolist(), strict=True)))
     pairs = [label for label in labels if isinstance(label, tuple)]
@@ -105,23 +106,23 @@ def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
 
 
 def check(table: ObservationTable, rig: Rig) -> None:
-    """Raise TableError for a socket of the rig, or a distance of sockets, that no seat has: it would silently do nothing."""
+    """Raise TableError for a socket in the rig, or a socket distance, that no seat uses and that would be silently ignored."""
     seats = table.kind == "seat"
     used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
     for place, socket in rig.sockets:
         if (place, socket) not in used:
-            raise TableError(f"the rig's socket {socket} at place {place!r} is of no use: no row is seated in it")
+            raise TableError(f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it")
     for distance in rig.socket_distances:
         if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
             raise TableError(
-                f"the rig's socket distance {' to '.join(distance.sockets)} is of no use: "
+                f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
                 f"the seats are in sockets {sockets}, and no place has both"
             )
 
 
 def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
-    """One more place to seat the ball at."""
+    """Propose one more place to seat the ball at."""
     ball = next(iter(rig.spheres.values()), ORIGIN[""])
     q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
     if len(q):
@@ -129,7 +130,7 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
 
 
 class Socket(NamedTuple):
-    """A socket, and the place that it stands at."""
+    """A socket and the place where it is."""
 
     point: Point
     place: str = ""
@@ -141,7 +142,7 @@ def _socket(place: str = "", **point: Any) -> Socket:
 
 def _socket_distance(sockets: tuple[str, str], distance: float, sigma: float) -> SocketDistance:
     if sockets[0] == sockets[1]:
-        raise SchemaError(f"the distance of socket {sockets[0]!r} from itself is no measurement")
+        raise SchemaError(f"the distance of socket {sockets[0]!r} from itself is not a measurement")
     return SocketDistance(sockets, distance, sigma)
 
 

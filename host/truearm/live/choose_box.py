@@ -1,4 +1,4 @@
-"""Which box: the one that is named, the only one that is plugged in, or the one that the operator picks."""
+"""Choose the box: the one named, the only one connected, or the one picked by the operator."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ NONE = (
 
 
 def choose_box(device: str | None, output: TextIO) -> str:
-    """The device of the box; which one it is stands on ``output``.
+    """Return the device of the box and print it on ``output``.
 
-    Of several the operator is asked there, if it is a terminal, and answers on standard input. Raises InputError where there is none, or several and nobody to ask.
+    If there are several and ``output`` is a terminal, the operator is asked there and answers on standard input. Raises
+    InputError if there is none, or several and nobody to ask.
     """
     from truearm.record.ports import find_boxes
 
@@ -48,6 +49,6 @@ def _ask(listed: list[str], output: TextIO) -> int:
         print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
-            raise InputError("no box was chosen; name one with ", Argument("box"))
+            raise InputError("no box was chosen; name it with ", Argument("box"))
         if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
             return int(answer) - 1

@@ -1,4 +1,4 @@
-"""Dwells and lines as they are taken, for the operator to see: what stood still, for how long, and what the sensors said meanwhile."""
+"""Detect dwells and lines as they are taken, for display, with their durations and sensor readings."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.live.standstill import JOINTS, SENSOR, StandstillDetector
-from truearm.session.samples import LEAST_LAGS, mean_of
+from truearm.session.sample_noise import LEAST_LAGS, mean_of
 from truearm.types import Floats
 from truearm.units import NS
 
-SETTLE_NS = 500_000_000  # of a rest, left out at its beginning
-ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the end, as sync.dwell has them
+SETTLE_NS = 500_000_000  # discarded at the beginning of a rest
+ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the end, as in session.dwells
 GUARD_NS = 100_000_000
-BLOCKS = 20_000  # remembered, a minute at 4 kHz
-READINGS = 1000  # remembered, two seconds at 500 Hz
+BLOCKS = 20_000  # kept, a minute at 4 kHz
+READINGS = 1000  # kept, two seconds at 500 Hz
 DRIFT_SIGMAS = 6.0
 MICRON = 1e-6
 LEAST_STROKE = 0.02  # m
@@ -24,7 +24,10 @@ LEAST_SPEED = 0.005  # m/s
 
 
 class LiveDwell(NamedTuple):
-    """A dwell: host times, the sensor's mean [m], noise of a sample [m] and drift [m]; NaN without samples. ``q``: None without a robot."""
+    """A dwell: host times, the sensor's mean [m], noise of a sample [m] and drift [m]; NaN without samples.
+
+    ``q``: None without a robot.
+    """
 
     begin_ns: int
     end_ns: int
@@ -36,8 +39,11 @@ class LiveDwell(NamedTuple):
 
 
 class ControllerTime:
-    """Instants of a clock of its own in the host's, by the fastest arrival so far: arrivals come in bursts where a machine is busy, which is
-    no standing still. What may be off is a latency, and a drift of CREEP."""
+    """Converts times of a separate clock to host time, using the fastest arrival so far.
+
+    Arrivals come in bursts on a busy machine, which must not look like standing still. The remaining error is a latency
+    and a drift of CREEP.
+    """
 
     CREEP = 1e-4
     RESTART_NS = 1_000_000_000
@@ -47,7 +53,9 @@ class ControllerTime:
         self._last_ns = 0
 
     def host_ns(self, own_ns: int, arrival_ns: int) -> int:
-        """The host's time of what was stamped ``own_ns`` and arrived then. A clock that steps back by a second begins anew."""
+        """Return the host time of data stamped ``own_ns``. If that clock steps back by a second, the estimate is
+        restarted.
+        """
         offset = float(arrival_ns - own_ns)
         if self._offset_ns is not None and own_ns > self._last_ns - self.RESTART_NS:
             offset = min(offset, self._offset_ns + self.CREEP * max(0, own_ns - self._last_ns))
@@ -59,7 +67,10 @@ class ControllerTime:
 
 
 class LiveDwells:
-    """By the joints where there is a robot, else by the sensor alone. Times are the host's, of the instants and not of arrivals."""
+    """Detects dwells by the joints if there is a robot, else by the sensor alone.
+
+    Times are host times of the measurements, not of their arrivals.
+    """
 
     def __init__(self, with_robot: bool) -> None:
         self._with_robot = with_robot
@@ -68,7 +79,7 @@ class LiveDwells:
         self._readings: deque[tuple[int, Floats]] = deque(maxlen=READINGS)
 
     def samples(self, t_ns: int, extension: Floats) -> LiveDwell | None:
-        """Samples (n,) [m] arrived; the dwell that they ended."""
+        """Process samples (n,) [m] and return the dwell that they ended."""
         self._blocks.append((t_ns, extension.size, float(extension.mean()), float(extension.var())))
         if self._with_robot:
             return None
@@ -76,7 +87,7 @@ class LiveDwells:
         return self._seen(self._rest.feed(t_ns, low, high))
 
     def joints(self, t_ns: int, q: Floats) -> LiveDwell | None:
-        """A reading (j,); the dwell that it ended."""
+        """Process a reading (j,) and return the dwell that it ended."""
         if self._readings and self._readings[-1][1].shape != q.shape:
             return None
         ended = self._seen(self._rest.feed(t_ns, q, q))
@@ -85,17 +96,19 @@ class LiveDwells:
 
     @property
     def standing_ns(self) -> int | None:
-        """For how long it has stood still, up to the last reading: behind it nobody knows. None while it moves."""
+        """Return for how long it has stood still as of the last reading, after which nothing is known. None while it
+        moves.
+        """
         since_ns = self._rest.since_ns
         return None if since_ns is None else self._rest.last_ns - since_ns
 
     @property
     def q(self) -> Floats | None:
-        """The last joints."""
+        """Return the last joints."""
         return self._readings[-1][1] if self._readings else None
 
     def under_way(self) -> LiveDwell | None:
-        """The dwell under way, as if it ended with the last reading; None while it moves, or too short."""
+        """Return the current dwell as if it ended with the last reading; None while it moves or if it is too short."""
         since_ns = self._rest.since_ns
         return None if since_ns is None else self._seen((since_ns, self._rest.last_ns))
 
@@ -114,14 +127,14 @@ class LiveDwells:
 
 
 class Strokes:
-    """Lines driven past a line device, by its longitudinal sensor: one each way."""
+    """Detects lines driven past a line device by its longitudinal sensor, one for each direction."""
 
     def __init__(self) -> None:
-        self._run: list[tuple[int, float]] = []  # first and last of a run in one direction
+        self._run: list[tuple[int, float]] = []  # first and last point of a run in one direction
         self._last: tuple[int, float] | None = None
 
     def feed(self, t_ns: int, position: float) -> tuple[float, float] | None:
-        """Length [m] and mean speed [m/s] of the stroke that ended with this position [m]."""
+        """Return length [m] and mean speed [m/s] of the stroke that ended with this position [m]."""
         last, self._last = self._last, (t_ns, position)
         if last is None or t_ns <= last[0]:
             return None

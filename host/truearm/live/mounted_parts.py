@@ -1,4 +1,4 @@
-"""What is mounted, as it is typed."""
+"""Parse and check what is mounted, as typed by the operator."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 
 def parse_mounted(text: str) -> dict[str, str]:
-    """``bar=bar46,chuck=c1`` as a mapping. Raises InputError."""
+    """Parse ``bar=bar46,chuck=c1`` into a mapping. Raises InputError."""
     mounting: dict[str, str] = {}
     for entry in text.split(","):
         key, separator, name = (part.strip() for part in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
             raise InputError(f"mounted: {entry[:40]!r} is not KEY=NAME with a key of {', '.join(MOUNTABLE)}")
         if key in mounting:
-            raise InputError(f"mounted: names a {key} twice")
+            raise InputError(f"mounted: {key} is named twice")
         mounting[key] = name
     return mounting
 
 
 def check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
-    """Raise InputError for something that the rig called ``name`` does not have; a rig without lines takes any."""
+    """Raise InputError for a part that the rig called ``name`` does not have; a rig without lines accepts any."""
     known = (
         ("bar", rig.bars),
         ("chuck", rig.chucks),

@@ -1,4 +1,7 @@
-"""What the operator of a recording is shown, made of what the recorder hands on: no input, no output, and no part in the recording."""
+"""State displayed to the operator of a recording, computed from the recorder's data.
+
+It does no input or output and has no effect on the recording.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +30,16 @@ if TYPE_CHECKING:
     from truearm.session.device_clock import OnlineEstimate
     from truearm.types import Floats, Rig
 
-NEAR_END = 0.1  # of the travel, at either end
-POSITION_BLOCKS = 8  # a tenth of a second: the bar may move
+NEAR_END = 0.1  # of the travel, at each end
+POSITION_BLOCKS = 8  # a tenth of a second: the bar may be moving
 BAR_CELLS = 31
-DRY_S = 2.0  # of a stream without samples
-CONTRADICTION = "contradiction"  # begins a line that plan and operator do not agree
-LATE_S = 1.0  # a reading older than that is shown as late
+DRY_S = 2.0  # a stream without samples for this long is reported
+CONTRADICTION = "contradiction"  # begins a line about a conflict between plan and operator
+LATE_S = 1.0  # an older reading is shown as late
 
 
 class ViewLine(NamedTuple):
-    """A line of the view; ``alarm``: the operator should look."""
+    """A line of the view; ``alarm``: it needs the operator's attention."""
 
     name: str
     text: str
@@ -44,7 +47,10 @@ class ViewLine(NamedTuple):
 
 
 class LiveState:
-    """Fed in order of arrival. ``wishes`` are events that the recorder shall write, ``said`` lines for the operator, both to be taken."""
+    """State fed in order of arrival.
+
+    ``wishes`` are events for the recorder to write and ``said`` lines for the operator; the caller removes both.
+    """
 
     def __init__(self, session_progress: SessionProgress, rig: Rig | None, with_robot: bool) -> None:
         self.session_progress = session_progress
@@ -57,26 +63,26 @@ class LiveState:
         self._dwells = LiveDwells(with_robot)
         self._box_time, self._robot_time = ControllerTime(), ControllerTime()
         self._strokes = Strokes()
-        self._counted = False  # the dwell under way, which is
-        self._pose: int | None = None  # of the plan, and called
+        self._counted = False  # whether the current dwell has been counted
+        self._pose: int | None = None  # of the plan; it has been announced
         self._label = ""
         self._readings: deque[int] = deque(maxlen=200)
         self._near_end: set[str] = set()  # channels
         self._asked: dict[str, str] | None = None
         self._lost = (0, 0)
         self._complete = session_progress.complete
-        self.contradictions = 0  # dwells at which something else was confirmed than the plan has
-        self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: how far it had come, and since when
+        self.contradictions = 0  # dwells at which the confirmed parts differ from the plan
+        self._came: dict[int, tuple[int | None, float]] = {}  # of a stream: its last n0, and since when
 
-    # --- what comes
+    # --- input from the recorder
 
     def ident(self, ident: Ident) -> None:
-        """What the box says of itself, at the beginning and after a restart."""
+        """Take the box's description of itself, at the beginning and after a restart."""
         self._ident = ident
         self._windows.clear()
 
     def block(self, t_ns: int, data: Data) -> None:
-        """Samples of a stream."""
+        """Take samples of a stream."""
         stream = None if self._ident is None else self._ident.streams.get(data.stream)
         if stream is None or len(data.samples) % (4 * len(stream.channels)):
             return
@@ -92,13 +98,13 @@ class LiveState:
                 self._stroke(self._strokes.feed(t_ns, float(extension(seen, channel).mean())))
 
     def reading(self, t_ns: int, reading: JointLine) -> None:
-        """A joint reading."""
+        """Take a joint reading."""
         self._readings.append(t_ns)
         t_ns = self._robot_time.host_ns(int(NS.of(reading.t)), t_ns)
         self._ended(self._dwells.joints(t_ns, np.array(reading.q)))
 
     def look(self) -> None:
-        """To be called now and then: a dwell may have become long enough, a pairing may have to be changed."""
+        """Update the state; call this regularly. A dwell may have become long enough, or a part may have to be changed."""
         standing = self._dwells.standing_ns
         if standing is None:
             self._counted = False
@@ -112,15 +118,18 @@ class LiveState:
         self._watch_travel()
 
     def close(self) -> None:
-        """The recording ends: so does a dwell under way."""
+        """End the current dwell, as the recording ends."""
         if self._counted:
             self._ended(self._dwells.under_way())
 
-    # --- what the operator says
+    # --- operator input
 
     def command(self, text: str) -> None:
-        """A line that was typed: Enter confirms what is asked for, a number takes a pairing of the plan, ``bar=…,chuck=…`` names one,
-        ``note …`` is kept, ``q`` ends the recording, all else is explained."""
+        """Execute a typed line.
+
+        Enter confirms what is asked for, a number selects a pairing of the plan, ``bar=…,chuck=…`` names one, ``note
+        …`` is stored, and ``q`` ends the recording. Anything else prints help.
+        """
         text = text.strip()
         word, _, rest = text.partition(" ")
         pairings = self.session_progress.pairings()
@@ -162,7 +171,7 @@ class LiveState:
         return not self._lines_alone() and self._within_travel()
 
     def _take(self, q: Floats | None) -> None:
-        """The dwell under way, or that just ended, is one."""
+        """Count the current dwell, or the one that just ended."""
         session_progress = self.session_progress
         self._counted = True
         pose = session_progress.visit(q if self._with_robot else None)
@@ -172,7 +181,7 @@ class LiveState:
         if pose is None and session_progress.rows:
             self._label = "stop not in the plan"
         other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != session_progress.mounted.get(key)]
-        if other and session_progress.confirmed:  # where nobody ever said what is mounted the plan stands alone
+        if other and session_progress.confirmed:  # if nobody has stated what is mounted, only the plan counts
             planned = ", ".join(f"{key} {row[key]}" for key in other)
             self.contradictions += 1
             self.said.append(
@@ -182,7 +191,7 @@ class LiveState:
 
     def _ended(self, seen: LiveDwell | None) -> None:
         if seen is not None and not self._counted and self._may_count():
-            self._take(seen.q)  # nobody looked between its becoming long enough and its end
+            self._take(seen.q)  # it became long enough and ended between two updates
         if seen is None or not self._counted:
             return
         self._counted = False
@@ -220,13 +229,13 @@ class LiveState:
             self.said.append("all of the plan is taken; q and Enter end the recording")
 
     def _lines_alone(self) -> bool:
-        """Whether the plan has no dwells: then a stop is none."""
+        """Whether the plan has no dwells: a stop then is not a dwell."""
         return bool(self.session_progress.rows) and not self.session_progress.planned
 
-    # --- where the sensors are
+    # --- sensor positions
 
     def _place(self, name: str) -> tuple[float | None, str]:
-        """What a channel shows [m], None where that is not known, and what is wrong."""
+        """Return the position of a channel [m], None if unknown, and what is wrong."""
         found = None if self._ident is None else find_channel(self._ident, name)
         if found is None:
             return None, ""
@@ -240,7 +249,7 @@ class LiveState:
         return float(extension(counts, channel).mean()), ""
 
     def _position(self) -> tuple[float | None, float | None, str]:
-        """Extension [m], half the travel [m] of the bar that is mounted, and what is wrong; None where not known."""
+        """Return extension [m], half the travel [m] of the mounted bar, and what is wrong; None if unknown."""
         position, wrong = self._place(LVDT)
         bar = None if self._rig is None else self._rig.bars.get(self.session_progress.mounted.get("bar", ""))
         return position, None if bar is None else 0.5 * bar.travel, wrong
@@ -252,7 +261,7 @@ class LiveState:
         return half is None or abs(position) <= half
 
     def _watch_travel(self) -> None:
-        """Of the bar's LVDT, or of what is across a line."""
+        """Check the travel of the bar's LVDT, or of the transverse sensors of a line."""
         if "line" in self.session_progress.mounted:
             travel = None if self._rig is None else self._rig.line_travel
             half = None if travel is None else 0.5 * travel
@@ -268,10 +277,10 @@ class LiveState:
                 self.said.append(f"warning: {name} is at {MM.text(position, '+.2f')} of ±{MM.text(half, '.1f')}")
         self._near_end = near
 
-    # --- what is shown
+    # --- display
 
     def rows(self, status: Status, clock: OnlineEstimate | None) -> list[ViewLine]:
-        """The whole view."""
+        """Return the complete view."""
         rows = [ViewLine("state", f"{status.state}, {status.elapsed_s:.0f} s", not status.box_ok)]
         rows += [] if "line" in self.session_progress.mounted else [self.travel()]
         for stream in () if self._ident is None else self._ident.streams.values():
@@ -297,14 +306,14 @@ class LiveState:
         return rows
 
     def line(self, status: Status, clock: OnlineEstimate | None) -> str:
-        """The view on one line, for a log."""
+        """Return the view on one line, for a log."""
         place = self.along() if "line" in self.session_progress.mounted else self.travel(drawn=False)
         rows = [place, self.rates(status), ViewLine("clock", clock_words(status, clock))]
         rows += [self.robot(status)] if self._with_robot else []
         return "; ".join(f"{row.name} {row.text}" for row in (*rows, self.progress(status)))
 
     def travel(self, drawn: bool = True) -> ViewLine:
-        """The LVDT within its travel."""
+        """Return the position of the LVDT within its travel."""
         position, half, wrong = self._position()
         if position is None:
             return ViewLine("lvdt", wrong or "no calibrated LVDT", bool(wrong))
@@ -319,7 +328,7 @@ class LiveState:
         return ViewLine("lvdt", f"├{bar}┤ {text}{over}" if drawn else text + over, alarm)
 
     def along(self) -> ViewLine:
-        """Where the magnet is on the line device."""
+        """Return the position of the magnet along the line device."""
         found = None if self._ident is None else find_channel(self._ident, LINE_CHANNELS[0])
         window = None if found is None else self._windows.get(found[0].id)
         if found is None or window is None or not window.blocks:
@@ -328,7 +337,7 @@ class LiveState:
         return ViewLine("line", value_of(counts, found[0].channels[found[1]], found[0]).partition(" ±")[0])
 
     def rates(self, status: Status) -> ViewLine:
-        """Rates by the box's own stamps, and what was lost anywhere."""
+        """Return rates by the box's own stamps, and all losses."""
         counters = status.counters
         streams = {} if self._ident is None else self._ident.streams
         dry_s = {k: self._dry_s(k, w.next_n0, status) for k, w in self._windows.items()}
@@ -350,17 +359,19 @@ class LiveState:
         return ViewLine("samples", text, alarm or not rates or max(dry_s.values(), default=0.0) > DRY_S)
 
     def _dry_s(self, stream: int, n0: int | None, status: Status) -> float:
-        """For how long a stream has not gone on, though the box speaks."""
+        """Return for how long a stream has not advanced although the box sends."""
         before = self._came.get(stream)
         if before is None or before[0] != n0 or not status.box_ok:
             before = self._came[stream] = n0, status.elapsed_s
         return status.elapsed_s - before[1]
 
     def robot(self, status: Status) -> ViewLine:
-        """Its link, its rate, the age of its last reading."""
+        """Return the state of the robot's link, its rate, and the age of its last reading."""
         age = status.robot_age_s
         if not status.robot_ok:
             return ViewLine("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
+        if status.robot_waits and age is not None and age > LATE_S:
+            return ViewLine("robot", f"sends more than can be stored; what is stored now came {_age(age)}", True)
         times = self._readings
         rate = (
             f"{NS.factor * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
@@ -371,7 +382,7 @@ class LiveState:
         return ViewLine("robot", f"{rate}, last {_age(age)}", late)
 
     def progress(self, status: Status) -> ViewLine:
-        """Dwells and lines taken, and whether the robot may move on."""
+        """Return the number of dwells and lines taken, and whether the robot may move on."""
         session_progress = self.session_progress
         if self._lines_alone():
             return ViewLine("lines", f"{session_progress.lines} of {session_progress.planned_lines}")
@@ -393,7 +404,7 @@ class LiveState:
         return ViewLine("dwells", ", ".join(parts))
 
     def _is_heard(self, status: Status) -> bool:
-        """Whether that which tells the dwells speaks."""
+        """Return whether the source used for detecting dwells is sending."""
         if not self._with_robot:
             return status.box_ok
         return bool(status.robot_ok) and (status.robot_age_s or 0.0) <= LATE_S
@@ -403,7 +414,7 @@ HELP = " · Enter: mounted as asked · NUMBER or bar=NAME,chuck=NAME,sphere=NAME
 
 
 def clock_words(status: Status, clock: OnlineEstimate | None) -> str:
-    """How well the host knows the box's clock."""
+    """Describe how well the host knows the box's clock."""
     if clock is None:
         return "not known yet" if status.rtt_us is None else f"round trip {status.rtt_us:.0f} µs at best"
     return (

@@ -1,7 +1,8 @@
-"""What the operator of a recording sees and says: on a terminal live, else a line an event and one a second.
+"""Display for the operator of a recording, and input: live on a terminal, otherwise one line per event and per second.
 
-The recorder hands everything on through queues and never waits: a thread of its own makes the view of it and writes it to a descriptor of
-its own. A terminal that stands still (Ctrl-S, a connection that hangs), an error in the view or a view that is too slow stop the view alone.
+The recorder passes everything on through queues and never waits. A separate thread builds the view and writes it to a
+descriptor of its own. A blocked terminal (Ctrl-S, a hanging connection), an error in the view or a slow view stops only
+the view.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from datetime import date
 from typing import TYPE_CHECKING, Any, TextIO
 
-from truearm.box.readiness import Purpose, check_box
+from truearm.box.readiness import LVDT, Purpose, check_box, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.live.keyboard import Typed, may_ask, typed_lines
 from truearm.live.state import CONTRADICTION, HELP, LiveState, ViewLine
@@ -31,14 +32,14 @@ if TYPE_CHECKING:
     from truearm.session.joint_readings import JointLine
 
 LIVE_S, PLAIN_S = 0.25, 1.0
-LOOK_S = 0.2  # for events, without a terminal
-CLOCK_S = 2.0  # a fit takes some ms
-WAITING = 50_000  # pieces; what a view that stands still misses is counted
+LOOK_S = 0.2  # interval for events, without a terminal
+CLOCK_S = 2.0  # a fit takes a few ms
+WAITING = 50_000  # pieces; what a stalled view misses is counted
 LAST_WORDS_S = 1.0
 
 
 class View(Operator):
-    """``unchecked``: what would refuse the box is only said."""
+    """The live view. ``unchecked``: reasons to refuse the box are only displayed."""
 
     def __init__(self, state: LiveState, purpose: Purpose, unchecked: bool = False) -> None:
         self._failure = ""
@@ -51,7 +52,9 @@ class View(Operator):
         self._estimated_s = -CLOCK_S
         self._status: Status | None = None
         self._watch = _Watch()
-        self.wake = threading.Event()  # the view has something to do before its time
+        self._ident: Ident | None = None
+        self._warned_of_temperature = False
+        self.wake = threading.Event()  # the view has work before its next interval
         self._over = threading.Event()
 
     # --- the recorder's side
@@ -61,8 +64,9 @@ class View(Operator):
         if verdict.refused and not self._unchecked:
             raise InputError(
                 f"{'; '.join(one_line(text) for text in verdict.refused)}. Nothing was started; ",
-                *(Argument("unchecked"), " records all the same"),
+                *(Argument("unchecked"), " records anyway"),
             )
+        self._ident = ident
         self._put("ident", ident)
         for text in (*verdict.refused, *verdict.warned):
             self._put("say", f"warning: {one_line(text)}")
@@ -75,6 +79,13 @@ class View(Operator):
 
     def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
         self._put("exchange", t0_ns, t1_us, t2_us, t3_ns)
+
+    def box_temperature(self, degc: float) -> None:
+        if self._ident is None or not self._purpose.ball_bar or self._warned_of_temperature:
+            return
+        if text := far_from_calibration(self._ident, LVDT, degc):
+            self._warned_of_temperature = True
+            self._put("say", f"warning: {one_line(text)}")
 
     def status(self, status: Status) -> None:
         self._put("status", status)
@@ -89,7 +100,7 @@ class View(Operator):
         return [wish for wish in self.wishes() if wish.kind != "end"]
 
     def typed(self, text: str) -> None:
-        """The operator typed a line."""
+        """Take a line typed by the operator."""
         self._put("typed", text)
         self.wake.set()
 
@@ -102,18 +113,18 @@ class View(Operator):
     # --- the view's side
 
     def failed(self, text: str) -> None:
-        """It shows nothing any more."""
+        """Note that the view has stopped."""
         self._failure = text
 
     @property
     def trouble(self) -> str:
-        """What the view did not show, "" if nothing: dwells that it did not see are not in the file's events either."""
+        """Return what the view missed, "" if nothing. Missed dwells are not in the file's events either."""
         if self._failure:
             return f"the view failed ({self._failure}); the recording did not"
         return f"the view stood still and missed {self._missed} pieces; the recording did not" if self._missed else ""
 
     def take(self) -> tuple[list[str], Status | None]:
-        """Work off what waits; the lines that are to be said now, and the newest status."""
+        """Process what waits; return the lines to print now, and the newest status."""
         messages: list[str] = []
         for _ in range(len(self._queue)):
             kind, *values = self._queue.popleft()
@@ -137,11 +148,11 @@ class View(Operator):
         return messages, self._status
 
     def rows(self, status: Status) -> list[ViewLine]:
-        """The view."""
+        """Return the view."""
         return self._state.rows(status, self._clock_now(status))
 
     def line(self, status: Status) -> str:
-        """The view on one line."""
+        """Return the view on one line."""
         return self._state.line(status, self._clock_now(status))
 
     def _clock_now(self, status: Status) -> OnlineEstimate | None:
@@ -150,7 +161,7 @@ class View(Operator):
         return self._estimate
 
     def _exchanges(self) -> OnlineClock:
-        from truearm.session.device_clock import OnlineClock  # with numpy, while the recording runs already
+        from truearm.session.device_clock import OnlineClock  # imports numpy while the recording is already running
 
         self._clock = self._clock or OnlineClock()
         return self._clock
@@ -164,7 +175,7 @@ class View(Operator):
 
 
 class _Watch:
-    """Says each fault of the box once, and each time that box or robot are lost or back, or something was lost."""
+    """Reports each fault of the box once, and every loss or return of box or robot, and other losses."""
 
     def __init__(self) -> None:
         self._said: set[str] = set()
@@ -176,9 +187,7 @@ class _Watch:
 
     def events(self, status: Status) -> list[str]:
         messages = [
-            f"warning: {fault}; its samples are recorded all the same"
-            for fault in status.faults
-            if fault not in self._said
+            f"warning: {fault}; its samples are recorded anyway" for fault in status.faults if fault not in self._said
         ]
         messages += [f"warning: {loss}" for loss in status.file_losses if loss not in self._said]
         self._said.update(status.faults, status.file_losses)
@@ -194,7 +203,7 @@ class _Watch:
                 "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
             )
         self._robot_ok = status.robot_ok
-        silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S
+        silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S and not status.robot_waits
         if silent != self._robot_silent and status.robot_ok:
             messages.append(
                 f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
@@ -222,7 +231,9 @@ def _box_words(status: Status) -> str:
 
 @contextmanager
 def showing(view: View, plain: bool, output: TextIO) -> Iterator[None]:
-    """Show the view on ``output`` until the end of the block; typed lines go to it, if there is a terminal in the foreground."""
+    """Show the view on ``output`` until the end of the block; it receives typed lines if there is a foreground
+    terminal.
+    """
     live = not plain and output.isatty()
     with ExitStack() as stack:
         typed = stack.enter_context(typed_lines(view.typed, one_by_one=live)) if may_ask() else None
@@ -252,12 +263,12 @@ def _run(view: View, show: _Live | _Plain, stop: threading.Event, period_s: floa
             over = stop.is_set()
             messages, status = view.take()
             show.show(messages, status, view, over)
-    except Exception as exc:  # whatever it is, the recording is worth more than its view
+    except Exception as exc:  # whatever it is, the recording matters more than its view
         view.failed(f"{type(exc).__name__}: {exc}")
 
 
 class _Plain:
-    """A line an event, and one a second."""
+    """One line per event, and one per second."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
@@ -274,14 +285,14 @@ class _Plain:
 
 
 class _Live:
-    """A table that stays where it is, events scroll by above it."""
+    """A table at a fixed position; events scroll by above it."""
 
     def __init__(self, write: Callable[[str], None], typed: Typed | None) -> None:
         from rich.console import Console
         from rich.live import Live
 
         self._typed = typed
-        # rich writes on and on into memory; what it wrote leaves in one piece
+        # rich writes to memory; its output is then written in one piece
         self._text, self._write = io.StringIO(), write
         console = Console(file=self._text, force_terminal=True, legacy_windows=False)
         self._live = Live(console=console, auto_refresh=False, transient=True)
@@ -319,10 +330,13 @@ class _Live:
 
 
 def _descriptor(output: TextIO) -> tuple[Callable[[str], None], Callable[[], None]]:
-    """What writes to the output by a descriptor of its own, and what closes that: no lock of Python's is held where a terminal takes nothing."""
+    """Return functions that write to the output by a separate descriptor and close it.
+
+    No Python lock is held while a terminal accepts nothing.
+    """
     try:
         fd = os.dup(output.fileno())
-    except (OSError, ValueError, AttributeError):  # somebody else's stream stands in for it
+    except (OSError, ValueError, AttributeError):  # a replacement stream without a descriptor
 
         def say(text: str) -> None:
             output.write(text)

@@ -1,4 +1,4 @@
-"""The robots that come with truearm: a file each in ``robots/``. Imports nothing slow, so that ``--help`` can name them."""
+"""The built-in robots: one file each in ``robots/``. Imports nothing slow, so that ``--help`` can list them."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ def builtin_names() -> tuple[str, ...]:
 def builtin_text(name: str) -> str:
     """Return the robot file of a built-in robot. Raises RobotError for an unknown name."""
     if name not in builtin_names():
-        raise RobotError(f"no built-in robot {name!r}; there is {', '.join(builtin_names())}")
+        raise RobotError(f"no built-in robot {name!r}; the built-in robots are {', '.join(builtin_names())}")
     return resources.files(__package__).joinpath("robots", name + SUFFIX).read_text("utf-8")
 
 
 def names_with_branch() -> tuple[str, ...]:
-    """Return the names of the built-in robots whose file has a table ``[branch]``, which ``truearm plan`` needs."""
+    """Return the names of the built-in robots with a ``[branch]`` table, which ``truearm plan`` requires."""
     return tuple(name for name in builtin_names() if re.search(r"^\[branch\]", builtin_text(name), re.MULTILINE))

@@ -19,7 +19,7 @@
     alpha_deg = { design = -90.0 }
     …
 
-``robot_tables`` reads the tables; docs/robot-format.md describes every key.
+``robot_tables`` reads the tables. docs/reference/robot-format.md describes every key.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ HEAD = (
 
 @dataclass(frozen=True)
 class Robot:
-    """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters the file holds fixed.
+    """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters that are fixed in the file.
 
-    ``source`` says where the numbers are from, "" where nobody said. ``branch`` and ``capsules`` are what plans need,
-    None where the file has none. ``file`` is the file that it was read from (a URDF has the suffix .urdf or .xml), "" for
-    a robot that comes with truearm.
+    ``source`` is the origin of the numbers, "" if unknown. ``branch`` and ``capsules`` are required for plans; they are
+    None if the file has none. ``file`` is the file that the robot was read from (a URDF has the suffix .urdf or .xml), ""
+    for a built-in robot.
 
     Examples
     --------
@@ -76,7 +76,7 @@ class Robot:
     branch: Branch | None = None
     capsules: Capsules | None = None
     file: str = ""
-    gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: the file does not say
+    gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: not in the file
 
     def __str__(self) -> str:
         chain = self.chain
@@ -87,22 +87,25 @@ class Robot:
 
     @property
     def is_urdf(self) -> bool:
-        """Whether it was read from a URDF, which says nothing of what to hold fixed."""
+        """Return whether it was read from a URDF, which does not specify which parameters are fixed."""
         return self.file.lower().endswith((".urdf", ".xml"))
 
 
 def builtin_robot(name: str) -> Robot:
-    """Return a robot that comes with truearm, such as "puma560". Raises RobotError for an unknown name."""
+    """Return a built-in robot such as "puma560". Raises RobotError for an unknown name."""
     return parse_robot(builtin_text(name))
 
 
 def parse_robot(text: str) -> Robot:
-    """The robot of a TOML text. Raises RobotError, naming table and key, for anything missing, unknown or absurd."""
+    """Return the robot described by a TOML text.
+
+    Raises RobotError, naming table and key, for anything missing, unknown or implausible.
+    """
     if len(text) > MAX_TEXT:
         raise RobotError(f"robot file has {len(text)} characters, the limit is {MAX_TEXT}")
     try:
         doc = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # tomllib passes on int()'s limit of digits and impossible dates
+    except (ValueError, RecursionError) as error:  # tomllib propagates int()'s digit limit and impossible dates
         raise RobotError(f"robot file is not valid TOML: {error}") from error
     with raising(RobotError, "robot file"):
         head, description = read_tables(doc, HEAD)
@@ -120,7 +123,7 @@ def parse_robot(text: str) -> Robot:
 
 
 def _gravity(given: Sequence[float]) -> tuple[float, float, float]:
-    """A direction of length 1. Raises SchemaError."""
+    """Return a direction of length 1. Raises SchemaError."""
     length = math.hypot(*given)
     if not length > 0.0:
         raise SchemaError("gravity: must not be zero; give its direction in the base frame, such as [0, 0, -1]")
@@ -129,10 +132,10 @@ def _gravity(given: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _set_names(description: Description, nominal: str) -> list[str]:
-    """The sets that every parameter has a value in. Raises SchemaError that names the first parameter without one."""
+    """Return the sets in which every parameter has a value. Raises SchemaError naming the first parameter without one."""
     sets = {name: amount.values.keys() for name, amount in description.amounts.items() if amount.constant is None}
     if not sets:
-        raise SchemaError("nothing can be identified; write parameters as tables, { design = 0.0 }")
+        raise SchemaError("no parameter can be identified; write parameters as tables, { design = 0.0 }")
     every = sorted({nominal}.union(*sets.values()))
     for wanted in (nominal, *every):
         for name, values in sets.items():

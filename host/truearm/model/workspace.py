@@ -1,4 +1,4 @@
-"""Where an arm may move, and where its links are: what its robot file says for planning.
+"""The workspace of an arm and the volume of its links: the parts of a robot file that planning needs.
 
 ::
 
@@ -14,8 +14,8 @@
     end_mm = [-425.0, 0.0, 135.0]
     radius_mm = 95.0
 
-An arm reaches a pose in several ways (elbow up or down, wrist flipped or not), with singularities between them. A plan
-stays in one branch: joints then go straight from any pose to any other, and the bar can stay on.
+An arm reaches a pose in several configurations (elbow up or down, wrist flipped or not), separated by singularities. A
+plan stays in one branch: the joints can then move straight from any pose to any other with the bar mounted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ CLEARANCE, HEIGHT = 0.25, 0.08  # m
 class Branch:
     """One configuration branch as joint bounds (j,) [rad].
 
-    ``clearance`` [m]: how near the end may come to the base's z axis; ``height`` [m]: how near to the table, z = 0.
+    ``clearance`` [m] is the minimum distance of the end from the base's z axis, and ``height`` [m] that from the table,
+    z = 0.
     """
 
     lower: Floats
@@ -49,10 +50,10 @@ class Branch:
 
 
 class Capsules(NamedTuple):
-    """The links of an arm: what lies within a radius of m segments.
+    """The volume of an arm's links: everything within a radius of m segments.
 
-    ``joint``: the joint that each moves with (0: none, it is fixed). ``ends`` (m, 2, 3) [m] in that joint's frame after
-    its motion (0: the base frame). ``radius`` (m,) [m].
+    ``joint`` is the joint that each segment moves with (0: none, it is fixed). ``ends`` (m, 2, 3) [m] are given in that
+    joint's frame after its motion (0: the base frame). ``radius`` is (m,) [m].
     """
 
     joint: tuple[int, ...]
@@ -86,13 +87,13 @@ CAPSULE: Table[dict[str, Any]] = Table(
 
 
 def check_branch(branch: Branch, joints: Sequence[Joint]) -> None:
-    """Raise SchemaError for a branch that is none of an arm with these joints."""
+    """Raise SchemaError if the branch is invalid for an arm with these joints."""
     with at("branch"):
         if any(joint.kind != "revolute" for joint in joints):
-            raise SchemaError("only an arm of revolute joints has one")
+            raise SchemaError("only an arm with revolute joints can have one")
         for key, bounds in (("lower", branch.lower), ("upper", branch.upper)):
             if len(bounds) != len(joints):
-                raise SchemaError(f"{key}: needs a list of {len(joints)} values, one a joint, has {len(bounds)}")
+                raise SchemaError(f"{key}: needs a list of {len(joints)} values, one per joint, has {len(bounds)}")
         limits = np.array([(joint.lower, joint.upper) for joint in joints])
         wrong = (branch.lower >= branch.upper) | (branch.lower < limits[:, 0]) | (branch.upper > limits[:, 1])
         for i in np.flatnonzero(wrong)[:1]:
@@ -100,7 +101,7 @@ def check_branch(branch: Branch, joints: Sequence[Joint]) -> None:
 
 
 def capsules_of(entries: Sequence[Mapping[str, Any]], n_joints: int) -> Capsules:
-    """The capsules of a robot file's ``[[capsule]]`` tables. Raises SchemaError."""
+    """Return the capsules of a robot file's ``[[capsule]]`` tables. Raises SchemaError."""
     joint = tuple(entry["joint"] for entry in entries)
     for i, index in enumerate(joint, start=1):
         if index > n_joints:

@@ -3,7 +3,7 @@
 At each pose the robot first rests long, for the noise of sensor and readings. Then it goes a little away and comes back, again
 and again, every joint from a side of its own: the sides of a round are the rows of a Hadamard matrix, so that each joint comes from
 both sides equally often and independently of all others, and what each of them does to the bar can be told from the same
-few visits (Plackett and Burman, Biometrika 33, 1946). The order of a round is drawn anew each time, so that a drift is
+few visits (Plackett and Burman, Biometrika 33, 1946). The order of a round is drawn again each time, so that a drift is
 no direction. The bar stays on: how far a joint goes away is what the bar's travel leaves to it.
 
 The poses are those at which the bar says most of every joint: greedily, the largest sum over the joints of the logarithm of
@@ -20,11 +20,11 @@ from scipy.linalg import hadamard
 
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import along, point_forward, trace_point
-from truearm.plan.ball_bar_plan import Say
 from truearm.plan.bar_paths import Pace, move_seconds, samples, way_with_bar, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, all_allowed, free_travel
 from truearm.plan.route import Route
 from truearm.plan.shells import candidates
+from truearm.progress import steps_of
 from truearm.types import Floats, Plan
 
 FARTHEST = 0.05  # rad that a joint goes away
@@ -43,29 +43,26 @@ class ApproachesWanted(NamedTuple):
     seed: int = 0
 
 
-def plan_approaches(
-    site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace, say: Say = lambda _: None
-) -> Route:
+def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace) -> Route:
     """The route: via points with the bar on, poses, repeated rows where the rest is long. Raises PlanError."""
-    say("poses that show every joint")
     found = candidates(site, [pairing], wanted.n_candidates, wanted.seed)
     derivatives = length_derivatives(site, found.q, pairing)
-    away = [_away(site, q, jac, pairing) for q, jac in zip(found.q, derivatives, strict=True)]
+    both = list(zip(found.q, derivatives, strict=True))
+    away = [_away(site, q, jac, pairing) for q, jac in steps_of(both, "looking for poses that show every joint")]
     reached = np.array([step is not None for step in away])
     if reached.sum() < wanted.n_poses:
         raise PlanError(
             *(
-                f"only {int(reached.sum())} poses leave the bar room to go away and come back; take fewer ",
+                f"only {int(reached.sum())} poses leave the bar room to retract and return; ask for fewer ",
                 Argument("poses"),
             ),
-            *(", or the model of a ", Argument("result"), ", which needs less reserve"),
+            *(" or give a ", Argument("result"), ", whose model needs less reserve"),
         )
     usable = np.flatnonzero(reached)
     chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
-    say("ways between them")
     rng = np.random.default_rng([wanted.seed, 0xC4A2])
     stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is put on there
-    for pose in chosen:
+    for pose in steps_of(chosen.tolist(), "planning ways between poses"):
         q, step = found.q[pose], away[pose]
         assert step is not None
         if stops:
@@ -133,7 +130,7 @@ def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int
         return via, False
     via = way_without_bar(site, start, end, seed)
     if via is None:
-        raise PlanError("no way between two of the poses is free; try another ", Argument("seed"))
+        raise PlanError("no collision-free path between two of the poses was found; try another ", Argument("seed"))
     return via if len(via) else 0.5 * (start + end)[None], True
 
 

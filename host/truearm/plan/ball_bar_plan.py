@@ -28,8 +28,8 @@ TRIALS = 6  # numbers of poses tried to meet a budget in minutes
 # 150 poses 5 %.
 DOUBTED_FROM = 8
 MOVE = 5.0  # s from one pose to the next, via points included, as plans of the three arms have it
+COORDINATES = 3  # of a point that nobody measured
 MEETS = 0.95  # of the budget, from which on it is not tried any further
-Say = Callable[[str], None]
 
 
 class Wanted(NamedTuple):
@@ -93,7 +93,6 @@ def plan_ballbar(
     wanted: Wanted,
     pace: Pace,
     region: Region | None = None,
-    say: Say = lambda _: None,
 ) -> BallBarPlan:
     """Candidates, choice, route and forecast. ``region``: default the box around the places of the shells.
 
@@ -101,9 +100,7 @@ def plan_ballbar(
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
         raise PlanError("give a budget: either a number of poses or minutes")
-    say(f"candidates on {len(pairings)} shells")
     found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
-    say(f"ways between {len(found)} candidates")
     found, graphs = roadmaps(site, found)
     aim = _aim(site, found, region, wanted.seed)
     table = bar_table(known, found)
@@ -116,19 +113,41 @@ def plan_ballbar(
     setup = 0.0 if wanted.minutes is None else pace.mount / (pace.dwell + MOVE)
 
     def chosen(n: int) -> Plan:
-        say(f"the best {n} of {len(found)} candidates")
-        order = choose(blocks, information, n, wanted.criterion, root, wanted.passes, pairing, setup)
-        return found.select(np.sort(order))
+        stock = np.arange(len(found))
+        while True:
+            order = choose(blocks[stock], information, n, wanted.criterion, root, wanted.passes, pairing[stock], setup)
+            best = found.select(np.sort(stock[order]))
+            told = _told(known, found.select(stock), best)
+            if told.all() or told.sum() < n:
+                return best
+            stock = stock[told]
 
     if wanted.n_poses is not None:
         best = _with_room(site, chosen, wanted.n_poses, len(found), wanted.visits)
-        say(f"the order of {len(best)} visits, and ways between them")
         way = route(site, best, pace, graphs, wanted.visits)
     else:
         way = _within(
             lambda n: route(site, chosen(n), pace, graphs, wanted.visits), len(found), wanted.minutes or 0.0, pace
         )
     return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
+
+
+def _told(known: Known, found: Plan, best: Plan) -> NDArray[np.bool_]:
+    """(n,) the candidates whose chuck and sphere have none or enough of the ``best`` poses to say more than where they are themselves.
+
+    A chuck that nobody measured has three unknown coordinates: as many readings or fewer say nothing of the arm, and cost a mount.
+    """
+    told = np.ones(len(found), dtype=bool)
+    for column, points in (("chuck", known.rig.chucks), ("sphere", known.rig.spheres)):
+        names, poses = np.unique(getattr(best, column), return_counts=True)
+        before = () if known.measured is None else known.measured.column(column)
+        idle = [
+            name
+            for name, count in zip(names.tolist(), poses.tolist(), strict=True)
+            if count <= COORDINATES and points[name].sigma is None and name not in before
+        ]
+        told &= ~np.isin(getattr(found, column), idle)
+    return told
 
 
 def with_doubted_bars(known: Known) -> Known:
@@ -182,7 +201,7 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
         step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
         n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
     if best is None:
-        raise PlanError(f"{minutes:g} minutes are too few; every pairing alone takes {pace.mount:g} s to mount")
+        raise PlanError(f"{minutes:g} minutes are too few; mounting one pairing takes {pace.mount:g} s")
     return best
 
 

@@ -1,6 +1,6 @@
 """Lines that an arm can drive: straight at the target, the tool turning evenly, as controllers go that are told the end.
 
-A line is a middle posture, drawn by chance, a direction and a turn of the tool from end to end. From its middle outwards
+A line is a middle posture, drawn at random, a direction and a turn of the tool from end to end. From its middle outwards
 inverse kinematics follows it. It is kept if the whole way keeps to the limits and the joints' speed, and if the target stays
 within the transverse sensors' range by twice the a-priori straightness (Renders 1991, II-C: 15 mm).
 """
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from truearm import option_defaults
 from truearm.errors import PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import tolerance_error
@@ -23,6 +24,7 @@ from truearm.plan.branch_inverse import pose_error
 from truearm.plan.collision_shapes import device_is_clear
 from truearm.plan.measurement_limits import Site, all_allowed, smallest_singular_value
 from truearm.plan.region import Region
+from truearm.progress import steps_of
 from truearm.types import Floats, rms_of_columns
 from truearm.units import MM
 
@@ -36,10 +38,10 @@ AT_ONCE, ROUNDS = 100, 40  # draws
 class Shape(NamedTuple):
     """What a line device asks for: lengths [m] of a line and of the transverse sensors' full range, speed [m/s]."""
 
-    length: float = 0.5
-    transverse: float = 0.015
-    speed: float = 0.05
-    n_points: int = 12  # at which it is read on each way
+    length: float = option_defaults.LINE_LENGTH
+    transverse: float = option_defaults.TRANSVERSE_RANGE
+    speed: float = option_defaults.LINE_SPEED
+    n_points: int = option_defaults.LINE_POINTS  # at which it is read on each way
 
 
 class Lines(NamedTuple):
@@ -71,7 +73,7 @@ def candidate_lines(
     """At most ``n`` lines inside the workspace, their middles in the region. Raises PlanError for fewer than ``least``."""
     rng = np.random.default_rng([seed, 0x11E5])
     branch, kept = site.arm.branch, list[tuple[Floats, Floats]]()
-    for _ in range(ROUNDS):
+    for _ in steps_of(range(ROUNDS), "looking for lines that the arm can drive"):
         middle = rng.uniform(branch.lower, branch.upper, (AT_ONCE, len(branch.lower)))
         along, turn = _directions(rng), MOST_TURN * rng.random((AT_ONCE, 1)) * _directions(rng)
         p_middle = point_forward(site.arm.chain, site.arm.params, middle, point)
@@ -91,7 +93,7 @@ def candidate_lines(
             break
     if len(kept) < least:
         raise PlanError(
-            f"only {len(kept)} lines of {MM.text(shape.length)} fit where the arm reaches; make them shorter, slower or fewer"
+            f"only {len(kept)} lines of {MM.text(shape.length)} fit within the arm's reach; ask for shorter, slower or fewer lines"
         )
     return Lines(*(np.array(part) for part in zip(*kept[:n], strict=True)))
 

@@ -7,11 +7,11 @@ S = I + J_i P J_iᵀ, one more candidate changes
 - log det M by log det S: what D-optimality takes most of (the volume of the confidence ellipsoid);
 - tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I (the mean variance of the parameters), I-optimality with
   L Lᵀ = the mean of J_rᵀJ_r over the user's region (the mean variance of a point's position there), and E-optimality with
-  L the eigenvector of the largest eigenvalue of P (the worst direction), taken anew at each step.
+  L the eigenvector of the largest eigenvalue of P (the worst direction), taken again at each step.
 
 Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order is nested: the first n of it are the
 choice of n, so a budget in minutes is a matter of where to stop. Where time counts, a candidate that needs the bar put on
-anew counts by what it brings a second: ``setup`` is how much dearer the first one of a group is than a further one. The
+again counts by what it brings a second: ``setup`` is how much dearer the first one of a group is than a further one. The
 exchange (Fedorov 1972) then takes every chosen candidate out and puts the best one in its place, as long as that helps;
 with setups, one of a group that is there.
 
@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import PlanError
 from truearm.plan.criteria import Criterion
+from truearm.progress import steps_of
 from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap that brings less is rounding
@@ -55,7 +56,7 @@ def choose(
     left = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
     here = np.zeros(len(rows), dtype=bool)  # of a group that was begun
-    for _ in range(n):
+    for _ in steps_of(range(n), f"choosing {n} of {len(rows)} poses"):
         worth = np.where(here, 1.0, 1.0 / (1.0 + setup)) * left
         best = _best(rows, information, worth, wanted, region)
         information += rows[best].T @ rows[best]
@@ -97,7 +98,7 @@ def _exchange(
     """One pass over all chosen; whether any was exchanged. ``information``, ``chosen`` and ``left`` follow."""
     changed = False
     now = value(information, criterion, region)
-    for place, old in enumerate(chosen):
+    for place, old in steps_of(list(enumerate(chosen)), "exchanging chosen poses for better ones"):
         without = information - rows[old].T @ rows[old]
         left[old] = True
         best = _best(rows, without, left.astype(float), criterion, region)
@@ -159,7 +160,7 @@ def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Cri
     if criterion not in tuple(Criterion):
         raise PlanError(f"criterion {criterion!r} is not known; use {', '.join(Criterion)}")
     if criterion == Criterion.I and region is None:
-        raise PlanError("I-optimal choice needs a region in which the error is to be small")
+        raise PlanError("an I-optimal choice needs the region in which the error should be small")
     if not 1 <= n <= len(rows):
         raise PlanError(f"{n} of {len(rows)} candidates cannot be chosen; ask for fewer poses or more candidates")
     return Criterion(criterion)

@@ -100,7 +100,7 @@ class Known:
 def known_arm(known: Known, rng: np.random.Generator) -> Arm:
     """Return the arm at the parameters that are known now. Raises PlanError where it has no branch to stay in."""
     if known.branch is None:
-        raise PlanError(f"robot {known.chain.name} has no branch to stay in; give its file a [branch]")
+        raise PlanError(f"robot {known.chain.name} has no branch; add [branch] to its file")
     return make_arm(known.chain, known.params, known.branch, rng)
 
 

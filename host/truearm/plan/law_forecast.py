@@ -1,7 +1,7 @@
 """What an identification with error curves would know of them, before anything is measured.
 
 Curves are linear in their coefficients, so their covariance depends on where is measured and not on what is read. Their prior here is a
-fixed one of the size that real arms have (docs/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad. The noise is the declared one.
+fixed one of the size that real arms have (docs/explanation/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad. The noise is the declared one.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.estimate.law_candidates import LENGTHS, candidates
+from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves
 from truearm.estimate.law_fit import Learned, law_problem, posterior
 from truearm.estimate.measured_order import poses
@@ -20,7 +20,7 @@ from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import LawMode
 from truearm.model.chain import Chain
 from truearm.model.joint_law import TERMS
-from truearm.model.law_chain import DOWN, with_laws
+from truearm.model.law_chain import with_laws
 from truearm.plan.forecast import Known
 from truearm.types import Floats, ObservationTable, rms
 
@@ -48,7 +48,7 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
     """Return a forecast for every joint that would have an error curve."""
     table = planned if known.measured is None else ObservationTable.joined([known.measured, planned])
     chain, n = _geometry(known)
-    laws, _ = candidates(chain, table.q, LawMode.CURVE, DOWN)
+    laws, _ = candidates(chain, table.q, LawMode.CURVE, gravity_of(table, None))
     if not laws:
         return ()
     whole = with_laws(chain, laws)

@@ -30,6 +30,7 @@ from truearm.plan.forecast import Aim, Forecast, Known, compiled, forecast, plan
 from truearm.plan.measurement_limits import Site
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route_stops import SETTLE, Stop, plain
+from truearm.progress import steps_of
 from truearm.types import Device, Floats, Move, ObservationTable, Plan, Rig
 
 SETUP = 180.0  # s to place the device
@@ -177,7 +178,7 @@ def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
 def _chosen(known: Known, found: Lines, n: int, wanted: LinesWanted, aim: Aim, target: str) -> list[int]:
     """The best ``n`` lines; unknowns of their own devices are fitted away."""
     parts = []
-    for i in range(len(found.q)):
+    for i in steps_of(range(len(found.q)), f"weighing {len(found.q)} lines"):
         table, devices = line_rows(known, found.select([i]), ["own"], target, wanted.passes)
         alone = _with_lines(replace(known, measured=None), devices)
         problem, x, columns = compiled(alone, table)
@@ -222,7 +223,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         if stops:
             via = way_without_bar(site, stops[-1].q, q[0], seed=number)
             if via is None:
-                raise PlanError(f"no way to line {name} is free; try another ", Argument("seed"))
+                raise PlanError(f"no collision-free path to line {name} was found; try another ", Argument("seed"))
             way = [*via, q[0]]
         first = len(stops)
         for place in way:

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm import option_defaults
 from truearm.model.chain import forward, joint_jacobian
 from truearm.plan.branch_inverse import LEVER, Arm
 from truearm.plan.collision_shapes import Mounted, Shapes, clear
 from truearm.types import BallBar, Floats, Plan, Rig
-
-RESERVE = 0.022  # m, of travel on either side
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class Limits:
 
     joint_margin: float = np.deg2rad(2.0)  # rad (m) from the joints' limits
     singular_value: float = 0.04  # of the end's Jacobian, metres in LEVERs
-    reserve: float = RESERVE
+    reserve: float = option_defaults.DESIGN_RESERVE  # m, of travel on either side
     chuck_angle: float = np.deg2rad(80.0)  # of the bar from the vertical
     sphere_angle: float = np.deg2rad(75.0)  # of the bar from the end's z axis
 

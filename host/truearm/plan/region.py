@@ -54,7 +54,7 @@ def around(points: Floats) -> Region:
 
 
 def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, seed: int = 0) -> Floats:
-    """(n, j) poses of the arm's branch, drawn by chance, with a point (3,) of the end inside the region.
+    """(n, j) poses of the arm's branch, drawn at random, with a point (3,) of the end inside the region.
 
     Raises PlanError where not one of 200,000 drawn is.
     """
@@ -68,5 +68,5 @@ def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, 
         if len(kept) >= n:
             return kept[:n]
     if not len(kept):
-        raise PlanError("the arm reaches no place of the region; give another ", Argument("region"))
+        raise PlanError("the arm cannot reach the region; give another ", Argument("region"))
     return kept

@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from truearm.plan.bar_paths import way_with_bar
 from truearm.plan.measurement_limits import Pairing, Site, allowed, of_pairing, pairing_at
+from truearm.progress import steps_of
 from truearm.types import Floats, Plan
 
 NEIGHBOURS = 8
@@ -53,7 +54,8 @@ def make_roadmap(site: Site, pairing: Pairing, stock: Floats) -> Roadmap:
 def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
     """The candidates that can be reached from most others of their pairing with the bar on, and the graphs of them."""
     kept, graphs = [], {}
-    for pairing in dict.fromkeys(pairing_at(found, i) for i in range(len(found))):
+    pairings = list(dict.fromkeys(pairing_at(found, i) for i in range(len(found))))
+    for pairing in steps_of(pairings, f"looking for ways between {len(found)} poses"):
         rows = np.flatnonzero(of_pairing(found, pairing))
         graph = make_roadmap(site, pairing, found.q[rows])
         main = graph.main

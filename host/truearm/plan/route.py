@@ -15,13 +15,14 @@ from truearm.plan.roadmap import Roadmap, make_roadmap, passable
 from truearm.plan.route_stops import Stop, plain
 from truearm.plan.shells import move_costs
 from truearm.plan.visit_order import short_tour
+from truearm.progress import steps_of
 from truearm.types import BAR_MOUNTED, Floats, Move, Plan
 
 NEAR = 12  # poses to which the way is looked at before the order is chosen
 
 
 class Visits(NamedTuple):
-    """How often mounts are visited, so that what drifts or slips shows (docs/rig.md).
+    """How often mounts are visited, so that what drifts or slips shows (docs/how-to/rig.md).
 
     ``times``: every mount so many times, with its share of the poses each. ``check_poses``: so many poses of the first mount are
     visited again when half the mounts are done, and at the end.
@@ -102,7 +103,7 @@ def route(
     plan = ordered(site, plan, pace, visits)
     graphs = dict(graphs or {})
     stops: list[tuple[Floats, int, bool]] = []
-    for i in range(len(plan)):
+    for i in steps_of(range(len(plan)), f"planning the way through {len(plan)} poses"):
         if i == 0:
             stops.append((plan.q[0], 0, True))
             continue
@@ -194,7 +195,7 @@ def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool
     via = way_without_bar(site, start, end, seed=i)
     if via is None:
         mounted = f"{pairing.bar}, {pairing.chuck}, {pairing.sphere}"
-        raise PlanError(f"no way to pose {i} ({mounted}) is free; try another ", Argument("seed"))
+        raise PlanError(f"no collision-free path to pose {i} ({mounted}) was found; try another ", Argument("seed"))
     if not len(via) and pairing == pairing_at(plan, i - 1):
         via = 0.5 * (start + end)[None]
     return via, True

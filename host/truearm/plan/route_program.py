@@ -59,4 +59,4 @@ def program(stops: Sequence[Stop], suffix: str, task: Task) -> str:
 def check_suffix(suffix: str) -> None:
     """Raise PlanError for a suffix that is none of DIALECTS."""
     if suffix not in DIALECTS:
-        raise PlanError(f"no program is written as {suffix or 'a file without suffix'!r}; use {dialects_help()}")
+        raise PlanError(f"programs cannot be written as {suffix or 'a file without suffix'!r}; use {dialects_help()}")

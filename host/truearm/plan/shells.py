@@ -21,6 +21,7 @@ from truearm.plan.branch_inverse import Arm, inverse
 from truearm.plan.forecast import Known, known_arm
 from truearm.plan.measurement_limits import Pairing, Site, allowed
 from truearm.plan.visit_order import short_tour, untangled, without_dearest
+from truearm.progress import steps_of
 from truearm.types import BallBar, Floats, Plan, Point
 
 # Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:
@@ -75,7 +76,8 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
     for pairing in pairings:
         if _out_of_reach(site, pairing):
             raise PlanError(_unreached(pairing))
-    parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in pairings]
+    seeking = steps_of(pairings, f"looking for poses in reach of {len(pairings)} pairings")
+    parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in seeking]
     sizes = [len(q) for q in parts]
     if min(sizes) == 0:
         raise PlanError(_unreached(pairings[sizes.index(0)]))
@@ -95,7 +97,7 @@ def _out_of_reach(site: Site, pairing: Pairing) -> bool:
 
 def _unreached(pairing: Pairing) -> str:
     return (
-        f"the arm reaches no place of bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
+        f"the arm cannot reach any pose with bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
         "move the chucks"
     )
 
@@ -158,7 +160,7 @@ def _reachable(
         n_places *= 2
     chuck, sphere = pairings[int(np.argmin([len(rows) for rows in found]))]
     raise PlanError(
-        f"the arm reaches too few places of bar {bar.name} between chuck {chuck.name} and sphere {sphere.name}; "
+        f"the arm reaches too few poses with bar {bar.name} between chuck {chuck.name} and sphere {sphere.name}; "
         "move the chucks"
     )
 

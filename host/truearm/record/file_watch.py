@@ -1,6 +1,7 @@
-"""What becomes of a session's file while it is written: other programs and people delete, rename, replace and truncate files.
+"""Detect when other programs or people delete, rename, replace or truncate a session's file while it is being written.
 
-A POSIX system keeps a deleted file for as long as it is open, so all of it can still be copied elsewhere. What a truncation took is gone.
+A POSIX system keeps a deleted file for as long as it is open, so all of it can still be copied elsewhere. Data lost by
+a truncation cannot be recovered.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 from truearm.errors import WriteError
+from truearm.files.write_lock import hold
 
-COPIED_BYTES = 1 << 20  # at once
+COPIED_BYTES = 1 << 20  # per step
 
 
 class FileLoss(StrEnum):
-    """What became of an open file."""
+    """What happened to an open file."""
 
     TRUNCATED = "truncated"
     DELETED = "deleted"
@@ -25,7 +27,7 @@ class FileLoss(StrEnum):
 
 
 def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
-    """What became of ``file``, which was opened at ``path`` and has had ``size`` bytes on the disk; None: it is where it was."""
+    """Return what happened to ``file``, opened at ``path`` with ``size`` bytes written; None if it is unchanged."""
     own = os.fstat(file.fileno())
     if own.st_size < size:
         return FileLoss.TRUNCATED
@@ -37,23 +39,27 @@ def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
 
 
 def new_file_beside(path: Path) -> tuple[Path, BinaryIO]:
-    """A new file, open to read and write, named after ``path``: ``session-rescued.mcap``, ``session-rescued-2.mcap`` …
+    """Create a new file, open for reading and writing, named after ``path``: ``session-rescued.mcap``,
+    ``session-rescued-2.mcap`` …
 
-    Raises WriteError where it cannot be made.
+    Raises WriteError if it cannot be created.
     """
     number = 1
     while True:
         out = path.with_name(f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}")
         try:
-            return out, out.open("x+b")
+            file = out.open("x+b")
         except FileExistsError:
             number += 1
         except OSError as exc:
             raise WriteError(f"{out}: cannot be written: {exc.strerror}", exc.strerror or "") from exc
+        else:
+            hold(file)
+            return out, file
 
 
 def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:
-    """Copy the first ``size`` bytes of an open file, whether it still has a name or not. Raises OSError."""
+    """Copy the first ``size`` bytes of an open file, whether or not it still has a name. Raises OSError."""
     file.seek(0)
     while size:
         data = file.read(min(COPIED_BYTES, size))

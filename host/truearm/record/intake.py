@@ -1,11 +1,13 @@
-"""What a box sends: stored first, in order and exactly, then looked at.
+"""Store what a box sends, exactly and in order, then evaluate it.
 
-Looked at is only what the recording itself needs: the ident (for the streams' names, the boot id and faults), answers to
-commands and clock exchanges, and ``seq`` for a count of losses. About 8 µs a data frame, of which 5 are the file's.
+Only what the recording itself needs is evaluated: the ident (for the streams' names, the boot id and faults), answers
+to commands, clock exchanges, and ``seq`` for counting losses. This takes about 8 µs per data frame, 5 of them for the
+file.
 
-A box that restarts shows a new boot id in its ident or heartbeat, or counts frames backwards; the last may also be a
-frame that was delivered late, so ``suspect`` asks the recorder to have the box identify itself, and its boot id decides. So
-does a count that jumps by more frames than any link could have carried meanwhile: nothing is known to be lost by it.
+A box that restarts shows a new boot id in its ident or heartbeat, or its frame count steps back. A frame delivered late
+can also look like the latter, so ``suspect`` asks the recorder to have the box identify itself, and its boot id
+decides. The same happens if the count jumps by more frames than any link could have carried in the meantime; this is
+not counted as a loss.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from truearm.record.status import Counters
 from truearm.session.box_frames import Data, Pages, data_frame, too_many, usual_data
 from truearm.session.box_ident import Ident, decode_ident
 from truearm.session.samples import shown, with_ratios
+from truearm.units import MDEGC
 from truearm_wire.messages import DATA, ERROR, EVENT, HEARTBEAT, IDENT, REPLY, SYNC_REPLY, TEMPERATURE
 
 _TOPICS = {
@@ -41,20 +44,20 @@ _TOPICS = {
 _SEQ_MASK, _SEQ_HALF = 2**32 - 1, 2**31
 _BEAT_WRAP = 2**30  # of a heartbeat's counters
 _SAMPLE_BYTES = 4
-PREVIEW_NS = 100_000_000  # between two samples shown
+PREVIEW_NS = 100_000_000  # between two samples displayed
 _LARGEST_UNNAMED_STREAM = 255
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The box's answer to a command: ``error`` is its text, None if it was executed."""
+    """The box's answer to a command. ``error`` is its text, None if the command was executed."""
 
     error: str | None = None
 
 
 @dataclass
 class Intake:
-    """The box's side of a recording. ``awaited`` is the id of the command under way, ``answer`` what came of it."""
+    """The box's side of a recording. ``awaited`` is the id of the current command, ``answer`` its answer."""
 
     writer: SessionWriter
     counters: Counters
@@ -65,21 +68,22 @@ class Intake:
     answer: Answer | None = None
     suspect: bool = False  # the box may have restarted
     restarted: bool = False  # it has
-    stopped: bool = False  # it says that it does not stream, though it was started
-    heard_ns: int | None = None  # its last word, or since when it might speak again
-    spoke_ns: int | None = None  # its last word
+    stopped: bool = False  # it reports that it is not streaming, though it was started
+    heard_ns: int | None = None  # time of its last message, or since when it could be heard again
+    spoke_ns: int | None = None  # time of its last message
     _expected_seq: int | None = None
-    _counted_ns: int = 0  # when the frame before that arrived
-    _idle_us: int | None = None  # the box's time at which it said so first
+    _counted_ns: int = 0  # arrival of the frame before
+    _idle_us: int | None = None  # box time of the first such report
     _beat: tuple[int, int, int] | None = None  # the last heartbeat's boot id, dropped and overruns
-    _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes a sample
+    _streams: dict[int, tuple[str, int]] = field(default_factory=dict)  # id: topic, bytes per sample
     _next_preview_ns: dict[int, int] = field(default_factory=dict)  # by stream
     _splitter: FrameSplitter = field(default_factory=FrameSplitter)
     _pages: Pages = field(default_factory=Pages)
 
     def take(self, t_host_ns: int, data: bytes) -> None:
-        """Store and look at bytes that arrived. Raises ProtocolError for an ident that cannot be used."""
-        # A traceback waits for the next delimiter, which may come with the next boot: its time is that of its own end.
+        """Store and evaluate bytes that arrived. Raises ProtocolError for an ident that cannot be used."""
+        # A traceback waits for the next delimiter, which may arrive with the next boot: use the time at which the text
+        # itself ended.
         t_console_ns = t_host_ns if self.heard_ns is None or data[:1] != b"\0" else self.heard_ns
         self.heard_ns = self.spoke_ns = t_host_ns
         for is_frame, item in self._splitter.push(data):
@@ -90,23 +94,23 @@ class Intake:
             t_console_ns = t_host_ns
 
     def flush(self) -> None:
-        """Store what came behind the last delimiter: the stream has ended or was cut."""
+        """Store what follows the last delimiter: the stream has ended or was cut."""
         rest = self._splitter.flush()
         if rest and self.heard_ns is not None:
             self._take_console(self.heard_ns, rest)
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What the operator should know of the box; () before it said what it is."""
+        """Return faults of the box for the operator; () before it has identified itself."""
         return () if self.ident is None else self.ident.faults
 
     def cleared(self) -> None:
-        """The box was asked and has not restarted: count its frames from the next one on."""
+        """Note that the box was asked and has not restarted: its frames are counted from the next one on."""
         self.suspect = False
         self._expected_seq = None
 
     def started(self) -> None:
-        """The box was started, and said so."""
+        """Note that the box was started and confirmed it."""
         self.stopped, self._idle_us = False, None
 
     def _take_console(self, t_host_ns: int, data: bytes) -> None:
@@ -141,7 +145,7 @@ class Intake:
         self.operator.block(t_host_ns, data)
 
     def _preview(self, t_host_ns: int, data: Data) -> None:
-        """A block's last sample for viewers that cannot read frames."""
+        """Store a block's last sample for viewers that cannot read frames."""
         stream = None if self.ident is None else self.ident.streams.get(data.stream)
         if stream is not None and data.samples and len(data.samples) % (_SAMPLE_BYTES * len(stream.channels)) == 0:
             last = np.frombuffer(data.samples, "<i4")[-len(stream.channels) :].reshape(1, -1)
@@ -154,10 +158,10 @@ class Intake:
         if seq is None:
             return
         gap = 0 if self._expected_seq is None else (seq - self._expected_seq) & _SEQ_MASK
-        if gap == _SEQ_MASK:  # the last one again
+        if gap == _SEQ_MASK:  # a repetition of the last one
             self.counters.doubled_frames += 1
         elif gap >= _SEQ_HALF or too_many(gap, t_host_ns - self._counted_ns):
-            self.suspect = True  # backwards, or further ahead than can be
+            self.suspect = True  # backwards, or further ahead than possible
             self.counters.odd_frames += 1
         else:
             self.counters.lost_frames += gap
@@ -180,23 +184,26 @@ class Intake:
 
     def _take_heartbeat(self, fields: Mapping[str, Any]) -> None:
         self._count_in_box(fields["boot_id"], fields["dropped"], fields["overruns"])
+        self.operator.box_temperature(MDEGC.to_si(fields["temperature_mdegc"]))
         if self.ident is not None and fields["boot_id"] != self.ident.boot_id:
             self.suspect = True
         if fields["streaming"]:
             self._idle_us = None
         elif self._idle_us is None:
             self._idle_us = fields["t_us"]
-        elif fields["t_us"] > self._idle_us:  # twice: one may be late
+        elif fields["t_us"] > self._idle_us:  # twice: a single one may be late
             self.stopped = True
 
     def _count_in_box(self, boot_id: int, dropped: int, overruns: int) -> None:
-        """The box counts since its boot: what it lost before this recording first heard of it is not the recording's."""
+        """Count losses in the box. It counts since boot, so losses before this recording first heard of it are not
+        included.
+        """
         before = self._beat or (boot_id, dropped, overruns)
         if before[0] != boot_id:
             before = (boot_id, 0, 0)
         more = (dropped - before[1]) % _BEAT_WRAP, (overruns - before[2]) % _BEAT_WRAP
         if max(more) >= _BEAT_WRAP // 2:
-            return  # it came late
+            return  # late
         self._beat = boot_id, dropped, overruns
         self.counters.dropped_in_box += more[0]
         self.counters.overruns_in_box += more[1]
@@ -223,12 +230,12 @@ class Intake:
 
 
 def _check_same(before: Ident, now: Ident) -> None:
-    """Raise ProtocolError where another box answers: its calibration and its clock are others'."""
+    """Raise ProtocolError if a different box answers: its calibration and its clock differ."""
     uids = [str(ident.document.get("uid", ""))[:32] for ident in (before, now)]
     if uids[0] != uids[1]:
         raise ProtocolError(
             f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
-            "plug in the one that it began with and resume the session"
+            "plug that box in again and resume the session"
         )
 
 

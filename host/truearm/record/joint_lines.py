@@ -1,9 +1,10 @@
-"""A robot's joint readings: JSON lines over a link, told apart from everything else that a robot may print.
+"""Receive a robot's joint readings: JSON lines over a link, distinguished from anything else that a robot may print.
 
-Like a box's bytes they are stored before anything is made of them, line by line as they came.
+Like a box's bytes, lines are stored exactly as received before they are evaluated.
 
-A connection that closes says nothing of why: a controller that is started anew, a program that crashed and one that is done all close
-it in order. So the robot is waited for as after any loss, and the program that is done says so before, by the line ``END``.
+A closed connection does not show the reason: a controller that is restarted, a program that crashed and one that has
+finished all close it in the same way. The recorder therefore waits for the robot as after any loss. A program that has
+finished announces this beforehand with the line ``END``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from truearm.record.status import Counters
 from truearm.session.joint_readings import UNNUMBERED, JointLine, parse_line
 
 MAX_LINE = 8192  # bytes
-MAX_RUBBISH = 1 << 20  # bytes without a reading between them; a robot that sends so many is none
+MAX_RUBBISH = 1 << 20  # bytes without a reading; a sender of that many is not a robot
 SILENCE_S = 3.0
 END = b'{"end": true}'
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
@@ -28,20 +29,21 @@ EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
 class JointLines:
     """Lines of a robot's stream, exactly as received without their line feed.
 
-    A joint line is what ``parse_line`` takes, of as many joints as the first. About 3 µs a line of six joints.
+    A joint line is one that ``parse_line`` accepts, with as many joints as the first. Takes about 3 µs per line of six
+    joints.
     """
 
     def __init__(self) -> None:
         self._runs = Runs(b"\n", MAX_LINE)
         self._n_joints: int | None = None
-        self.other_joints = 0  # readings of another number of joints than the first
+        self.other_joints = 0  # readings with a different number of joints from the first
 
     def push(self, data: bytes) -> list[tuple[JointLine | None, bytes]]:
-        """Joint lines with what they say, and with None all else, in order."""
+        """Return the lines in order, joint lines with their contents and all others with None."""
         return [(self._reading(line) if whole else None, line) for whole, line in self._runs.push(data)]
 
     def flush(self) -> bytes:
-        """What came behind the last line feed, when the stream has ended."""
+        """Return what follows the last line feed when the stream has ended."""
         return self._runs.flush()
 
     def _reading(self, line: bytes) -> JointLine | None:
@@ -57,9 +59,12 @@ class JointLines:
 
 
 class RobotIntake:
-    """The robot's side of a recording. ``end`` is what ended its stream, None while it runs or may come back;
-    ``lost``: by what, and ``lost_ns``: since when it is away and may come back, which its first reading does, not its link;
-    ``heard_ns`` when the last reading came."""
+    """The robot's side of a recording.
+
+    ``end``: what ended its stream, None while it runs or may come back. ``lost``: why it is away, and ``lost_ns``:
+    since when, if it may come back; its first reading ends the loss, not its link. ``heard_ns``: time of the last
+    reading.
+    """
 
     def __init__(self, link: Link, writer: SessionWriter, clock: Clock, counters: Counters, operator: Operator) -> None:
         self.end: LinkError | None = None
@@ -78,7 +83,9 @@ class RobotIntake:
         self._linked = True
 
     def read(self) -> Arrivals:
-        """What has arrived, without waiting; nothing after the end, while there is no link, or of a stream that is none."""
+        """Return what has arrived, without waiting; nothing after the end, without a link, or if it is not a joint
+        stream.
+        """
         if self.end is not None or self.rubbish or not self._opened():
             return []
         try:
@@ -88,19 +95,21 @@ class RobotIntake:
         return []
 
     def watch(self, now_ns: int) -> None:
-        """Note in the file where the robot says nothing though its link is whole, and where it speaks again."""
-        silent = self.end is None and self.lost_ns is None and (self.age_s(now_ns) or 0.0) > SILENCE_S
+        """Note in the file when the robot sends nothing though its link is intact, and when it sends again."""
+        waits_for_us = self.waiting > 0  # data received meanwhile waits to be stored
+        late = (self.age_s(now_ns) or 0.0) > SILENCE_S and not waits_for_us
+        silent = self.end is None and self.lost_ns is None and late
         if silent != self._silent:
             self._silent = silent
             if self.lost_ns is None and self.end is None:
                 self._writer.event("robot-silent" if silent else "robot-heard", now_ns, heard_ns=self.heard_ns)
 
     def age_s(self, now_ns: int) -> float | None:
-        """Of the last reading."""
+        """Return the age of the last reading [s]."""
         return None if self.heard_ns is None else (now_ns - self.heard_ns) / 1e9
 
     def _opened(self) -> bool:
-        """Whether there is a link; a lost one is opened again meanwhile."""
+        """Return whether there is a link; a lost one is reopened in the background."""
         if not self._linked:
             self._linked = isinstance(self._link, Reopenable) and self._link.reopen(0.0)
         return self._linked
@@ -111,7 +120,7 @@ class RobotIntake:
         self._linked = False
         if self._is_final(error):
             self.end = error
-        elif self.lost_ns is not None:  # the link was back, the robot was not
+        elif self.lost_ns is not None:  # the link was back, but not the robot
             return
         else:
             self.lost_ns = now_ns
@@ -120,11 +129,11 @@ class RobotIntake:
         self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
 
     def _is_final(self, error: LinkError) -> bool:
-        never = isinstance(error, LinkClosed) and self.heard_ns is None  # it sent no reading: it is none, or has none
+        never = isinstance(error, LinkClosed) and self.heard_ns is None  # no reading yet: not a source
         return not isinstance(self._link, Reopenable) or isinstance(error, ProtocolError) or never
 
     def _back(self, t_host_ns: int, after: JointLine) -> None:
-        """The first reading behind a loss: how long it lasted, and how many readings went with it, if the robot counts them."""
+        """Note the first reading after a loss: its duration, and the number of lost readings if the robot counts them."""
         self.lost_ns = None
         before, lost = self._last, None
         if before and UNNUMBERED not in (before.seq, after.seq) and after.t > before.t and after.seq > before.seq:
@@ -133,20 +142,25 @@ class RobotIntake:
         self._writer.event("robot-back", t_host_ns, away_s=away_s, lost=lost)
 
     @property
+    def waiting(self) -> int:
+        """Number of received pieces that wait to be stored."""
+        return backlog_of(self._link).waiting
+
+    @property
     def held_up(self) -> int:
-        """How often the robot's reader had to wait for the recorder."""
+        """Number of times the robot's reader had to wait for the recorder."""
         return backlog_of(self._link).held_up
 
     @property
     def rubbish(self) -> str:
-        """Says so if what the robot sends is no stream of readings, else ""."""
+        """Return a message if the robot does not send a stream of readings, else ""."""
         if self._rubbish <= MAX_RUBBISH:
             return ""
         return f"{self._link.name}: {self._rubbish} bytes without a joint reading; {EXPECTED}"
 
     @property
     def closed(self) -> bool:
-        """Whether the robot ended its stream, and did not lose it."""
+        """Whether the robot ended its stream deliberately."""
         return isinstance(self.end, LinkClosed)
 
     def take(self, t_host_ns: int, data: bytes) -> None:

@@ -1,8 +1,8 @@
-"""Links to a box or a robot: bytes with the host's time of arrival, and the clock that stamps them.
+"""Links to a box or a robot: bytes with the host's arrival time, and the clock that stamps them.
 
-The recorder knows only ``Link`` and ``Clock``. It never looks at another clock and waits only in ``Link.read``, so that
-the simulator can hand it virtual time. A real link reads in a thread of its own: a stamp is taken when the bytes
-arrive, not when the recorder gets round to them.
+The recorder only knows ``Link`` and ``Clock``. It uses no other clock and waits only in ``Link.read``, so the simulator
+can supply virtual time. A real link reads in a thread of its own: bytes are stamped on arrival, not when the recorder
+processes them.
 """
 
 from __future__ import annotations
@@ -24,45 +24,46 @@ from truearm.errors import InputError, LinkClosed, LinkError
 
 Arrivals = list[tuple[int, bytes]]
 
-_POLL_S = 0.1  # how long a reader thread waits before it looks whether it shall stop
+_POLL_S = 0.1  # how long a reader thread waits before it checks whether to stop
 _READ_BYTES = 4096
-_QUEUE_ITEMS = 16384  # 25 s of a box at 4 kHz wait for the recorder; then the operating system holds the sender back
-_READ_ITEMS = 128  # handed out at a time: who sends faster than we take must not hold up all else
+_QUEUE_ITEMS = 16384  # 25 s of a box at 4 kHz; beyond that the operating system blocks the sender
+_READ_ITEMS = 128  # returned at a time: a sender that is faster than the recorder must not block everything else
 _WRITE_TIMEOUT_S = 2.0
 _CONNECT_TIMEOUT_S = 5.0
 
 
-# CLOCK_MONOTONIC is slewed by NTP, up to 500 ppm for minutes: a rate that the box's clock would seem to have. Where there
-# is no raw clock, perf_counter is the best there is; on Windows it is the performance counter, which nothing slews.
+# NTP slews CLOCK_MONOTONIC by up to 500 ppm for minutes, which would look like a rate of the box's clock. Without a raw
+# clock, perf_counter is the best available; on Windows it is the performance counter, which nothing slews.
 _RAW: int | None = getattr(time, "CLOCK_MONOTONIC_RAW", None)
 
 
 class Clock(Protocol):
-    """The host's time. ``kind`` is "monotonic-raw", "monotonic" or "virtual"."""
+    """The host's clock. ``kind`` is "monotonic-raw", "monotonic" or "virtual"."""
 
     kind: str
 
     def now_ns(self) -> int: ...
 
     def utc_anchor(self) -> tuple[int, int]:
-        """The same instant as UTC [ns since 1970] and on this clock [ns]."""
+        """Return one instant as UTC [ns since 1970] and on this clock [ns]."""
         ...
 
 
 class Link(Protocol):
-    """A byte stream in both directions. Every method raises LinkError when the stream is lost."""
+    """A byte stream in both directions. Every method raises LinkError if the stream is lost."""
 
     name: str
 
     def read(self, timeout_s: float) -> Arrivals:
-        """``(t_host_ns, bytes)`` of each piece that arrived, waiting up to ``timeout_s`` for the first; [] if none.
+        """Return ``(t_host_ns, bytes)`` for each piece that arrived, waiting up to ``timeout_s`` for the first; [] if
+        none.
 
-        Raises LinkClosed when the other side ended the stream in order; everything before it was handed out.
+        Raises LinkClosed if the other side closed the stream, after everything before it has been returned.
         """
         ...
 
     def write(self, data: bytes) -> int:
-        """Send ``data``; returns the host's time [ns] just before it was handed over."""
+        """Send ``data`` and return the host time [ns] just before it was handed over."""
         ...
 
     def close(self) -> None: ...
@@ -73,24 +74,24 @@ class Reopenable(Protocol):
     """A link that can come back after it was lost."""
 
     def reopen(self, timeout_s: float) -> bool:
-        """Try to open again, waiting up to ``timeout_s``; whether the link is back."""
+        """Try to open the link again, waiting up to ``timeout_s``; return whether it is back."""
         ...
 
 
 class Backlog(NamedTuple):
-    """What waits between a link's reader and the recorder: pieces now, and how often the reader had to stop because too many did."""
+    """Backlog between a link's reader and the recorder: pieces waiting, and how often the reader had to stop for them."""
 
     waiting: int = 0
     held_up: int = 0
 
 
 def backlog_of(link: Link) -> Backlog:
-    """Of a link that reads in a thread; zeros of one that does not."""
+    """Return the backlog of a link that reads in a thread; zeros for others."""
     return Backlog(*getattr(link, "backlog", ()))
 
 
 class HostClock:
-    """The operating system's monotonic clock, the one that NTP does not slew where there is one."""
+    """The operating system's monotonic clock, without NTP slewing if available."""
 
     kind = "monotonic" if _RAW is None else "monotonic-raw"
 
@@ -98,14 +99,14 @@ class HostClock:
         return time.perf_counter_ns() if _RAW is None else time.clock_gettime_ns(_RAW)
 
     def utc_anchor(self) -> tuple[int, int]:
-        """The tightest of five readings of both clocks."""
+        """Return the tightest of five readings of both clocks."""
         readings = [(self.now_ns(), time.time_ns(), self.now_ns()) for _ in range(5)]
         before, utc, after = min(readings, key=lambda r: r[2] - r[0])
         return utc, (before + after) // 2
 
 
 class Reader:
-    """A thread that calls ``receive`` (b"" when nothing came for a while) and stamps what it returns."""
+    """A thread that calls ``receive`` (which returns b"" after a while without data) and stamps what it returns."""
 
     def __init__(self, receive: Callable[[], bytes], clock: Clock) -> None:
         self._receive = receive
@@ -165,7 +166,7 @@ class Reader:
 class SerialLink:
     """A box on a serial device (``/dev/ttyACM0``, ``COM3``) or behind ``socket://host:port``, through pyserial.
 
-    The port is opened for this program alone and DTR is raised, without which a Pico sends nothing.
+    The port is opened exclusively and DTR is raised, without which a Pico sends nothing.
     """
 
     def __init__(self, device: str, clock: Clock) -> None:
@@ -188,14 +189,16 @@ class SerialLink:
         try:
             self._port.write(data)
         except serial.SerialTimeoutException as exc:
-            raise LinkError(f"{self.name}: the box takes no bytes ({_WRITE_TIMEOUT_S:g} s); is it stuck?") from exc
+            raise LinkError(
+                f"{self.name}: the box accepted no bytes for {_WRITE_TIMEOUT_S:g} s; unplug it and plug it in again"
+            ) from exc
         except (serial.SerialException, OSError) as exc:
             raise LinkError(f"{self.name}: the link was lost ({exc})") from exc
         return t_host_ns
 
     @property
     def backlog(self) -> Backlog:
-        """What waits to be read."""
+        """Return the backlog."""
         return Backlog() if self._reader is None else self._reader.backlog
 
     def close(self) -> None:
@@ -226,13 +229,13 @@ class SerialLink:
 def _check_device(device: str) -> None:
     scheme, separator, _ = device.partition("://")
     if not device or (separator and scheme != "socket"):
-        raise InputError(f"{device!r} is no device; give a path such as /dev/ttyACM0 or socket://host:port")
+        raise InputError(f"{device!r} is not a device; give a path such as /dev/ttyACM0 or socket://host:port")
     if separator:
         host_and_port(device, "socket")
 
 
 def _selecting(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
-    """One read a piece, whatever its length; pyserial's ``in_waiting`` of a socket says only 0 or 1."""
+    """Return one read per piece, of any length; pyserial's ``in_waiting`` of a socket is only 0 or 1."""
 
     def receive() -> bytes:
         try:
@@ -255,11 +258,11 @@ def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
 
 
 _HINTS = {
-    errno.ENOENT: "is not there; is the box plugged in?",
+    errno.ENOENT: "not found; is the box plugged in?",
     errno.EACCES: "may not be opened; on Linux, join the group that owns it (dialout)",
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
-    errno.ENOTTY: "is no serial port",
+    errno.ENOTTY: "is not a serial port",
     errno.EISDIR: "is a directory, no serial port",
     errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
     errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
@@ -269,7 +272,7 @@ _HINTS = {
 
 
 def _why_not_open(name: str, exc: Exception) -> str:
-    cause = exc.__context__ or exc  # pyserial wraps what happened, and repeats the name
+    cause = exc.__context__ or exc  # pyserial wraps the actual error and repeats the name
     if isinstance(cause, socket.gaierror):
         return f"{name}: no machine of that name is known; check the name or give its address, such as 127.0.0.1"
     if isinstance(cause, TimeoutError):
@@ -282,7 +285,7 @@ def _why_not_open(name: str, exc: Exception) -> str:
 
 
 class SocketLink:
-    """A socket that a thread reads; it hands out what the ``_receive`` of its kind returns."""
+    """A socket read by a thread; it returns what ``_receive`` of the subclass returns."""
 
     def __init__(self, name: str, clock: Clock, opened: socket.socket) -> None:
         self.name = name
@@ -295,7 +298,7 @@ class SocketLink:
 
     @property
     def backlog(self) -> Backlog:
-        """What waits to be read."""
+        """Return the backlog."""
         return self._reader.backlog
 
     def close(self) -> None:
@@ -307,7 +310,7 @@ class SocketLink:
 
 
 class TcpLink(SocketLink):
-    """A robot's stream behind ``tcp://host:port``; ``name`` is what errors call it, the url by default."""
+    """A robot's stream behind ``tcp://host:port``; ``name`` identifies it in errors, by default the url."""
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
         address = host_and_port(url, "tcp")
@@ -339,7 +342,7 @@ class TcpLink(SocketLink):
 
 
 def _notice_silence(connection: socket.socket) -> None:
-    """Have the operating system ask a silent peer whether it is there: a cable that was pulled ends no connection."""
+    """Have the operating system probe a silent peer: a pulled cable does not close a connection."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in (("TCP_KEEPIDLE", 5), ("TCP_KEEPINTVL", 2), ("TCP_KEEPCNT", 3)):  # lost after 11 s
         if hasattr(socket, name):
@@ -347,12 +350,12 @@ def _notice_silence(connection: socket.socket) -> None:
 
 
 def host_and_port(url: str, scheme: str) -> tuple[str, int]:
-    """The parts of ``scheme://host:port``. Raises InputError."""
+    """Return host and port of ``scheme://host:port``. Raises InputError."""
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
     except ValueError:
         host = port = None
     if host is None or not port or parts.scheme != scheme or parts.path or parts.query:
-        raise InputError(f"{url!r} is no address; write {scheme}://host:port, such as {scheme}://127.0.0.1:7007")
+        raise InputError(f"{url!r} is not an address; write {scheme}://host:port, such as {scheme}://127.0.0.1:7007")
     return host, port

@@ -1,4 +1,4 @@
-"""What stands between a recording and whoever runs it. This one wants nothing and looks at nothing: a recording by a program."""
+"""The interface between a recording and its operator. This default does nothing, for recordings made by a program."""
 
 from __future__ import annotations
 
@@ -12,34 +12,37 @@ from truearm.session.joint_readings import JointLine
 
 
 class OperatorEvent(NamedTuple):
-    """An event to write: ``fields`` beside ``kind``. The kind "end" ends the recording, and is no event."""
+    """An event to write, with ``kind`` and ``fields``. The kind "end" ends the recording and is not written."""
 
     kind: str
     fields: Mapping[str, Any]
 
 
 class Operator:
-    """All of it is called by the recorder, between two reads: what takes its time belongs into a thread of the operator's own."""
+    """Callbacks of the recorder, called between two reads. Anything slow must run in a thread of the operator's own."""
 
     def approve(self, ident: Ident) -> None:
-        """The box is about to be started, at the beginning and after it restarted. Raise InputError to refuse it."""
+        """Called before the box is started, at the beginning and after a restart. Raise InputError to refuse it."""
 
     def block(self, t_host_ns: int, data: Data) -> None:
-        """Samples came, and are stored."""
+        """Called when samples have arrived and are stored."""
 
     def reading(self, t_host_ns: int, reading: JointLine) -> None:
-        """A joint reading came, and is stored."""
+        """Called when a joint reading has arrived and is stored."""
 
     def exchange(self, t0_ns: int, t1_us: int, t2_us: int, t3_ns: int) -> None:
-        """The box answered a clock request."""
+        """Called when the box has answered a clock request."""
+
+    def box_temperature(self, degc: float) -> None:
+        """Called when the box has reported its temperature, about once a second."""
 
     def status(self, status: Status) -> None:
-        """Four times a second."""
+        """Called four times a second."""
 
     def wishes(self) -> list[OperatorEvent]:
-        """What the operator asked for since the last call; asked at least every 50 ms."""
+        """Return the operator's requests since the last call; called at least every 50 ms."""
         return []
 
     def last_wishes(self) -> list[OperatorEvent]:
-        """The recording has ended: what is still to be written. It may wait for half a second, no longer."""
+        """Return what is still to be written after the recording has ended. May wait for at most half a second."""
         return []

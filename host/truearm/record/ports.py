@@ -1,4 +1,4 @@
-"""Serial ports that may be boxes, by what they say of themselves on USB."""
+"""Find serial ports that may be boxes, by their USB descriptors."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from serial.tools import list_ports
 from truearm.errors import LinkError
 from truearm.record.links import Clock, SerialLink
 
-# Raspberry Pi's vendor number; its products that show a serial port: MicroPython, and programs made with the Pico's SDK.
+# Raspberry Pi's vendor number; its products with a serial port are MicroPython and programs made with the Pico SDK.
 VENDOR = 0x2E8A
 PRODUCTS = {0x0005: "MicroPython", 0x000A: "Pico SDK", 0x0009: "Pico SDK (RP2350)"}
 
 
 @dataclass(frozen=True)
 class UsbPort:
-    """A serial port. ``usb`` is "2e8a:0005", "" where it is not on USB; ``candidate``: it may be a box."""
+    """A serial port. ``usb`` is "2e8a:0005", or "" if it is not on USB; ``candidate``: it may be a box."""
 
     device: str
     usb: str
@@ -26,7 +26,7 @@ class UsbPort:
 
 
 def usb_ports() -> list[UsbPort]:
-    """All serial ports of this machine, boxes-to-be first."""
+    """Return all serial ports of this machine, possible boxes first."""
     ports = [
         UsbPort(
             device=port.device,
@@ -41,14 +41,14 @@ def usb_ports() -> list[UsbPort]:
 
 
 def find_boxes() -> list[UsbPort]:
-    """The ports that may be boxes, in order of their names."""
+    """Return the ports that may be boxes, in order of their names."""
     return [port for port in usb_ports() if port.candidate]
 
 
 class BoxPort:
-    """Opens a box's port, and later the port that has the same USB identity: a box that is plugged in again may get another name.
+    """Opens a box's port, and later the port with the same USB identity: a reconnected box may get another name.
 
-    ``device`` is the name that it had last. Where it has no identity (a socket, a pseudo-terminal), the name is all there is.
+    ``device`` is its last name. Without an identity (a socket, a pseudo-terminal), only the name is used.
     """
 
     def __init__(self, device: str, clock: Clock) -> None:
@@ -57,11 +57,13 @@ class BoxPort:
         self._identity = next((_identity(port) for port in usb_ports() if port.device == device), None)
 
     def __call__(self) -> SerialLink:
-        """Raises LinkError, InputError as ``SerialLink`` does, LinkError too while no port has the identity."""
+        """Open the port. Raises LinkError and InputError as ``SerialLink`` does, and LinkError if no port has the
+        identity.
+        """
         if self._identity is not None:
             names = [port.device for port in usb_ports() if _identity(port) == self._identity]
             if not names:
-                raise LinkError(f"{self.device}: is not there; is the box plugged in?")
+                raise LinkError(f"{self.device}: not found; is the box plugged in?")
             self.device = names[0]
         return SerialLink(self.device, self._clock)
 

@@ -1,7 +1,7 @@
-"""Hop 3: everything that a box and a robot send, into a session file.
+"""Hop 3: record everything that a box and a robot send to a session file.
 
-One loop (``_pump``) reads both links and stores what came; every wait for an answer is that same loop, so nothing is
-missed while a command is under way. Time comes from the clock and passes in ``Link.read`` alone: with the simulator's
+A single loop (``_pump``) reads both links and stores what arrived. Waiting for an answer uses the same loop, so nothing
+is missed while a command is pending. Time comes from the clock and passes only in ``Link.read``: with the simulator's
 clock and links this module runs in virtual time.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
 
@@ -26,25 +26,27 @@ from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 SECOND = 1_000_000_000
-CHORES_NS = SECOND // 20  # probes, chunks and progress are looked after at this pace
+CHORES_NS = SECOND // 20  # interval for handling probes, chunks and progress
 PROBE_NS = SECOND // 4
 PROGRESS_NS = SECOND // 4
 RETRY_NS = SECOND // 2
-RETRIES = 10  # 5 s: a box that was just plugged in waits 2 s before it runs
-STOP_RETRIES = 4  # somebody who pressed Ctrl-C waits for this
-SILENCE_NS = 3 * SECOND  # of a box that sends a heartbeat every second
-ROBOT_NS = 5 * SECOND  # a robot whose stream runs has sent hundreds of readings by then
+RETRIES = 10  # 5 s: a newly connected box waits 2 s before it runs
+STOP_RETRIES = 4  # the operator who pressed Ctrl-C waits for this
+SILENCE_NS = 3 * SECOND  # for a box that sends a heartbeat every second
+ROBOT_NS = 5 * SECOND  # a robot with a running stream has sent hundreds of readings by then
 REOPEN_S = CHORES_NS / SECOND
-PATIENCE_S = 600.0  # for a lost box or robot; a wire is plugged in again sooner, and nobody watches an unattended one
+PATIENCE_S = (
+    600.0  # for a lost box or robot; a cable is reconnected sooner, and an unattended session has nobody to do so
+)
 SHORTEST_NS = 10_000
-ROBOT_SHARE_NS = SECOND // 50  # at a time for the robot, so that one that floods holds up no clock exchange and no end
+ROBOT_SHARE_NS = SECOND // 50  # at a time, so that a flood of readings delays neither clock exchanges nor the end
 DRAIN_NS = SECOND // 5
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
 
 
 class _Ended(Exception):
-    """The recording is over, for ``reason`` (see RecordSummary)."""
+    """The recording has ended for ``reason`` (see RecordSummary)."""
 
     def __init__(self, reason: str, text: str = "") -> None:
         self.reason = reason
@@ -55,8 +57,8 @@ class _Ended(Exception):
 class RecordOptions:
     """What to record, and for how long.
 
-    ``plan``: one mapping a pose, as ``/plan`` holds them. ``osr`` is configured on every stream that has one; None leaves them.
-    ``head``: metadata to write first, name and entries. ``patience_s``: how long to wait for a link that was lost.
+    ``plan``: one mapping per pose, as in ``/plan``. ``osr`` is set on every stream that has one; None leaves them
+    unchanged. ``head``: metadata to write first, name and entries. ``patience_s``: how long to wait for a lost link.
     """
 
     plan: Iterable[Mapping[str, Any]] = ()
@@ -70,7 +72,7 @@ class RecordOptions:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Who is asked whether to end, at least every 50 ms, and who hears of the recording: ``progress`` four times a second."""
+    """Callbacks: two are asked at least every 50 ms whether to end; ``progress`` is called four times a second."""
 
     until: Callable[[], bool] | None = None
     interrupted: Callable[[], bool] | None = None
@@ -93,13 +95,14 @@ def record(
 ) -> RecordSummary:
     """Identify, configure and start the box, then record until the end; completes and closes the session file.
 
-    The end: ``duration_s`` after the start, the robot saying that it has ended or sending no reading in 5 s, ``until()`` or
-    ``interrupted()`` turning true (both asked at least every 50 ms), KeyboardInterrupt, the operator's wish, or a link, lost or
-    closed, that cannot be opened again, or not within ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
+    The recording ends ``duration_s`` after the start, when the robot announces its end or sends no reading for 5 s,
+    when ``until()`` or ``interrupted()`` becomes true (both are called at least every 50 ms), on KeyboardInterrupt or
+    at the operator's request. It also ends if a lost or closed link cannot be opened again, or not within
+    ``patience_s``. A writer that is held is kept once the box has started. The links stay open.
 
-    Raises LinkError if the box does not answer, ProtocolError if it refuses a command, speaks another protocol or is suddenly
-    another one, TruearmError if the file cannot be written, and what ``operator`` raises to refuse the box; what came until then is
-    kept in the file.
+    Raises LinkError if the box does not answer, ProtocolError if it refuses a command, speaks another protocol or has
+    been replaced by another one, TruearmError if the file cannot be written, and whatever ``operator`` raises to refuse
+    the box. Data received until then is kept in the file.
     """
     for name, entries in options.head:
         writer.metadata(name, entries)
@@ -135,12 +138,12 @@ class _Recorder:
         self._requests = Requests(now_ns)
         self._state = "identifying"
         self._to_set_up = True
-        self._to_ask = False  # whether the box is still the one that it was
+        self._to_ask = False  # whether to check that the box is still the same
         self._started_ns: int | None = None
         self._silent = False
         self._box_gone = ""
-        self._behind: Arrivals = []  # of the robot, read and not stored yet
-        self._file_losses = 0  # that an event tells of
+        self._behind: Arrivals = []  # of the robot, read but not stored yet
+        self._file_losses = 0  # reported in an event so far
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
 
     # --- the course of a recording
@@ -205,7 +208,7 @@ class _Recorder:
             self._writer.event("box-stopped", self._clock.now_ns())
         self._box.restarted = self._box.stopped = False
         self._command(IDENTIFY)
-        self._command(STOP, may_fail=True)  # a recorder that was killed left it streaming
+        self._command(STOP, may_fail=True)  # a killed recorder left it streaming
         self._configure()
         self._operator.approve(self._ident())
         self._command(START)
@@ -227,7 +230,7 @@ class _Recorder:
         self._writer.metadata("box", {"ident": json.dumps(self._ident().document)})
 
     def _ask(self) -> None:
-        """Have the box say whether it restarted: ``_box.restarted`` tells."""
+        """Ask the box to identify itself; ``_box.restarted`` then shows whether it restarted."""
         suspect = self._box.suspect
         self._command(IDENTIFY)
         self._to_ask = False
@@ -236,7 +239,7 @@ class _Recorder:
 
     def _ident(self) -> Ident:
         if self._box.ident is None:
-            raise ProtocolError(f"{self._link.name}: the box answers but does not say what it is; update its firmware")
+            raise ProtocolError(f"{self._link.name}: the box answers but does not identify itself; update its firmware")
         return self._box.ident
 
     def _check_end(self) -> None:
@@ -261,16 +264,16 @@ class _Recorder:
             raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
         if robot.lost_ns is not None and self._clock.now_ns() - robot.lost_ns > self._patience_ns:
             reason = "robot closed" if isinstance(robot.lost, LinkClosed) else "robot lost"
-            raise _Ended(reason, f"{robot.lost}; it did not come back in {self._patience_ns / SECOND:g} s")
+            raise _Ended(reason, f"{robot.lost}; it did not come back within {self._patience_ns / SECOND:g} s")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
         if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
-            raise _Ended("no readings", f"no joint reading of the robot in {ROBOT_NS / SECOND:g} s; {EXPECTED}")
+            raise _Ended("no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s; {EXPECTED}")
 
     def _reconnect(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()
         self._box.flush()
         if self._box.ident is None:
-            raise error  # it never answered: there is nothing to wait for
+            raise error  # it never answered: do not wait for it
         self._state = "link lost"
         self._counters.link_losses += 1
         self._writer.event("link-lost", now_ns, text=str(error))
@@ -279,7 +282,7 @@ class _Recorder:
             raise _Ended("link lost", str(error))
         while not self._link.reopen(REOPEN_S):
             if self._clock.now_ns() - now_ns > self._patience_ns:
-                raise _Ended("link lost", f"{error}; it did not come back in {self._patience_ns / SECOND:g} s")
+                raise _Ended("link lost", f"{error}; it did not come back within {self._patience_ns / SECOND:g} s")
             if self._robot is not None:
                 for t_host_ns, data in self._robot.read():
                     self._robot.take(t_host_ns, data)
@@ -292,11 +295,11 @@ class _Recorder:
         self._state = "recording"
 
     def _finish(self, end: _Ended) -> None:
-        """Stop the box and complete the file, whatever happens on the way."""
+        """Stop the box and complete the file, whatever else fails."""
         try:
             if self._box.ident is not None and self._state != "link lost":
                 self._stop()
-        except LinkError as exc:  # what came is kept; the next recorder stops the box first
+        except LinkError as exc:  # received data is kept; the next recorder stops the box first
             if not self._box_gone:
                 self._box_gone = str(exc)
                 self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
@@ -325,7 +328,7 @@ class _Recorder:
     # --- commands
 
     def _command(self, kind: int, *arguments: Any, may_fail: bool = False, retries: int = RETRIES) -> None:
-        """Send a command until it is answered. Raises LinkError if it never is, ProtocolError if it is refused."""
+        """Send a command until it is answered. Raises LinkError if it is not answered, ProtocolError if it is refused."""
         self._box.awaited, data = self._requests.make(kind, *arguments)
         self._box.answer = None
         name = _COMMANDS[kind]
@@ -337,7 +340,7 @@ class _Recorder:
         else:
             raise LinkError(
                 f"{self._link.name}: no answer to {name!r} in {retries * RETRY_NS / SECOND:g} s; "
-                "is this a truearm box, and does its firmware run?"
+                "is this a truearm box, and is its firmware running?"
             )
         if answer.error is not None and not may_fail:
             raise ProtocolError(f"{self._link.name}: the box refuses {name!r} {list(arguments)}: {answer.error}")
@@ -358,7 +361,7 @@ class _Recorder:
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_chores_ns:
             self._chores(now_ns)
-        # Never so short that a clock which counts in whole units would stand still.
+        # Never so short that a clock with whole units would not advance.
         timeout_s = max(min(timeout_ns, CHORES_NS), SHORTEST_NS) / SECOND
         arrivals = [(t, self._box.take, data) for t, data in self._link.read(0.0 if self._behind else timeout_s)]
         if self._robot is not None:
@@ -410,7 +413,7 @@ class _Recorder:
         return 0.0 if self._started_ns is None else (self._clock.now_ns() - self._started_ns) / SECOND
 
     def _heard_s(self) -> float:
-        """From the start to the box's last word."""
+        """Return the time from the start to the box's last message."""
         if self._started_ns is None or self._box.spoke_ns is None:
             return 0.0
         return max(0.0, (self._box.spoke_ns - self._started_ns) / SECOND)
@@ -428,9 +431,10 @@ class _Recorder:
             self._state,
             self._probes.rtt_us,
             None if robot is None else robot.end is None and robot.lost_ns is None,
-            self._counters,
+            replace(self._counters),  # a copy: it may be displayed later, next to the state of this moment
             self._box.faults,
             self._state != "link lost" and not self._silent,
             None if robot is None else robot.age_s(now_ns),
             tuple(self._writer.losses),
+            robot is not None and robot.waiting > 0,
         )

@@ -1,6 +1,7 @@
-"""What a session's channels hold, for other programs: MCAP's encodings and schemas (docs/session-format.md).
+"""MCAP encodings and schemas of a session's channels, for other programs (docs/reference/session-format.md).
 
-PlotJuggler looks up every channel's schema. Foxglove reads JSON with a JSON schema whose every property has one type; it has no CBOR.
+PlotJuggler looks up every channel's schema. Foxglove reads JSON with a JSON schema in which every property has one
+type; it does not support CBOR.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from truearm.session.joint_readings import ARRAYS, COLUMNS, JOINTS
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire
 
-PREVIEW = "/preview/"  # and a stream's name
+PREVIEW = "/preview/"  # followed by a stream's name
 
 _INTEGER, _NUMBER, _TEXT, _BOOLEAN = ({"type": name} for name in ("integer", "number", "string", "boolean"))
 _NUMBERS = {"type": "array", "items": _NUMBER}
@@ -49,7 +50,7 @@ floats = #6.86(bytes) ; RFC 8746 float64, little endian
 ints = #6.79(bytes)   ; RFC 8746 sint64, little endian
 """
 _OTHER = "frame = any ; of a type or a layout that the recorder did not know\n"
-_BYTES = "received bytes that are no frame, or no reading, exactly as they came"
+_BYTES = "received bytes that are not a frame or a reading, exactly as they came"
 
 
 class Encodings(NamedTuple):
@@ -62,7 +63,7 @@ class Encodings(NamedTuple):
 
 
 def encodings_of(topic: str, first: bytes) -> Encodings:
-    """Of a topic whose first message is given."""
+    """Return the encodings of a topic, given its first message."""
     if topic in ("/box/console", "/robot/console"):
         return Encodings("application/octet-stream", "truearm/bytes", "text/plain", _BYTES)
     if topic == COLUMNS:
@@ -78,6 +79,6 @@ def encodings_of(topic: str, first: bytes) -> Encodings:
 
 
 def _grammar(types: tuple[int, ...]) -> str:
-    """The frames of these types in CDDL (RFC 8610); protocol/SPEC.md §4 says what they mean."""
+    """Return the CDDL (RFC 8610) of frames of these types; protocol/SPEC.md §4 explains them."""
     frames = (f"[{', '.join([str(kind), *(f'{name}: any' for name in wire.names(kind)), '* any'])}]" for kind in types)
     return f"frame = {' / '.join(frames)}\n"

@@ -1,22 +1,25 @@
-"""Writing a session file: MCAP that a crash cannot take with it.
+"""Write a session file: MCAP that survives a crash.
 
-The mcap library gathers messages in a chunk and writes it when it is full, which at slow data would be half a minute. Here a chunk also ends when its first
-message is ``CHUNK_NS`` old, and is handed to the operating system then; once a second of real time the disk is told to keep it (fsync). A killed
-recorder therefore loses less than a second. About 5 µs a message of 200 bytes at 100 a second, of which the chunks' compression and index take 2.
+Messages are collected in a chunk. The chunk ends when it is full or its first message is ``CHUNK_NS`` old, and is then
+passed to the operating system. Once per second of real time it is flushed to the disk (fsync). A killed recorder
+therefore loses less than a second.
 
-A message's log time is UTC, by the one pair of times that the metadata ``session`` give; its publish time is the host's own clock, on which all
-is computed. So UTC never steps within a file, and other programs place it among their own.
+A message's log time is UTC, computed from the single pair of times in the metadata ``session``. Its publish time is the
+host's own clock, which all computations use. UTC therefore never steps within a file, and other programs can place the
+file relative to their own.
 
-Beside a robot's lines stand their numbers as columns, for readers: once a chunk, and before an event, after which others may count.
+The robot's lines are accompanied by their numbers as columns, for readers. Columns are written once per chunk, and
+before an event, after which other numbers may apply.
 
-A completed file ends with a CRC of all that stands before it, so that no flipped bit anywhere passes for a measurement.
+A completed file ends with a CRC of everything before it, so a flipped bit anywhere cannot pass for a measurement.
 
-Before anything is written, and twice a second, the writer looks whether its file is still there and as long as it was left (``FileLoss``). A file
-that was deleted or replaced is copied from the open descriptor to a new one beside it, where the recording goes on; nothing is lost. A file that was
-truncated is left, and a new one begins with what the head of the recording said. A renamed file is written to as before.
+Before each write, and twice a second, the writer checks that its file is still there and has the expected length
+(``FileLoss``). A deleted or replaced file is copied from the open descriptor to a new one next to it, where the
+recording continues; nothing is lost. A truncated file is left as it is, and a new one begins with the head of the
+recording. A renamed file is written to as before.
 
-A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays whole until
-there is something to put in its place.
+A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays intact until
+there is something to replace it.
 """
 
 from __future__ import annotations
@@ -24,7 +27,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -32,46 +34,41 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, assert_never
 
-from mcap.writer import CompressionType, Writer
-
 from truearm import __version__
 from truearm.errors import Argument, InputError, LinkError, WriteError
+from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
+from truearm.record.mcap_writer import McapMessage, McapWriter
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_readings import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, metadata_crc
 
-CHUNK_NS = 800_000_000  # with the recorder's pace of 50 ms no message waits longer than 1 s
+CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
-_COLUMN_LINES = 1024  # at most; a reader holds as many
+_COLUMN_LINES = 1024  # maximum; a reader holds this many in memory
 _FSYNC_EVERY_S = 0.9
 _WATCH_EVERY_S = 0.5
-MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was just asked who it is sends a few kB
+MAX_HELD_BYTES = 32 << 20  # in memory before ``keep``; a box that was only asked to identify itself sends a few kB
 
-_as_json = json.JSONEncoder(separators=(",", ":")).encode  # one for all rows, dumps makes its own each time
+_as_json = json.JSONEncoder(
+    separators=(",", ":")
+).encode  # one encoder for all rows; dumps would make a new one each time
 
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
 
 
-_Message = tuple[str, int, int, bytes]  # topic, number within it, when it arrived [ns], data
-
-
-def _belongs_to_head(message: _Message) -> bool:
-    """Whether a message says what is planned or mounted, which a file that begins anew must hold too."""
-    topic, _, _, data = message
-    return topic == "/plan" or (topic == "/events" and b'"mounted"' in data)
-
-
 class SessionWriter:
-    """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed one is readable too.
+    """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is no file before ``keep``, and never one if the writer is closed before. Without a ``clock`` it is the
-    copy of a recording that is over: nothing is said of when, but for what ``metadata`` and ``close`` are given.
+    With ``hold`` there is no file before ``keep``, and none at all if the writer is closed before. Without a ``clock``
+    the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    ``close``.
 
-    Messages get their log time by the last metadata ``session``; before it, and without a pair of times in it, by the host's clock.
+    Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
+    clock is used.
 
-    Raises InputError where the file cannot be made, WriteError where it cannot be written any more (a full disk).
+    Raises InputError if the file cannot be created, WriteError if it cannot be written (a full disk).
     """
 
     def __init__(self, path: Path, clock: Clock | None, *, overwrite: bool = False, hold: bool = False) -> None:
@@ -81,21 +78,23 @@ class SessionWriter:
         self._held = hold
         self._clock = clock
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
-        self._utc_offset_ns = 0  # UTC less the host's clock
+        self._utc_offset_ns = 0  # UTC minus the host's clock
         self._chunk_since_ns: int | None = None
         self._chunk_bytes = 0
         self._latest_ns = 0
         self._readings: list[
             JointLine | None
-        ] = []  # of the robot, without columns yet; None of a line that is no reading
+        ] = []  # of the robot, without columns yet; None for a line that is not a reading
         self._arrival_ns: list[int] = []
         self._synced_s = self._watched_s = time.monotonic()
-        self.losses: list[str] = []  # what became of the file, a sentence each
+        self.losses: list[str] = []  # what happened to the file, one sentence each
         self._renamed = False
-        self._size = 0  # on the disk, as it was left
-        self._waiting: list[_Message] = []  # of the chunk under way
+        self._size = 0  # on the disk, as last written
+        self._waiting: list[McapMessage] = []  # of the current chunk
         self._encodings: dict[str, Encodings] = {}  # of the channels
-        self._head: list[_Message] = []  # of finished chunks: plan, what is mounted
+        # From finished chunks: the plan and what is mounted, which a replacement file must also contain.
+        self._head: list[McapMessage] = []
+        self._head_waiting: list[McapMessage] = []  # of the current chunk
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
         self._writer = self._begun()
@@ -114,7 +113,7 @@ class SessionWriter:
         return not self._held
 
     def keep(self) -> None:
-        """Make the file of what was held so far, and write to it from now on. A second call does nothing."""
+        """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
         if not self._held:
             return
         held, file = self._out.file, self._open()
@@ -127,7 +126,7 @@ class SessionWriter:
             raise self._cannot_write(exc) from exc
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
-        """Append a message as it is; ``sequence`` is its number within its topic, by default the next one.
+        """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
 
         Columns of joint readings are left out: the writer makes its own.
         """
@@ -140,14 +139,14 @@ class SessionWriter:
             self._end_chunk(t_host_ns)
 
     def add_reading(self, t_host_ns: int, line: bytes, reading: JointLine | None, sequence: int | None = None) -> None:
-        """Append a line of the robot as it is; ``reading`` is what it says, None where it is none."""
+        """Append a line of the robot unchanged; ``reading`` is its contents, None if it is not a reading."""
         self._add(JOINTS, t_host_ns, line, sequence)
         self._readings.append(reading)
         self._arrival_ns.append(t_host_ns)
         self._end_chunk(t_host_ns)
 
     def _end_chunk(self, t_host_ns: int) -> None:
-        """Behind a message: write what has waited long enough."""
+        """After a message: write what has waited long enough."""
         self._latest_ns = t_host_ns
         if len(self._readings) >= _COLUMN_LINES:
             self._add_columns()
@@ -161,18 +160,19 @@ class SessionWriter:
         if channel is None:
             encodings = self._encodings[topic] = encodings_of(topic, data)
             channel = self._channels[topic] = [self._register(topic, encodings), 0]
-            # MCAP says this once, in the chunk under way; without that chunk the rest could not be told apart.
+            # MCAP has this only once, in the current chunk; if that chunk is lost, the others need it to be readable.
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
-        number = channel[1]
-        self._waiting.append((topic, number, t_host_ns, data))
-        self._writer.add_message(channel[0], t_host_ns + self._utc_offset_ns, data, t_host_ns, number)
-        channel[1] = number + 1 & 0xFFFFFFFF
+        message = McapMessage(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
+        self._waiting.append(message)
+        if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
+            self._head_waiting.append(message)
+        channel[1] = channel[1] + 1 & 0xFFFFFFFF
         self._chunk_bytes += len(data)
 
     def _add_columns(self) -> None:
-        """The robot's lines since the last columns, as columns; none where one of the lines is no reading."""
+        """Add columns for the robot's lines since the last columns; none if one of the lines is not a reading."""
         readings, arrival_ns = self._readings, self._arrival_ns
         self._readings, self._arrival_ns = [], []
         rows = [reading for reading in readings if reading is not None]
@@ -180,7 +180,7 @@ class SessionWriter:
             self._add(COLUMNS, self._latest_ns, pack(columns_of_rows(rows, arrival_ns)))
 
     def add_json(self, topic: str, t_host_ns: int, row: Mapping[str, Any]) -> None:
-        """Append ``row`` as JSON; what is None in it is left out."""
+        """Append ``row`` as JSON; entries that are None are left out."""
         said = {key: value for key, value in row.items() if value is not None}
         self.add(topic, t_host_ns, _as_json(said).encode())
 
@@ -189,7 +189,7 @@ class SessionWriter:
         self.add_json("/events", t_host_ns, {"kind": kind, **fields})
 
     def metadata(self, name: str, entries: Mapping[str, str]) -> None:
-        """Write a metadata record. A later one of the same name counts."""
+        """Write a metadata record. A later one of the same name replaces it."""
         if name == "session":
             utc_ns, host_ns = read_anchor(entries) or (0, 0)
             self._utc_offset_ns = max(0, utc_ns - host_ns)
@@ -205,14 +205,14 @@ class SessionWriter:
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
             self._watch()
-            self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
+            self._writer.attachment(now_ns, name, media_type, data)
             self._attachments[name] = media_type, data
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
     def tick(self, now_ns: int) -> None:
-        """End the chunk if it is old enough; to be called several times a second, also when nothing arrives."""
+        """End the chunk if it is old enough; call this several times a second, even when nothing arrives."""
         if self._chunk_since_ns is not None and now_ns - self._chunk_since_ns >= CHUNK_NS:
             self._finish_chunk()
         elif time.monotonic() - self._watched_s >= _WATCH_EVERY_S:
@@ -222,8 +222,8 @@ class SessionWriter:
                 raise self._cannot_write(exc) from exc
 
     def close(self, end: Mapping[str, str] | None = None) -> None:
-        """Write the metadata ``session-end`` (the clock's anchor and ``end``, if there is either), the index, and make the
-        disk keep all.
+        """Write the metadata ``session-end`` (the clock's anchor and ``end``, if present) and the index, and flush to
+        the disk.
 
         A second call does nothing.
         """
@@ -238,6 +238,7 @@ class SessionWriter:
             said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
             if said:
                 self._add_metadata("session-end", said)
+            self._write_chunk()
             self._writer.finish()
             self._flushed()
             os.fsync(self._out.file.fileno())
@@ -250,33 +251,27 @@ class SessionWriter:
 
     def _open(self) -> BinaryIO:
         try:
-            return self.path.open("w+b" if self._overwrite else "x+b")
+            file = self.path.open("w+b" if self._overwrite else "x+b")
         except FileExistsError as exc:
             raise InputError(f"{self.path}: exists; choose another name or give ", Argument("force")) from exc
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
+        hold(file)
+        return file
 
-    def _begun(self) -> Writer:
-        """A writer that has begun a file; where a chunk ends is decided here, not by its size."""
-        writer = Writer(
-            self._out,  # type: ignore[arg-type]
-            chunk_size=sys.maxsize,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        writer.start(profile="truearm", library=f"truearm {__version__}")
-        return writer
+    def _begun(self) -> McapWriter:
+        return McapWriter(self._out, profile="truearm", library=f"truearm {__version__}")
 
     def _register(self, topic: str, encodings: Encodings) -> int:
-        schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
-        return self._writer.register_channel(topic, encodings.message, schema)
+        schema = self._writer.schema(encodings.name, encodings.schema, encodings.data.encode())
+        return self._writer.channel(topic, encodings.message, schema)
 
     def _flushed(self) -> None:
         self._out.flush()
         self._size = self._out.tell()
 
     def _watch(self, ended: bool = False) -> None:
-        """Look after the file, before more is written to it. Raises OSError, WriteError."""
+        """Check the file before more is written to it. Raises OSError, WriteError."""
         if self._held:
             return
         self._watched_s = time.monotonic()
@@ -304,7 +299,7 @@ class SessionWriter:
                 assert_never(loss)
 
     def _move(self) -> None:
-        """Go on in a new file with all that the old one holds."""
+        """Continue in a new file that has the contents of the old one."""
         path, new = new_file_beside(self.path)
         copy_open_file(self._out.file, self._size, new)
         os.fsync(new.fileno())
@@ -312,40 +307,34 @@ class SessionWriter:
         self.path, self._out.file, self._renamed = path, new, False
 
     def _begin_again(self) -> None:
-        """Go on in a new file, which begins with plan, rig and what was mounted as the old one did."""
+        """Continue in a new file that begins, like the old one, with plan, rig and what was mounted."""
         path, new = new_file_beside(self.path)
         self._out.file.close()
         self.path, self._out.file, self._renamed = path, new, False
         self._writer = self._begun()
         for topic, encodings in self._encodings.items():
-            self._register(topic, encodings)  # the numbers are the same: they count
-        for topic, number, t_host_ns, data in (*self._head, *self._waiting):
-            log_ns = t_host_ns + self._utc_offset_ns
-            self._writer.add_message(self._channels[topic][0], log_ns, data, t_host_ns, number)
+            self._register(topic, encodings)  # the numbers are the same because they are sequential
+        self._writer.chunk(self._head)
         for name, entries in self._metadata.items():
-            self._writer.add_metadata(name, entries)
+            self._writer.metadata(name, entries)
         for name, (media_type, data) in self._attachments.items():
-            self._writer.add_attachment(0, 0, name, media_type, data)
+            self._writer.attachment(0, name, media_type, data)
         self._flushed()
 
     def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
-        self._writer.add_metadata(name, self._metadata[name])
+        self._writer.metadata(name, self._metadata[name])
 
     def _finish_chunk(self) -> None:
         self._add_columns()
         try:
             self._watch()
-            self._writer.flush()
+            self._write_chunk()
             self._flushed()
-            self._head += [message for message in self._waiting if _belongs_to_head(message)]
-            self._waiting = []
-            self._chunk_since_ns = None
-            self._chunk_bytes = 0
             if self._held:
                 self._check_held()
                 return
-            # The clock here is the real one on purpose: in virtual time an hour passes in seconds.
+            # The real clock is used on purpose: in virtual time an hour passes in seconds.
             now_s = time.monotonic()
             if now_s - self._synced_s >= _FSYNC_EVERY_S:
                 os.fsync(self._out.file.fileno())
@@ -353,9 +342,20 @@ class SessionWriter:
         except OSError as exc:
             raise self._cannot_write(exc) from exc
 
+    def _write_chunk(self) -> None:
+        """Write what waits; a failed write is not repeated."""
+        messages, self._waiting = self._waiting, []
+        self._head += self._head_waiting
+        self._head_waiting = []
+        self._chunk_since_ns = None
+        self._chunk_bytes = 0
+        self._writer.chunk(messages)
+
     def _check_held(self) -> None:
         if self._out.tell() > MAX_HELD_BYTES:
-            raise LinkError(f"{MAX_HELD_BYTES >> 20} MiB came before the box said what it is; is this a truearm box?")
+            raise LinkError(
+                f"{MAX_HELD_BYTES >> 20} MiB arrived before the box identified itself; is this a truearm box?"
+            )
 
     def _cannot_write(self, exc: OSError) -> WriteError:
         why = exc.strerror or str(exc)
@@ -363,12 +363,12 @@ class SessionWriter:
 
 
 def media_type(name: str) -> str:
-    """Of an attachment, by its name: a session does not keep it elsewhere."""
+    """Return the media type of an attachment by its name; a session does not store it elsewhere."""
     return "application/toml" if name.endswith(".toml") else "application/octet-stream"
 
 
 class _Output:
-    """What the mcap library writes to; the file behind it may change."""
+    """Destination of the session; the file behind it may change."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
@@ -384,7 +384,7 @@ class _Output:
 
 
 def read_anchor(entries: Mapping[str, str]) -> Anchor | None:
-    """The pair of times in metadata ``session`` or ``session-end``, None where there is none."""
+    """Return the pair of times in metadata ``session`` or ``session-end``, None if there is none."""
     try:
         utc_ns, host_ns = int(entries["utc_ns"][:20]), int(entries["monotonic_ns"][:20])
     except (KeyError, ValueError):

@@ -1,4 +1,4 @@
-"""What a recording says about itself: while it runs, and at its end."""
+"""State of a recording, while it runs and at its end."""
 
 from __future__ import annotations
 
@@ -7,51 +7,53 @@ from dataclasses import dataclass
 
 @dataclass
 class Counters:
-    """What was seen so far; the session file's ``session-end`` repeats it. For people: inspect counts anew."""
+    """Counts so far, for display; the session file's ``session-end`` repeats them. ``truearm inspect`` counts again."""
 
     frames: int = 0
     samples: int = 0
     lost_frames: int = 0
     doubled_frames: int = 0
-    # whose number fits neither the frame before nor a loss: late, of a box that restarted, or foreign
+    # number matches neither the previous frame nor a loss: late, from a restarted box, or foreign
     odd_frames: int = 0
     console_bytes: int = 0
     probes: int = 0
     unanswered_probes: int = 0
     robot_lines: int = 0
-    robot_other_joints: int = 0  # readings of another number of joints than the first
-    robot_console_bytes: int = 0  # those and all else that is no reading
+    robot_other_joints: int = 0  # readings with a different number of joints from the first
+    robot_console_bytes: int = 0  # these and everything else that is not a reading
     restarts: int = 0
     link_losses: int = 0
     robot_losses: int = 0
-    held_up: int = 0  # times that a link's reader had to wait for the recorder
-    robot_held_up: int = 0  # times that the robot's had to: it sends more than can be stored
+    held_up: int = 0  # how often a link's reader had to wait for the recorder
+    robot_held_up: int = 0  # how often the robot's reader had to: the robot sends more than can be stored
     dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
     overruns_in_box: int = 0  # samples, by the heartbeats since the first
 
 
 @dataclass(frozen=True)
 class Status:
-    """For a progress display. ``rtt_us``: the shortest exchange with the box so far."""
+    """State for a progress display. ``rtt_us``: the shortest exchange with the box so far."""
 
     elapsed_s: float  # since the start of the stream; 0 before it
     state: str  # "identifying" | "recording" | "link lost" | "stopping"
     rtt_us: float | None
     robot_ok: bool | None  # None: no robot
     counters: Counters
-    faults: tuple[str, ...] = ()  # what the operator should know of the box
-    box_ok: bool = True  # False while its link is lost, or it is silent
-    robot_age_s: float | None = None  # of the last reading
-    file_losses: tuple[str, ...] = ()  # what became of the session's file, a sentence each
+    faults: tuple[str, ...] = ()  # faults of the box, for the operator
+    box_ok: bool = True  # False while its link is lost or it is silent
+    robot_age_s: float | None = None  # of the last stored reading
+    file_losses: tuple[str, ...] = ()  # what happened to the session's file, one sentence each
+    robot_waits: bool = False  # readings are waiting to be stored
 
 
 @dataclass(frozen=True)
 class RecordSummary:
     """How a recording ended.
 
-    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link lost"; ``text``
-    explains what was lost or closed. ``duration_s`` runs from the start of the stream. ``faults`` and ``file_losses`` as in ``Status``.
-    ``box_gone``: why the box could not be stopped, "" if it was; ``heard_s`` of the recording it was heard.
+    ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link
+    lost"; ``text`` explains what was lost or closed. ``duration_s`` counts from the start of the stream. ``faults`` and
+    ``file_losses`` are as in ``Status``. ``box_gone``: why the box could not be stopped, "" if it was stopped.
+    ``heard_s``: how long the box was heard.
     """
 
     reason: str

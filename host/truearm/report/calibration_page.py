@@ -14,10 +14,7 @@ import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
-from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.correlation import correlation
-from truearm.report.figures import convergences, figures_of
-from truearm.report.findings import (
+from truearm.report.calibration_findings import (
     addition_list,
     chi2_words,
     observability_table,
@@ -25,13 +22,16 @@ from truearm.report.findings import (
     residual_table,
     suspect_table,
 )
+from truearm.report.certificate import Certificate, certificate_section
+from truearm.report.correlation import correlation
+from truearm.report.figures import convergences, figures_of
 from truearm.report.law_figures import law_figures
 from truearm.report.page_parts import command_block, html_page, picture, pictures, section, sentences, table_of
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
+from truearm.report.result_words import kind_name, parts_words, pose_error_words
 from truearm.report.usability_words import few_freedom
-from truearm.report.words import kind_name, parts_words, pose_error_words
 from truearm.text import counted
 from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
 from truearm.units import symbol, tolerances
@@ -77,7 +77,7 @@ class CalibrationPage:
         residuals = (residual.shape for residual in self.estimate.residual.values())
         shapes = (self.longitude.shape, self.estimate.fitted.shape, *residuals)
         if any(shape != (n,) for shape in shapes):
-            raise ValueError(f"longitude, fitted and residual must be ({n},) as the table, are {shapes}")
+            raise ValueError(f"longitude, fitted and residual must be ({n},) like the table, are {shapes}")
 
     @property
     def judged(self) -> HeldOut | None:

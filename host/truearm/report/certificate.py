@@ -38,6 +38,7 @@ class Recording:
     firmware: str
     sensors: tuple[Sensor, ...]
     dwells: int
+    mountings: int  # stops for mounting, which are not dwells
     rejected: tuple[tuple[str, int], ...]  # how many by reason
     passes: int
     samples: int
@@ -70,6 +71,7 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
             (f"{of}begun", one.begun or "not known"),
             (f"{of}box", f"{one.uid or 'without a uid'}, firmware {one.firmware or 'not known'}"),
             (f"{of}dwells", f"{one.dwells}, of these rejected: {rejected}"),
+            *([(f"{of}stops for mounting", str(one.mountings))] if one.mountings else []),
             *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
             (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
             (f"{of}bound of the box's clock", "not known" if one.bound is None else US.text(one.bound, ".0f")),

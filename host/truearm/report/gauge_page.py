@@ -37,15 +37,16 @@ class GaugePage:
     orders: tuple[int, ...]
     press: Floats
     order: int
-    facts: tuple[tuple[str, str], ...] = ()
+    certificate: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = ()  # of page one: groups of label and value
 
 
 def render(page: GaugePage) -> str:
     """The page as HTML text, to be written as UTF-8."""
     shown = [_residuals(page), *([_orders(page)] if len(page.orders) > 1 else [])]
+    body = "".join(f"<h3>{title}</h3>{fact_list(facts)}" for title, facts in page.certificate)
     sections = (
+        f'<section class="certificate"><h2>Calibration of a sensor</h2>{body}</section>\n',
         section("Residuals", pictures(map(picture, shown))),
-        section("The calibration", fact_list(page.facts)),
         section("The places", _table(page)),
     )
     return html_page("truearm", page.title, page.subtitle, sections, f"{MARK}\n")

@@ -28,7 +28,9 @@ def law_sentences(document: Document) -> list[str]:
         names = ", ".join(f"{one_line(law['joint'])} {law['term']} {law['nats']:.1f}" for law in dropped)
         lines.append(f"Tried and dropped, with their evidence in nats (6 are needed): {names}.")
     if any(law["term"] == "sag" for law in kept) and not found["gravity_known"]:
-        lines.append("Gravity is taken to point along -z of the base frame; give gravity in the robot file otherwise.")
+        lines.append(
+            "Gravity is taken to point along -z of the base frame; give gravity in the robot file or the table otherwise."
+        )
     noise = found["noise"]
     parts = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:

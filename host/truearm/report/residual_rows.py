@@ -18,7 +18,7 @@ from scipy import special
 from truearm.estimate.measured_order import mountings, sessions
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
-from truearm.report.words import PARTS, kind_name
+from truearm.report.result_words import PARTS, kind_name
 from truearm.types import Estimate, Figures, Floats, ObservationTable
 from truearm.units import DEG, shown, symbol, title
 
@@ -146,7 +146,7 @@ def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
     found = []
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
-        fit, val = mine & estimate.fitted, mine & ~estimate.fitted
+        fit, val = mine & estimate.used, mine & ~estimate.fitted
         for si in Figures.by_unit(estimate.residual, mine):
             before, after = Figures.of(estimate.residual_before[si][fit]), Figures.of(estimate.residual[si][fit])
             validation = Figures.of(estimate.residual[si][val]).rms

@@ -27,6 +27,9 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
     because = document["unusable_because"]
     if because is not None:
         lines.append(f"This fit is not usable. {_because(Unusable(because), document)}")
+        for joint in () if explanations else document["defaults"]["still"]:
+            at = UNITS[joint["unit"]].scale.text(joint["at"], ".2f")
+            lines.append(f"{one_line(joint['joint'])} reads {at} in all rows: if it moved, its readings are wrong.")
     if document["relabelling_search"] == "too many groups":
         lines.append(
             "Labels were not checked: the rows have too many different labels to search them all. Identify fewer at a time."

@@ -101,7 +101,7 @@ def figure_four(quick: bool, seed: int) -> Chapter:
     )
     text = (
         "Prediction error of the point to come, with four lines taken up one after the other, each placed by two points more. All "
-        "row parameters that can be told apart are free and as uncertain as III-C says, 1 mm and 0.052 rad. The paper leaves two "
+        "row parameters that can be distinguished are free and as uncertain as III-C says, 1 mm and 0.052 rad. The paper leaves two "
         "things open that decide what is seen, since such a robot errs by centimetres. Each prediction here is made with the "
         "model linearised where the estimate is by then, and a new line is placed through the robot as its estimator knows it by "
         "then. In one pass linearised at the nominal robot, with lines placed through that, ML is ahead at fewer steps: it loses "

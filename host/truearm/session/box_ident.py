@@ -1,11 +1,11 @@
-"""What a box says of itself (protocol/SPEC.md §5): its streams, their channels, scales and calibrations.
+"""Parse a box's description of itself (protocol/SPEC.md §5): streams, channels, scales and calibrations.
 
-One parser for the recorder and for everything that reads a session. What cannot be read of a single channel is a
-``fault`` of that channel, not an error: its counts are still worth recording, and the other channels are whole.
+The recorder and every reader of a session use this one parser. If a single channel cannot be read, that channel gets a
+``fault`` instead of an error: its counts are still worth recording, and the other channels are intact.
 
-A scale or coefficient travels as ``[mantissa, exponent]`` and stands for mantissa · 10^exponent. 10^exponent has no
-exact binary form for negative exponents, so the product of two rounded numbers could be an ulp off; reading the decimal
-number as a whole rounds once and correctly.
+A scale or coefficient is transmitted as ``[mantissa, exponent]`` and means mantissa · 10^exponent. For negative
+exponents, 10^exponent has no exact binary form, so the product of two rounded numbers could be off by one ulp. Parsing
+the decimal number in one step rounds once and correctly.
 """
 
 from __future__ import annotations
@@ -27,28 +27,30 @@ PROTOCOL_MAJOR = 1
 MAX_STREAMS = 16
 MAX_THERMOMETERS = 64
 MAX_MDEGC = 200_000
-MAX_CHANNELS = 62  # SPEC §1: a payload of 250 bytes holds no more int32
+MAX_CHANNELS = 62  # SPEC §1: a payload of 250 bytes holds no more int32 values
 MAX_COEFFICIENTS = 16
 MAX_EXPONENT = 300
 _MAX_DEPTH = 16
-_SHOWN = 60  # characters of a stranger's text in ours
-_REFERENCES = (25, 28, 29, 256)  # tags by which a short document would stand for an endless one
+_SHOWN = 60  # characters of untrusted text quoted in our messages
+_REFERENCES = (25, 28, 29, 256)  # tags that let a short document expand to an endless one
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
-# A stream of such a name would share its topic with the frames of that kind.
+# A stream with one of these names would share its topic with the frames of that kind.
 RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "temperature", "sync", "reply", "other", "console"})
 
 
-RATIO_STEP = 2.0**-20  # of a channel that is divided by another: ±8 in 24 bits
+RATIO_STEP = 2.0**-20  # scale of a channel divided by another: ±8 in 24 bits
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel of a stream: volts (or whatever ``unit`` says) = counts · scale.
+    """A channel of a stream: volts (or the given ``unit``) = counts · scale.
 
-    ``poly``: value in ``calibrated_unit`` = Σ poly[k] · (counts · scale)^k; empty without a calibration. ``over``: the channel that
-    this one is divided by, as the box's channel of that index (``samples.with_ratios``); then ``scale`` is ``RATIO_STEP``, and
-    ``per_count`` what a count over a count is, a ratio. ``calibrated_degc``: the box's temperature while it was calibrated, NaN if nobody noted it. With a ``fault`` the box's description cannot be used (the text says why), the scale is NaN and the rest empty.
+    ``poly``: value in ``calibrated_unit`` = Σ poly[k] · (counts · scale)^k; empty without a calibration. ``over``:
+    index of the box channel by which this one is divided (``samples.with_ratios``). In that case ``scale`` is
+    ``RATIO_STEP`` and ``per_count`` is the ratio of one count to one count. ``calibrated_degc``: temperature of the box
+    during calibration, NaN if it was not noted. ``fault``: why the box's description of the channel cannot be used; if
+    set, the scale is NaN and the other fields are empty.
     """
 
     name: str
@@ -63,15 +65,16 @@ class Channel:
 
     @property
     def length_unit(self) -> units.Scale | None:
-        """The unit of length that the calibration gives; None for a channel that cannot be used or shows no length."""
+        """The unit of length given by the calibration; None if the channel is unusable or does not measure length."""
         return None if self.fault or not self.poly else units.length(self.calibrated_unit)
 
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream of samples; its topic is ``/box/<name>``, the signal lies ``group_delay_ns`` before a sample's stamp.
+    """A stream of samples, on the topic ``/box/<name>``. The signal precedes a sample's timestamp by
+    ``group_delay_ns``.
 
-    ``period_ns`` and ``group_delay_ns`` belong to ``osr``.
+    ``period_ns`` and ``group_delay_ns`` apply to ``osr``.
     """
 
     id: int
@@ -84,7 +87,9 @@ class Stream:
 
 @dataclass(frozen=True)
 class Ident:
-    """A box. ``document`` is the whole of what it said, fit for JSON; ``faults`` what the operator should know of it."""
+    """A box. ``document`` is its complete description in JSON-compatible form; ``faults`` lists problems for the
+    operator.
+    """
 
     firmware: str
     boot_id: int
@@ -95,11 +100,11 @@ class Ident:
 
 
 class _Wrong(ValueError):
-    """A part of the document that cannot be used; the text names its key."""
+    """A part of the document is unusable; the text names its key."""
 
 
 def decode_ident(data: bytes) -> Ident:
-    """The ident document as a box sends it. Raises ProtocolError as ``parse_ident`` does."""
+    """Decode the ident document sent by a box. Raises ProtocolError as ``parse_ident`` does."""
     try:
         document = load_document(data)
     except cbor2.CBORError as exc:
@@ -108,18 +113,22 @@ def decode_ident(data: bytes) -> Ident:
 
 
 def load_document(data: bytes) -> Any:
-    """A document of the box, without references, which are not on this wire. Raises cbor2.CBORError."""
+    """Load a CBOR document from the box. References are rejected, as this protocol does not use them.
+
+    Raises cbor2.CBORError.
+    """
     references = dict.fromkeys(_REFERENCES, _refuse)
     return cbor2.loads(data, max_depth=_MAX_DEPTH, allow_indefinite=False, semantic_decoders=references)
 
 
 def parse_ident(document: object) -> Ident:
-    """An ident document, decoded from CBOR or JSON; unknown keys and a newer minor version are accepted.
+    """Parse an ident document decoded from CBOR or JSON; unknown keys and newer minor versions are accepted.
 
-    It is judged as JSON holds it, so the recorder and every reader of the session's metadata find the same in it.
+    The document is checked in its JSON form, so the recorder and every reader of the session's metadata get the same
+    result.
 
-    Raises ProtocolError for another major version, and where samples could not even be told apart: without a boot id,
-    or with streams that have no id, name, times or channels.
+    Raises ProtocolError if the major version differs, or if samples could not be distinguished: without a boot id, or
+    if a stream lacks an id, name, times or channels.
     """
     try:
         return _ident(_plain(_typed(document, dict, "document")))
@@ -128,17 +137,17 @@ def parse_ident(document: object) -> Ident:
 
 
 def parse_ident_json(text: str) -> Ident:
-    """The ident document as a session's metadata hold it. Raises SessionError where it is none."""
+    """Parse an ident document from a session's metadata. Raises SessionError if it is not valid."""
     try:
         return parse_ident(json.loads(text))
     except (ValueError, RecursionError) as exc:
-        raise SessionError("the box's ident in the session's metadata is no JSON") from exc
+        raise SessionError("the box's ident in the session's metadata is not JSON") from exc
     except ProtocolError as exc:
         raise SessionError(f"the box's ident in the session's metadata cannot be used: {exc}") from exc
 
 
 def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:
-    """The stream that has a channel of this name, and the channel's index; None where there is none."""
+    """Return the stream with a channel of this name, and the channel's index; None if there is none."""
     for stream in ident.streams.values():
         for index, channel in enumerate(stream.channels):
             if channel.name == name:
@@ -147,7 +156,7 @@ def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:
 
 
 def decimal(value: object, key: str) -> float:
-    """The float nearest to ``[mantissa, exponent]``. Raises ValueError, which names ``key``, where it is no such pair."""
+    """Return the float nearest to ``[mantissa, exponent]``. Raises ValueError naming ``key`` if it is not such a pair."""
     pair = _typed(value, list, key)
     if len(pair) != 2 or any(type(part) is not int for part in pair):
         raise _Wrong(f"{key} must be [mantissa, exponent]")
@@ -181,7 +190,7 @@ def _ident(table: dict[Any, Any]) -> Ident:
 
 def _check_protocol(version: object) -> None:
     if not isinstance(version, list) or len(version) < 2 or not all(type(v) is int for v in version):
-        raise _Wrong("it does not say which protocol it speaks")
+        raise _Wrong("it does not report its protocol version")
     if version[0] != PROTOCOL_MAJOR:
         side = "truearm" if version[0] > PROTOCOL_MAJOR else "the box's firmware"
         spoken = ".".join(_shown(v) for v in version[:2])
@@ -189,7 +198,7 @@ def _check_protocol(version: object) -> None:
 
 
 def _thermometers(entries: object) -> tuple[str, ...]:
-    """Names by number; one that is no name is "". A box of before 1.3 has none."""
+    """Return the names of the thermometers by number; an invalid name becomes "". A box before 1.3 has none."""
     found = entries[:MAX_THERMOMETERS] if isinstance(entries, list) else []
     names = [entry.get("name") if isinstance(entry, dict) else None for entry in found]
     return tuple(name if isinstance(name, str) else "" for name in names)
@@ -200,7 +209,7 @@ def _streams(entries: list[Any]) -> list[Stream]:
         raise _Wrong(f"{len(entries)} streams; 1 to {MAX_STREAMS} are possible")
     streams = [_stream(_typed(entry, dict, "a stream")) for entry in entries]
     if len({s.id for s in streams}) < len(streams) or len({s.name for s in streams}) < len(streams):
-        raise _Wrong("two streams share an id or a name")
+        raise _Wrong("two streams have the same id or name")
     return streams
 
 
@@ -231,7 +240,7 @@ def _channel(entry: object) -> Channel:
 
 
 def _divided(channel: Channel, entry: object, channels: list[Channel]) -> Channel:
-    """The channel as a ratio, if the box says that it is to be divided by another of its stream."""
+    """Return the channel as a ratio if the box specifies that it is divided by another channel of its stream."""
     over = entry.get("over") if isinstance(entry, dict) and not channel.fault else None
     if over is None:
         return channel
@@ -267,18 +276,18 @@ _KINDS: dict[type, str] = {dict: "map", list: "list", str: "text"}
 
 def _typed(value: object, kind: type, key: str) -> Any:
     if not isinstance(value, kind):
-        raise _Wrong(f"{key} is missing or no {_KINDS[kind]}")
+        raise _Wrong(f"{key} is missing or not a {_KINDS[kind]}")
     return value
 
 
 def _unsigned(value: object, key: str, limit: int) -> int:
     if type(value) is not int or not 0 <= value < limit:
-        raise _Wrong(f"{key} is missing or no unsigned integer below {limit}")
+        raise _Wrong(f"{key} is missing or not an unsigned integer below {limit}")
     return value
 
 
 def _last_line(text: object) -> str:
-    """What a traceback ends with: the exception and its text."""
+    """Return the last line of a traceback: the exception and its text."""
     lines = text.strip().splitlines() if isinstance(text, str) else []
     return _shown(lines[-1] if lines else text)
 
@@ -288,7 +297,7 @@ def _shown(value: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """``value`` as JSON can hold it; what no document of this protocol holds is named by its kind."""
+    """Return ``value`` in JSON-compatible form; a value of a type outside this protocol is replaced by the type's name."""
     if value is None or isinstance(value, str | bool) or (isinstance(value, int) and value.bit_length() <= 64):
         return value
     if isinstance(value, bytes):

@@ -1,4 +1,4 @@
-"""What plan and operator say of each dwell, and what of it was settled afterwards (``truearm relabel``)."""
+"""Collect what plan and operator state about each dwell, and what was settled afterwards (``truearm relabel``)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm.session.dwells import Dwell
+from truearm.session.dwells import MOUNTING, Dwell
 from truearm.session.plan_matching import Marks, Plan, match_plan, nearest_pose
 from truearm.types import BAR_MOUNTED, DwellLabel
 
@@ -17,8 +17,12 @@ Pairing = tuple[str, str, str]  # bar, chuck, sphere
 
 @dataclass(frozen=True)
 class Said:
-    """Of one dwell: the ``rows`` of the plan that it may be, the likeliest first; the pairings ``planned`` for it, () where it is out of turn
-    or no row of the plan; those ``typed`` since the dwell before; and what was confirmed last, ``confirmed``."""
+    """Statements about one dwell.
+
+    ``rows``: the plan rows that it may be, likeliest first. ``planned``: the pairings planned for it; () if it is out
+    of order or not in the plan. ``typed``: the pairings typed since the previous dwell. ``confirmed``: the last
+    confirmed pairing.
+    """
 
     rows: tuple[int, ...]
     planned: tuple[Pairing, ...]
@@ -27,14 +31,14 @@ class Said:
 
 
 def pairing_of(mounted: Mapping[str, str]) -> Pairing | None:
-    """Bar, chuck and sphere, None where one of them is not named."""
+    """Return bar, chuck and sphere; None if one of them is not named."""
     if not all(mounted.get(key) for key in BAR_MOUNTED):
         return None
     return mounted["bar"], mounted["chuck"], mounted["sphere"]
 
 
 def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tuple[int, ...]:
-    """The numbers of the stops that are whole and, where there is a plan, at a pose of it."""
+    """Return the numbers of the stops that are complete and, if there is a plan, at one of its poses."""
     plan = marks.plan()
     whole = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     if plan is None:
@@ -43,7 +47,7 @@ def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tu
 
 
 def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
-    """What plan and operator say of dwells in order of time; the one says nothing of the other."""
+    """Return the statements of plan and operator about dwells in order of time; the two are independent."""
     plan, rows = marks.plan(), marks.dwells
     near, planned = _of_plan(dwells, plan, tolerance)
     times = [t for t, _ in marks.mountings]
@@ -61,7 +65,7 @@ def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
 def _of_plan(
     dwells: Sequence[Dwell], plan: Plan | None, tolerance: float
 ) -> tuple[list[list[int]], list[tuple[Pairing, ...]]]:
-    """The poses near each dwell, the matched one first, and the pairings planned for it."""
+    """Return the poses near each dwell, the matched one first, and the pairings planned for it."""
     nothing: list[tuple[Pairing, ...]] = [()] * len(dwells)
     if plan is None or not dwells or dwells[0].q.size != plan.q.shape[1]:
         return [[] for _ in dwells], nothing
@@ -80,7 +84,10 @@ def _of_plan(
 
 
 def label_of(dwell: Dwell, said: Said, marks: Marks, pairing: Pairing | None, detail: str = "") -> DwellLabel:
-    """The label of a dwell that is of ``pairing``, None: left out. Its pose is one that was planned with that, if there is one."""
+    """Return the label of a dwell measured with ``pairing``; None leaves the dwell out.
+
+    The pose is one that was planned with this pairing, if there is one.
+    """
     rows = sorted(said.rows, key=lambda row: pairing_of(marks.rows[row].mounted) != pairing)
     row = rows[0] if rows else None
     mounted = {} if pairing is None else dict(zip(BAR_MOUNTED, pairing, strict=True))
@@ -90,7 +97,7 @@ def label_of(dwell: Dwell, said: Said, marks: Marks, pairing: Pairing | None, de
 
 
 def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwell]:
-    """The dwells with what was settled, each by the label whose time it overlaps."""
+    """Return the dwells with the settled labels; a label applies to the dwells that overlap its time."""
     order = sorted(labels, key=lambda label: label.begin_ns)
     begins = [label.begin_ns for label in order]
     found = []
@@ -106,4 +113,32 @@ def labelled(dwells: Sequence[Dwell], labels: Sequence[DwellLabel]) -> list[Dwel
             found.append(replace(dwell, pose=label.pose, reason="ambiguous", detail=label.detail))
         else:
             found.append(replace(dwell, pose=label.pose, mounted=dict(label.mounted)))
+    return found
+
+
+def with_mountings(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Dwell]:
+    """Return the dwells, with the stops for mounting marked as such.
+
+    These are stops near no pose of the plan, either before the first matched pose or between two matched poses with
+    different pairings or a new confirmation in between.
+    """
+    plan = marks.plan()
+    if plan is None:
+        return list(dwells)
+    times = [t for t, _ in marks.mountings]
+    matched = [i for i, dwell in enumerate(dwells) if dwell.pose is not None]
+    found = list(dwells)
+    for i, dwell in enumerate(dwells):
+        if dwell.reason != "no plan match" or not nearest_pose(dwell.q, plan)[1] > tolerance:
+            continue
+        at = bisect_right(matched, i)
+        if at == len(matched):
+            continue
+        after, before = dwells[matched[at]], dwells[matched[at - 1]] if at else None
+        if (
+            before is None
+            or pairing_of(before.mounted) != pairing_of(after.mounted)
+            or bisect_right(times, before.end_host_ns) < bisect_right(times, after.start_host_ns)
+        ):
+            found[i] = replace(dwell, reason=MOUNTING, detail="")
     return found

@@ -1,42 +1,42 @@
-"""Passes along a line device, measured in motion: which leg was which line, and the rows of it (hop 5).
+"""Measure passes along a line device in motion: assign legs to lines and compute their rows (hop 5).
 
-The magnetostrictive head says where the magnet is along the device (its y) at the edge of each interrogation, two
-transducers how far aside (x and z) by samples that show what was their group delay earlier, the robot where its joints
-were. At each instant of a row, that of an interrogation, all three are the values of cubics through what was said within the
-same time before and after (``fit_locally()``): wide enough for seven readings of the joints and a tenth of a second. A row is
-made only where that time is whole: no sample, reading or life of a clock is missing in it, and nothing is extrapolated.
+Three signals are combined. The magnetostrictive head gives the position of the magnet along the device (its y) at the
+edge of each interrogation. Two transducers give the transverse position (x and z), in samples that are late by their
+group delay. The robot gives its joints. Each row is at the instant of an interrogation. There, all three signals are
+evaluated by cubics fitted over the same time before and after (``fit_locally()``), long enough for seven joint readings
+and at least a tenth of a second. A row is made only where that window is complete: no missing sample or reading, no
+restart of a clock, no extrapolation.
 
-Rows are taken where the magnet moves steadily, at nine tenths of its median speed or more: how fast a robot starts and
-stops is no matter of kinematics. They follow each other as closely as their windows do not overlap and the device's
-noise has forgotten the last one: by its integrated correlation time, of what a polynomial through eight windows leaves.
+Rows are taken where the magnet moves steadily, at nine tenths of its median speed or more, because how fast a robot
+starts and stops is not a matter of kinematics. They are as close together as possible without overlapping windows or
+correlated device noise. The correlation is judged by the integrated correlation time of the residuals of a polynomial
+through eight windows.
 
-What a row says of its own noise is the readings' noise, averaged as the fit averages it, and the speed times the error of
-the clocks. What the rig declares of the device comes on top where the row is used.
+The noise stated for a row is the noise of the readings, averaged as by the fit, plus the speed times the error of the
+clocks. The uncertainty that the rig declares for the device is added where the row is used.
 
-The clocks' errors count as if every row had its own, though in one life of box and controller all rows share it: measured
-in the simulator, it differs by ± 4 µs from pass to pass where the bounds are 230 to 250 µs. That does no harm. A common error is
-τ's, to which it adds: σ(τ) is of τ as the lines show it, and as the robot's delay it may be wrong by the bounds. What differs
-between the lives of a session, or even from pass to pass by the whole bound, is up and down along each line in turn, which no
-robot looks like: the variance of no combination of the robot's parameters becomes 1.0001 times what it is said to be (four lines there and
-back at 100 mm/s, 0.14 ms, device poses unknown; 1.01 with poses known to 0.1 mm). It would matter past devices whose place is known
-exactly: 1.7 times with an error per pass, 2.4 driven one way in two lives of the clocks, 3.9 if τ is declared known too.
+The clock errors are treated as independent between rows, though all rows in one life of box and controller share them.
+Measured in the simulator, the error differs by ± 4 µs from pass to pass where the bounds are 230 to 250 µs. This does
+no harm. A common error adds to τ: σ(τ) describes τ as seen by the lines, and as the robot's delay it may be wrong by
+the bounds. An error that differs between the lives of a session, or even from pass to pass by the full bound, moves
+each line up and down in turn, unlike any robot parameter. It increases the variance of any combination of the robot's
+parameters by a factor of at most 1.0001 over the stated one (four lines there and back at 100 mm/s, 0.14 ms, device
+poses unknown; 1.01 with poses known to 0.1 mm). It would matter for devices with exactly known poses: a factor of 1.7
+with an error per pass, 2.4 if driven one way in two lives of the clocks, 3.9 if τ is also declared known.
 
-**Legs** (``find_legs()``): where the robot moved from one stop or turn to the next, from its joint readings alone. A straight line there and back is two legs, whether the robot rests at the turn or not. Between two bins of readings (50 ms)
-the joints take a step; a leg ends where the step is slow, by itself or beside what comes before and after within half a
-second, and where it turns by more than a right angle. Legs go on over readings that are missing: what is interpolated
-inside a leg keeps clear of them. Another life of the controller is another leg.
+**Collecting data during legs** (``Listener``) works batch by batch, so only open legs are in memory. A leg is closed
+when messages arrive that are later than its end by more than any link may delay them. Samples and readings are given on
+the host's time scale, in gap-free pieces. A piece ends where samples or a reading are missing, where the box restarted
+or flagged a fault, and where the robot's controller restarted.
 
-**What box and robot said** during legs (``Listener``), batch by batch: only the legs that are open are in memory. A leg is closed when messages arrive that are later than its end by more than any link may delay. Samples and readings
-come out on the host's time scale, as pieces that are whole in themselves: a piece ends where samples are missing, where the
-box restarted or flagged a fault, where a reading is missing and where the robot's controller restarted.
+**Cubics** (``fit_locally()``) give values and rates of a moving signal at chosen instants. A polynomial of third degree
+is fitted by least squares over the window t − w … t + w, and its value and slope at t are used. This interpolates and
+averages in one step: with n samples of white noise σ the value has the variance (9/4) σ²/n.
 
-**Cubics** (``fit_locally()``) give values and rates at chosen instants of a moving signal. Over the window t − w … t + w a polynomial of third degree is fitted by least squares; its value and slope at t are taken.
-That is interpolation and averaging in one: with n samples of white noise σ the value has the variance (9/4) σ²/n.
-
-**What it may be wrong by.** A signal's next term, of fourth degree, is c·P₄(u) beyond a cubic (P₄ Legendre's, u = −1 … 1
-over the window). At the middle it is off by (3/8)·c, and the residuals that it leaves have the RMS c/3. So the error at
-the middle is 9/8 of the RMS of the residuals, and at most that where these are partly noise. The same fit of two signals
-that move together, a device's reading and the joints that carry it, errs alike in both.
+**Truncation error.** Beyond a cubic, the signal's next term is of fourth degree, c·P₄(u), where P₄ is Legendre's
+polynomial and u = −1 … 1 over the window. It causes an error of (3/8)·c at the middle and residuals with an RMS of c/3.
+The error at the middle is therefore 9/8 of the RMS of the residuals, or less if these are partly noise. The same fit
+has the same error in two signals that move together, such as a device's reading and the joints that drive it.
 """
 
 from __future__ import annotations
@@ -54,141 +54,35 @@ from numpy.typing import NDArray
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_readings import UNNUMBERED, Bins, JointStream, parse_lines
+from truearm.session.joint_readings import UNNUMBERED, JointStream, parse_lines
+from truearm.session.line_legs import Leg
 from truearm.session.message_columns import LATEST_NS, Ints, Messages
-from truearm.session.samples import ChannelBlocks, columns_in, extension, mean_variance, of_channels, railed
+from truearm.session.sample_noise import mean_variance
+from truearm.session.samples import ChannelBlocks, columns_in, extension, of_channels, railed
 from truearm.types import Floats, rms_of_columns
 
-# ----------------------------------------------------------------------------------------------------------------- legs
+# ----------------------------------------------------------------------------------------------------- data during legs
 
-SLOW = 2e-3  # rad/s or m/s; no line is driven so slowly, and a robot at rest is slower
-SLOW_SHARE = 0.2  # of the fastest step before and after
-HORIZON_S = 0.5
-LEAST_MOVE = 5e-3  # rad or m of any joint
-LONGEST_SILENCE_S = 2.0  # a robot unheard of for longer may have been anywhere
-
-
-@dataclass(frozen=True)
-class Leg:
-    """One motion: times of the controller [s] and of the host, mean readings (j,) of its first and its last bin.
-
-    ``cut``: it begins or ends where readings do, not where the robot rested or turned.
-    """
-
-    segment: int
-    start_s: float
-    end_s: float
-    q_start: Floats
-    q_end: Floats
-    cut: bool
-    start_host_ns: int = 0
-    end_host_ns: int = 0
-
-
-def find_legs(stream: JointStream) -> list[Leg]:
-    """All legs in order of time."""
-    bins = stream.bins
-    if bins is None or len(bins.n) < 2:
-        return []
-    step, seconds, joined = _steps(bins)
-    speed = np.max(np.abs(step), axis=1) / seconds
-    moving = joined & ~_slow(speed, seconds, stream.step)
-    turns = np.einsum("ij,ij->i", step[1:], step[:-1]) < 0.0  # at bin k + 1
-    ends = [_ends(run, moving, joined) for run in _runs(moving, turns)]
-    legs = [_leg(bins, *end) for end in ends if _travel(bins, *end[:2]) >= LEAST_MOVE]
-    return _on_host(legs, stream)
-
-
-def _steps(bins: Bins) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """From each bin to the next: change of the mean (b − 1, j), time [s], and whether it is one motion."""
-    middle = 0.5 * (bins.t_first_s + bins.t_last_s)
-    seconds = np.diff(middle)
-    joined = (np.diff(bins.segment) == 0) & (seconds > 0.0)
-    joined &= bins.t_first_s[1:] - bins.t_last_s[:-1] < LONGEST_SILENCE_S
-    return np.diff(bins.mean, axis=0), np.where(joined, seconds, 1.0), joined
-
-
-def _slow(speed: Floats, seconds: Floats, quantum: Floats) -> NDArray[np.bool_]:
-    """The steps (b − 1,) at which a leg ends."""
-    reach = max(1, round(HORIZON_S / float(np.median(seconds))))
-    before, after = _highest_before(speed, reach), _highest_before(speed[::-1], reach)[::-1]
-    least = SLOW + np.max(quantum, initial=0.0) / seconds
-    return np.asarray((speed <= least) | (speed <= SLOW_SHARE * np.minimum(before, after)))
-
-
-def _highest_before(speed: Floats, reach: int) -> Floats:
-    """The highest of each step and the ``reach`` before it."""
-    highest = speed.copy()
-    for k in range(1, min(reach, speed.size - 1) + 1):
-        np.maximum(highest[k:], speed[:-k], out=highest[k:])
-    return highest
-
-
-def _runs(moving: NDArray[np.bool_], turns: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last step of each run of moving ones, cut at turns."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.int8)))
-    runs = []
-    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        cuts = [first, *(np.flatnonzero(turns[first : end - 1]) + first + 1).tolist(), end]
-        runs += [(a, b - 1) for a, b in pairwise(cuts)]
-    return runs
-
-
-def _ends(run: tuple[int, int], moving: NDArray[np.bool_], joined: NDArray[np.bool_]) -> tuple[int, int, bool]:
-    """First and last bin of these steps, with the slow one before and after them: there the robot was at its ends.
-
-    And whether the readings begin or end there.
-    """
-    first, last = run
-    begins, ends = first > 0 and bool(joined[first - 1]), last + 1 < joined.size and bool(joined[last + 1])
-    a = first - int(begins and not moving[first - 1])
-    b = last + 1 + int(ends and not moving[last + 1])
-    return a, b, not (begins and ends)
-
-
-def _travel(bins: Bins, a: int, b: int) -> float:
-    return float(np.max(np.abs(bins.mean[b] - bins.mean[a])))
-
-
-def _leg(bins: Bins, a: int, b: int, cut: bool) -> Leg:
-    start, end = float(bins.t_first_s[a]), float(bins.t_last_s[b])
-    return Leg(int(bins.segment[a]), start, end, bins.mean[a], bins.mean[b], cut)
-
-
-def _on_host(legs: list[Leg], stream: JointStream) -> list[Leg]:
-    """The legs with the host's times."""
-    times = np.array([(leg.start_s, leg.end_s) for leg in legs]).reshape(-1, 2)
-    segment = np.array([leg.segment for leg in legs])
-    host = np.empty(times.shape, np.int64)
-    for k in np.unique(segment):
-        mine = segment == k
-        host[mine] = stream.clocks[int(k)].to_host_ns(times[mine].ravel()).reshape(-1, 2)
-    return [
-        replace(leg, start_host_ns=start, end_host_ns=end)
-        for leg, (start, end) in zip(legs, host.tolist(), strict=True)
-    ]
-
-
-# ---------------------------------------------------------------------------------------------- what box and robot said
-
-LATE_NS = 10_000_000_000  # a message is older than its arrival by less
-EARLY_NS = 1_000_000_000  # and younger by less: what clocks may disagree
-LOST = 1.6  # periods of the robot from one reading to the next: one is missing
+LATE_NS = 10_000_000_000  # a message is older than its arrival by less than this
+EARLY_NS = 1_000_000_000  # and younger by less than this: possible disagreement of clocks
+LOST = 1.6  # in robot periods: a larger step between readings means that one is missing
 
 
 class Samples(NamedTuple):
-    """Of one stream, in order: host time [ns] (n,), counts (n, c) of the wanted channels, number of the whole piece (n,)."""
+    """Samples of one stream in order: host time [ns] (n,), counts (n, c) of the wanted channels, index of the piece
+    (n,).
+    """
 
     t_ns: Ints
     counts: NDArray[np.int32]
     piece: Ints
     channels: tuple[Channel, ...]
     period_ns: int
-    bound_ns: float  # of the times' errors
+    bound_ns: float  # bound of the error of the times
 
 
 class Readings(NamedTuple):
-    """Of the robot, in order: host time [ns] (n,), joints (n, j), number of the whole piece (n,)."""
+    """Readings of the robot in order: host time [ns] (n,), joints (n, j), index of the piece (n,)."""
 
     t_ns: Ints
     q: Floats
@@ -196,7 +90,7 @@ class Readings(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """Blocks of a wanted stream; ``whole`` (b,): a block goes on where the one before ended."""
+    """Blocks of a wanted stream; ``whole`` (b,): the block continues the previous one without a gap."""
 
     blocks: ChannelBlocks
     whole: NDArray[np.bool_]
@@ -204,7 +98,7 @@ class _Piece(NamedTuple):
 
 @dataclass(eq=False)
 class LegSamples:
-    """What is heard during one leg; ``index`` is the caller's."""
+    """Data received during one leg; ``index`` belongs to the caller."""
 
     index: int
     leg: Leg
@@ -213,19 +107,19 @@ class LegSamples:
 
 
 class Listener:
-    """Takes the box's blocks and the robot's lines in log order; each answer is the legs that are over by then."""
+    """Processes the box's blocks and the robot's lines in log order; each call returns the legs completed so far."""
 
     def __init__(self, legs: Sequence[tuple[int, Leg]], wanted: Sequence[tuple[str, ...]], joints: JointStream) -> None:
-        """``legs``: index and leg, by ascending start; ``wanted``: names of channels, a tuple for each stream."""
+        """``legs``: index and leg, by ascending start. ``wanted``: names of channels, one tuple per stream."""
         self._waiting = deque(LegSamples(index, leg) for index, leg in legs)
         self._open: list[LegSamples] = []
         self._wanted, self._joints = wanted, joints
         self._segment_from = np.array([clock.host_ref_ns for clock in joints.clocks], dtype=np.int64)
-        self._goes_on: dict[int, bool] = {}  # wanted stream → nothing is wrong with its last block
+        self._goes_on: dict[int, bool] = {}  # wanted stream → the last block is free of faults
         self._now_ns = -LATEST_NS
 
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
-        """Take a batch of messages and the blocks that came out with them."""
+        """Process a batch of messages and the blocks released with it."""
         lines = messages.rows(lambda topic: topic == "/robot/joints")
         of = (lines, *(one.at for one in blocks))
         turn = _ranks(np.concatenate(of))
@@ -257,13 +151,13 @@ class Listener:
         return over
 
     def rest(self) -> list[LegSamples]:
-        """The legs that were still open at the session's end, or had not begun."""
+        """Return the legs that are still open at the end of the session or have not begun."""
         over = [*self._open, *self._waiting]
         self._open, self._waiting = [], deque()
         return over
 
     def _wanted_of(self, blocks: Blocks) -> Iterator[tuple[int, _Piece]]:
-        """The blocks for each wanted stream that they are of."""
+        """Return the blocks for each wanted stream."""
         for k, names in enumerate(self._wanted):
             place = columns_in(blocks.ident, names)
             if place is None or place[0].id != blocks.stream.id or not len(blocks):
@@ -275,7 +169,7 @@ class Listener:
             yield k, _Piece(piece, before & ~piece.gap)
 
     def _parse(self, heard: LegSamples, messages: Messages, rows: NDArray[np.intp]) -> None:
-        """Keep the readings of the leg's own segment and time."""
+        """Keep the readings within the leg's own segment and time."""
         said = parse_lines(messages.payloads(rows), messages.t_host_ns[rows], len(self._joints.step))
         if len(said):
             segment = np.searchsorted(self._segment_from, said.arrival_ns, side="right") - 1
@@ -284,7 +178,7 @@ class Listener:
 
 
 def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:
-    """What a wanted stream showed during the leg; None if nothing that a clock places in time."""
+    """Return the samples of a wanted stream during the leg; None if no clock places any of them in time."""
     pieces = [piece for piece in heard.pieces.get(k, []) if piece.blocks.segment in clocks]
     if not pieces:
         return None
@@ -297,7 +191,7 @@ def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> 
     inside = (times >= heard.leg.start_host_ns) & (times <= heard.leg.end_host_ns)
     if not inside.any():
         return None
-    # Two lives of the box have two clocks, whose times may overlap by their errors.
+    # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
     order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
     last = pieces[-1].blocks
     period = int(last.period_ns[-1]) or last.stream.period_ns
@@ -305,7 +199,7 @@ def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> 
 
 
 def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
-    """The robot's readings by their time; one that came late stands where it belongs, one that came twice once."""
+    """Return the robot's readings by time: late ones in their place, duplicates once."""
     if not heard.readings:
         return Readings(np.empty(0, np.int64), np.empty((0, len(joints.step))), np.empty(0, np.int64))
     t, seq, q = (np.concatenate(column) for column in zip(*heard.readings, strict=True))
@@ -320,7 +214,7 @@ def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
 
 
 def _ranks(keys: Ints) -> NDArray[np.intp]:
-    """Which place each of several keys (n,) has in order; equal ones keep theirs."""
+    """Return the rank of each of several keys (n,); equal keys keep their order."""
     ranks = np.empty(len(keys), np.intp)
     ranks[np.argsort(keys, kind="stable")] = np.arange(len(keys))
     return ranks
@@ -329,13 +223,16 @@ def _ranks(keys: Ints) -> NDArray[np.intp]:
 # --------------------------------------------------------------------------------------------------------------- cubics
 
 DEGREE = 3
-LEAST = DEGREE + 3  # samples of a window
-MISSED = 9.0 / 8.0  # error in the middle over the RMS of the residuals
+LEAST = DEGREE + 3  # samples per window
+MISSED = 9.0 / 8.0  # error at the middle divided by the RMS of the residuals
 
 
 class LocalFits(NamedTuple):
-    """At r instants, of c signals: value (r, c), rate (r, c) [1/s], RMS residual (r, c) for n − 4 degrees of freedom,
-    number of samples n (r,), and the variance of the value (r,) for white noise of variance 1."""
+    """Local fits at r instants of c signals.
+
+    Value (r, c), rate (r, c) [1/s], RMS residual (r, c) for n − 4 degrees of freedom, number of samples n (r,), and
+    variance of the value (r,) for white noise of variance 1.
+    """
 
     value: Floats
     rate: Floats
@@ -345,9 +242,10 @@ class LocalFits(NamedTuple):
 
 
 def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> LocalFits:
-    """Cubics about ``centres`` (r,) [s] through samples ``values`` (n, c) at ``t`` (n,) [s] ascending, w = ``half_s``.
+    """Fit cubics around ``centres`` (r,) [s] to samples ``values`` (n, c) at ascending ``t`` (n,) [s], with w =
+    ``half_s``.
 
-    NaN where a window holds fewer than LEAST samples. Whether a window is whole is the caller's to know.
+    NaN where a window holds fewer than LEAST samples. The caller must check that a window is complete.
     """
     r, c = centres.size, values.shape[1]
     low, high = np.searchsorted(t, centres - half_s), np.searchsorted(t, centres + half_s, side="right")
@@ -357,7 +255,7 @@ def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> Lo
         window = slice(low[k], high[k])
         u = (t[window] - centres[k]) / half_s
         q, triangle = np.linalg.qr(np.vander(u, DEGREE + 1, increasing=True))
-        if np.abs(np.diag(triangle)).min() < 1e-6:  # all at one time
+        if np.abs(np.diag(triangle)).min() < 1e-6:  # all samples at one time
             continue
         of_samples = q.T @ values[window]
         inverse = np.linalg.inv(triangle)
@@ -388,25 +286,28 @@ REASONS = (
     "no plan match",
     "ambiguous",
 )
-READINGS = 7.0  # periods of the robot's readings that a window is wide
+READINGS = 7.0  # width of a window in periods of the robot's readings
 LEAST_WINDOW_S = 0.1
 LONGEST_S = 300.0
-LEAST_TRAVEL = 0.01  # m that the magnet moves along in a pass
+LEAST_TRAVEL = 0.01  # least travel [m] of the magnet along the device in a pass
 LEAST_ROWS = 5
 STEADY = 0.9  # of the median speed
-REACH = 1.2  # periods from a window's end to the first sample in it; one more would be a sample that is missing
-STOPPED = 0.8  # share of a window's interrogations that a stop pulse must have answered
-NOISY = 5.0  # times the median residual of the pass
+REACH = 1.2  # periods from a window's end to its first sample; one more would mean a missing sample
+STOPPED = 0.8  # share of a window's interrogations that must have a stop pulse
+NOISY = 5.0  # multiple of the median residual of the pass
 MICRON = 1e-6
-STRETCH = 8  # windows; over so much a polynomial of degree TREND is the motion, and what it leaves the noise
+STRETCH = 8  # windows; over this length a polynomial of degree TREND is the motion, and its residual is noise
 TREND = 8
-FORGOTTEN = 2.0  # integrated correlation times after which noise is new
+FORGOTTEN = 2.0  # integrated correlation times after which noise is independent
 
 
 @dataclass(frozen=True)
 class LineRules:
-    """``points``: rows of a pass at most; None: as many as the noise allows. ``pose_tolerance`` in rad (or m). ``reach`` [m]: how
-    far aside the transducers are believed."""
+    """Rules for passes.
+
+    ``points``: maximum number of rows per pass; None: as many as the noise allows. ``pose_tolerance`` in rad (or m).
+    ``reach`` [m]: range within which the transducers are valid.
+    """
 
     points: int | None = None
     pose_tolerance: float = np.pi / 180.0
@@ -415,12 +316,13 @@ class LineRules:
 
 @dataclass(frozen=True)
 class Pass:
-    """One motion along a line and what became of it; ``reason`` is "" if it gave rows, else one of REASONS.
+    """One motion along a line and its outcome; ``reason`` is "" if it gave rows, else one of REASONS.
 
-    ``direction`` is +1 where y rises. The r rows: instants on the host's clock, joints and their rates, the device's
-    reading and the standard deviation of its own noise and of its time, without what the rig declares. ``noise`` (3,) [m] and ``q_noise`` (j,) are of
-    single readings about the motion; ``q_error`` [rad or m] bounds the error of the interpolated joints. ``dropped``: rows
-    that could not be made, by reason.
+    ``direction`` is +1 where y rises. The r rows hold instants on the host's clock, joints and their rates, the
+    device's reading and the standard deviations of its own noise and of its time, excluding the uncertainty declared by
+    the rig. ``noise`` (3,) [m] and ``q_noise`` (j,) are standard deviations of single readings about the motion.
+    ``q_error`` [rad or m] bounds the error of the interpolated joints. ``dropped``: rows that could not be made, by
+    reason.
     """
 
     leg: Leg
@@ -446,13 +348,13 @@ class Pass:
 
     @property
     def group(self) -> str:
-        """What the rows of this direction have in common, for ``--hold-out shell=``."""
+        """The group that the rows of this direction belong to, for ``--hold-out shell=``."""
         return f"{self.mounted['line']}-{'up' if self.direction > 0 else 'down'}"
 
 
 @dataclass(frozen=True)
 class _Signals:
-    """What was said during a leg, in seconds since it began: times, values and the pieces that are whole."""
+    """Signals during a leg, in seconds since its start: times, values and gap-free pieces."""
 
     y_t: Floats
     y: Floats  # (n, 1), of answered interrogations
@@ -471,7 +373,7 @@ class _Signals:
 def measure(
     passing: Pass, heard: LegSamples, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
 ) -> Pass | None:
-    """The pass with its rows or with the reason why it has none; None where nothing moved along the device.
+    """Return the pass with its rows or with the reason why it has none; None if nothing moved along the device.
 
     Raises SessionError for a channel without a calibration to metres.
     """
@@ -499,19 +401,19 @@ def measure(
     direction = 1 if np.nansum(velocity) > 0.0 else -1
     steady = _steady(np.nan_to_num(velocity * direction))
     passing = replace(passing, direction=direction, speed=float(np.median(np.abs(velocity[steady]))))
-    first, last = np.flatnonzero(steady)[[0, -1]]  # windows keep within: the ramps are not theirs
+    first, last = np.flatnonzero(steady)[[0, -1]]  # windows stay within these: the ramps are excluded
     span = float(grid[first]), float(grid[last])
     with np.errstate(invalid="ignore"):
         lost = (why != "") & (coarse.rate[:, 0] * direction >= STEADY * passing.speed)
-    lost[first : last + 1] = False  # rows in between are told one by one
+    lost[first : last + 1] = False  # rows in between are counted one by one
     beyond = Counter(why[lost][::2].tolist())  # a row is as wide as two steps of the grid
     return _rows(passing, signals, span, beyond, along.period_ns, joints.step, rules)
 
 
 def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
-    """Standard deviation [s] of a row's time, but for what is constant, which the time offset τ takes up.
+    """Return the standard deviation [s] of a row's time, without the constant part, which the time offset τ absorbs.
 
-    Within their bounds nothing is known of the clocks' errors, the box's and the robot's: uniform.
+    Within their bounds, nothing is known about the clock errors of box and robot, so they are taken as uniform.
     """
     robot_ns = joints.clocks[leg.segment].bound_at(np.array([leg.start_s, leg.end_s])).max()
     return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
@@ -545,7 +447,7 @@ def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int,
 
 
 def _wrong(s: _Signals, centres: Floats) -> NDArray[np.str_]:
-    """Why no row can be made at each instant (r,); "" where one can."""
+    """Return why no row can be made at each instant (r,); "" where one can."""
     why = np.full(centres.size, "", dtype="U20")
     why[_count(s.y_t, centres, s.half_s) < STOPPED * _count(s.shots_t, centres, s.half_s)] = "no stop pulses"
     why[_count(s.off_t, centres, s.half_s) > 0] = "out of range"
@@ -560,7 +462,7 @@ def _count(t: Floats, centres: Floats, half_s: float) -> Ints:
 
 
 def _whole(t: Floats, piece: Ints, centres: Floats, half_s: float) -> Mask:
-    """Where the window is filled from end to end by one whole piece."""
+    """Return where the window is filled from end to end by a single gap-free piece."""
     if t.size < LEAST:
         return np.zeros(centres.size, dtype=bool)
     low = np.searchsorted(t, centres - half_s)
@@ -572,7 +474,7 @@ def _whole(t: Floats, piece: Ints, centres: Floats, half_s: float) -> Mask:
 
 
 def _steady(forward: Floats) -> Mask:
-    """The instants at which the magnet moves on at its median speed or nearly; ``forward`` (r,) [m/s]."""
+    """Return the instants at which the magnet moves at nearly its median speed or faster; ``forward`` (r,) [m/s]."""
     moving = forward > (1.0 - STEADY) * forward.max()
     return np.asarray(forward >= STEADY * float(np.median(forward[moving])), dtype=bool)
 
@@ -586,7 +488,10 @@ def _rows(
     step: Floats,
     rules: LineRules,
 ) -> Pass:
-    """The rows between two times; ``beyond``: why some before and after could not be made. ``step`` (j,): quantisation of the joints."""
+    """Return the rows between two times.
+
+    ``beyond``: why some rows before and after could not be made. ``step`` (j,): quantisation of the joints.
+    """
     first, last = span
     correlation, correlation_s = _correlation(s, first, last, 1e-9 * period_ns)
     passing = replace(passing, correlation_s=correlation_s, window_ns=round(1e9 * s.half_s))
@@ -626,12 +531,12 @@ def _rows(
 
 
 def _beside(y: Floats, xz: Floats) -> Floats:
-    """What is of y (r, 1) between what is of x and z (r, 2), as the device's axes are."""
+    """Return y (r, 1) between x and z (r, 2), in the order of the device's axes."""
     return np.stack([xz[:, 0], y[:, 0], xz[:, 1]], axis=1)
 
 
 def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: float, rules: LineRules) -> Floats:
-    """The interrogations (r,) at which rows are made, evenly spaced, with windows that do not overlap."""
+    """Return the interrogations (r,) at which rows are made, evenly spaced and with windows that do not overlap."""
     most = max(1, int((last - first) / width) + 1)
     n = max(1, int((last - first) / max(width, forgotten)) + 1) if rules.points is None else min(rules.points, most)
     wanted = np.linspace(first, last, n) if n > 1 else np.array([0.5 * (first + last)])
@@ -641,7 +546,9 @@ def _instants(y_t: Floats, first: float, last: float, width: float, forgotten: f
 
 
 def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tuple[Floats, float]:
-    """How many samples of x, y, z (3,) the noise needs to be new, and the longest of these times [s]."""
+    """Return how many samples of x, y, z (3,) it takes for the noise to be independent, and the longest of these times
+    [s].
+    """
     channels = ((s.across_t, s.across[:, 0]), (s.y_t, s.y[:, 0]), (s.across_t, s.across[:, 1]))
     count, longest = np.ones(3), period_s
     for k, (t, values) in enumerate(channels):
@@ -654,7 +561,7 @@ def _correlation(s: _Signals, first: float, last: float, period_s: float) -> tup
 
 
 def _noise(t: Floats, values: Floats, starts: Floats) -> tuple[Floats, int]:
-    """What a polynomial through each stretch leaves, one stretch after the other, and how many coefficients that took."""
+    """Return the residuals of a polynomial through each stretch, concatenated, and the number of coefficients used."""
     cuts = np.searchsorted(t, starts)
     parts = []
     for a, b in pairwise(cuts.tolist()):
@@ -665,6 +572,6 @@ def _noise(t: Floats, values: Floats, starts: Floats) -> tuple[Floats, int]:
 
 
 def _without_rows(passing: Pass, why: Counter[str]) -> Pass:
-    """The pass with what mostly prevented its rows."""
+    """Return the pass with the most frequent reason for its missing rows."""
     (reason, _), *_ = why.most_common(1) or [("too short", 0)]
     return replace(passing, reason=reason or "too short")

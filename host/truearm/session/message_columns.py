@@ -1,7 +1,8 @@
-"""Chunks of a session file → messages as columns (hop 4): some megabytes of records at a time, each message a row.
+"""Read chunks of a session file into columns (hop 4): some megabytes of records at a time, one row per message.
 
-Python looks at a record once, to learn how long it is. All that stands in the heads of the records numpy reads in one go. The
-records' layout is the mcap library's, which would allocate what a stranger's record claims; here everything is bounded.
+Python looks at each record only once, to find its length. NumPy then reads all record headers in one pass. The record
+layout is that of the mcap library, which would allocate whatever an untrusted record claims; here everything is
+bounded.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ MAX_METADATA_BYTES = 1 << 20
 MAX_CHANNELS = 1000
 
 CRC = "crc32"  # a key of every metadata record of ours
-CHANNELS = "channels"  # the metadata record that says again which channel is which topic
+CHANNELS = "channels"  # the metadata record that repeats the mapping of channels to topics
 
 RECORD = struct.Struct("<BQ")
 LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
-# What the library raises for a record that ends early, holds no UTF-8 or claims a length beyond 63 bits.
+# Raised by the library for a record that ends early, is not valid UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
 ADVICE = ("copy it again from where it was recorded, or, to use what is whole, give ", Argument("allow_damaged"))
 
@@ -47,7 +48,7 @@ ADVICE = ("copy it again from where it was recorded, or, to use what is whole, g
 def open_file(path: Path) -> BinaryIO:
     try:
         if path.exists() and not path.is_file():
-            raise SessionError(f"{path}: is not a regular file; give a session that truearm record wrote")
+            raise SessionError(f"{path}: is not a regular file; give a session recorded by truearm record")
         return path.open("rb")
     except FileNotFoundError as exc:
         raise SessionError(f"{path}: no such file") from exc
@@ -56,18 +57,18 @@ def open_file(path: Path) -> BinaryIO:
 
 
 def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:
-    """Opcode, offset of the body and its length for every record from ``at`` on that is whole before ``end``.
+    """Yield opcode, body offset and body length of every complete record from ``at`` up to ``end``.
 
-    At each yield the file stands at the body. Raises SessionError where the file ends before ``end``.
+    At each yield the file is positioned at the body. Raises SessionError if the file ends before ``end``.
     """
     while at + RECORD.size <= end:
         file.seek(at)
         head = file.read(RECORD.size)
         if len(head) < RECORD.size:
-            raise SessionError(f"{file.name}: became shorter while it was read; read it when nobody writes it")
+            raise SessionError(f"{file.name}: became shorter while it was being read; wait until nothing writes to it")
         opcode, length = RECORD.unpack(head)
         at += RECORD.size
-        if opcode == 0 or length > end - at:  # zeros: a power cut left the file's length, not its bytes
+        if opcode == 0 or length > end - at:  # zeros: a power cut kept the file's length but not its bytes
             return
         yield opcode, at, length
         at += length
@@ -86,7 +87,7 @@ def damaged(path: Path, at: int) -> NoReturn:
 
 def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> bytes:
     if length > limit:
-        raise SessionError(f"{path}: a record of {length} bytes at byte {at}; at most {limit} are read")
+        raise SessionError(f"{path}: a record of {length} bytes at byte {at}; the maximum is {limit}")
     file.seek(at)
     data = file.read(length)
     if len(data) < length:
@@ -95,13 +96,13 @@ def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> byt
 
 
 def metadata_crc(name: str, entries: Mapping[str, str]) -> str:
-    """What the writer puts beside the entries of a metadata record, of which MCAP itself takes no CRC."""
+    """Return the CRC that the writer adds to the entries of a metadata record, as MCAP itself has none there."""
     texts = [name, *(text for key in sorted(entries) for text in (key, entries[key]))]
     return f"{zlib.crc32(json.dumps(texts).encode()):08x}"
 
 
 def parse_metadata(path: Path, body: bytes, at: int) -> tuple[str, dict[str, str], bool]:
-    """Name, entries and whether a CRC among these proves them; one that does not fit is damage."""
+    """Return name, entries and whether a CRC among them proves them; a CRC that does not match is damage."""
     try:
         record = Metadata.read(ReadDataStream(io.BytesIO(body)))
     except UNREADABLE:
@@ -124,7 +125,7 @@ def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes]:
 
 
 def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
-    """The records of a chunk, decompressed within bounds, its CRC checked."""
+    """Return the records of a chunk, decompressed within bounds and with the CRC checked."""
     body = body_of(path, file, at, length, MAX_CHUNK_BYTES)
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
@@ -132,28 +133,28 @@ def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
     except (*UNREADABLE, zstandard.ZstdError, RuntimeError):  # the last is what lz4 raises
         damaged(path, at)
     if data is None:
-        raise SessionError(f"{path}: a chunk at byte {at} is compressed in a way, or to a size, that is not read")
+        raise SessionError(f"{path}: a chunk at byte {at} has an unsupported compression or size")
     if len(data) != chunk.uncompressed_size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         damaged(path, at)
     return data
 
 
 def _decompress(chunk: Chunk) -> bytes | None:
-    """None for an unknown method or a chunk that is, or claims to be, larger than the bound."""
+    """Decompress a chunk; None if the method is unknown or the chunk is, or claims to be, larger than the bound."""
     if chunk.compression == "zstd":
-        # With its size in the frame, zstandard allocates that, whatever max_output_size says.
+        # If the frame states its size, zstandard allocates that much regardless of max_output_size.
         claimed = zstandard.get_frame_parameters(chunk.data).content_size
         if claimed > MAX_CHUNK_BYTES and claimed != zstandard.CONTENTSIZE_UNKNOWN:
             return None
         return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
-    if chunk.compression == "lz4":  # ours are not, bags may be
+    if chunk.compression == "lz4":  # not used by truearm, but bags may use it
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES + 1)
         return data if len(data) <= MAX_CHUNK_BYTES else None
     return chunk.data if chunk.compression == "" else None
 
 
 def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:
-    """Id and topic that a channel record declares."""
+    """Return the id and topic declared by a channel record."""
     try:
         record = Channel.read(ReadDataStream(io.BytesIO(body)))
     except UNREADABLE:
@@ -163,12 +164,13 @@ def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:
 
 # ------------------------------------------------------------------------------------------------------------- messages
 
-BATCH_BYTES = 2 << 20  # of records, read together: what numpy needs to be quick, and little memory
-MARGIN = 64  # zero bytes behind the last record: a head may be read beyond the end of a short one
+BATCH_BYTES = 2 << 20  # of records, read together: enough for NumPy to be fast, with little memory
+MARGIN = 64  # zero bytes after the last record: the header of a short record may be read beyond its end
 
 Ints = NDArray[np.int64]
 
-# A message's record. MCAP's log time is UTC, its publish time the host's clock; in sessions before version 0.5 both are the host's clock.
+# A message record. MCAP's log time is UTC and its publish time the host's clock; before session version 0.5 both are
+# the host's clock.
 _HEAD = np.dtype(
     {
         "names": ["opcode", "length", "channel", "sequence", "log_ns", "t_host_ns"],
@@ -183,9 +185,9 @@ _LENGTH = struct.Struct("<Q").unpack_from
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """Messages (m,) in the order in which they were written; bytes ``begin`` to ``end`` of ``data`` are what each holds.
+    """Messages (m,) in the order of writing; the payload of each is bytes ``begin`` to ``end`` of ``data``.
 
-    ``topic`` is an index of ``topics``; ``sequence`` the number within the topic; ``log_ns`` MCAP's log time.
+    ``topic`` is an index into ``topics``, ``sequence`` the number within the topic, and ``log_ns`` MCAP's log time.
     """
 
     data: bytes
@@ -202,38 +204,38 @@ class Messages:
 
     @property
     def bytes_u1(self) -> NDArray[np.uint8]:
-        """``data`` as numbers."""
+        """``data`` as an array of bytes."""
         return np.frombuffer(self.data, np.uint8)
 
     def rows(self, wanted: Callable[[str], bool]) -> NDArray[np.intp]:
-        """The rows of the topics that are wanted, in order."""
+        """Return the rows of the wanted topics, in order."""
         of_topic = np.array([wanted(topic) for topic in self.topics], dtype=bool)
         return np.flatnonzero(of_topic[self.topic]) if of_topic.any() else np.empty(0, np.intp)
 
     def payload(self, row: int) -> bytes:
-        """The bytes of one message."""
+        """Return the payload of one message."""
         return self.data[self.begin[row] : self.end[row]]
 
     def payloads(self, rows: NDArray[np.intp]) -> list[bytes]:
-        """The bytes of several messages."""
+        """Return the payloads of several messages."""
         data = self.data
         return [data[a:b] for a, b in zip(self.begin[rows].tolist(), self.end[rows].tolist(), strict=True)]
 
     def without(self, wanted: Callable[[str], bool]) -> Messages:
-        """The same but for the messages of some topics."""
+        """Return the messages except those of some topics."""
         rows = self.rows(lambda topic: not wanted(topic))
         columns = ("topic", "t_host_ns", "begin", "end", "sequence", "log_ns")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def of(self, rows: NDArray[np.intp]) -> Iterator[Message]:
-        """Some of the messages one by one."""
+        """Return a selection of the messages."""
         columns = (column[rows].tolist() for column in (self.topic, self.t_host_ns, self.begin, self.end))
         for topic, t_host_ns, begin, end in zip(*columns, strict=True):
             yield Message(self.topics[topic], t_host_ns, self.data[begin:end])
 
 
 def columns_of(messages: Iterable[Message]) -> Messages:
-    """Single messages as columns; ``sequence`` counts them."""
+    """Return single messages as columns; ``sequence`` counts them."""
     messages = list(messages)
     numbers: dict[str, int] = {}
     topic = np.array([numbers.setdefault(m.topic, len(numbers)) for m in messages], dtype=np.int64)
@@ -252,9 +254,9 @@ def columns_of(messages: Iterable[Message]) -> Messages:
 
 
 def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> Iterator[Messages]:
-    """The messages among the records of chunks; ``channels`` gains those that they declare.
+    """Yield the messages among the records of chunks; the channels that these declare are added to ``channels``.
 
-    Raises SessionError where records are not whole, or a message is of a channel that nothing declares.
+    Raises SessionError if records are incomplete or a message belongs to an undeclared channel.
     """
     gathered: list[bytes] = []
     size = 0
@@ -263,7 +265,7 @@ def batches(path: Path, packed: Iterable[bytes], channels: dict[int, str]) -> It
         size += len(data)
         if size >= BATCH_BYTES:
             found = _batch(path, gathered, channels)
-            gathered, size = [], 0  # their bytes are in the batch; they shall not be held while it is used
+            gathered, size = [], 0  # the batch has their bytes; release them while it is used
             yield found
     if gathered:
         yield _batch(path, gathered, channels)
@@ -313,7 +315,7 @@ def _batch(path: Path, chunks: Sequence[bytes], channels: dict[int, str]) -> Mes
 
 
 def _starts(path: Path, data: bytes, sizes: Sequence[int]) -> list[int]:
-    """Where each record begins; the records of a chunk fill it."""
+    """Return where each record begins; the records of a chunk fill it completely."""
     starts: list[int] = []
     add, length_at, at, end = starts.append, _LENGTH, 0, 0
     for size in sizes:
@@ -327,7 +329,7 @@ def _starts(path: Path, data: bytes, sizes: Sequence[int]) -> list[int]:
 
 
 def heads(data: bytes, begin: NDArray[np.integer[Any]], kind: np.dtype[Any]) -> NDArray[Any]:
-    """What stands from ``begin`` (n,) on, read as a record of this kind; it ends within MARGIN of the last message."""
+    """Return the data at ``begin`` (n,) as records of this type, which end within MARGIN of the last message."""
     window = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), kind.itemsize)
     return np.asarray(window[begin]).view(kind)[:, 0]
 

@@ -1,11 +1,13 @@
-"""A session's messages → observations (hops 4 and 5).
+"""Reduce the messages of a session to observations (hops 4 and 5).
 
-``survey`` reads the session: it accounts for every frame, gathers the clock exchanges and what the robot said, keeps the samples of the ball-bar,
-and finds the dwells and the legs. ``observations`` takes the samples of one dwell and one leg after another. Where they are more
-than memory is meant for, the session is read once more. A dwell gives one observation, a leg along a line device many, or they say why not.
+``survey`` reads the session. It accounts for every frame, collects the clock exchanges and the robot's data, keeps the
+samples of the ball-bar, and finds the dwells and the legs. ``observations`` processes the samples of one dwell and one
+leg after another. If they do not fit in the intended memory, the session is read again. A dwell gives one observation
+and a leg along a line device many, or a reason why not.
 
-``visits`` is a second look at the samples, for ``truearm characterize``: from which side the robot comes to its poses, how fast it settles, what noise it
-rests in, of the dwells that gave an observation (``SyncResult``).
+``visits`` takes a second look at the samples for ``truearm characterize``. For the dwells that gave an observation
+(``SyncResult``) it finds the direction from which the robot approaches its poses, how fast it settles, and the noise at
+rest.
 """
 
 from __future__ import annotations
@@ -22,26 +24,29 @@ from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.box_temperature import BoxTemperature, box_temperature
 from truearm.session.device_clock import ClockReport, DeviceClock, fit_clock
-from truearm.session.dwell_labels import labelled
-from truearm.session.dwells import LEARNT, Dwell, DwellRules, Sensing, find_dwells, measured, usual_noise, without_noisy
+from truearm.session.dwell_labels import labelled, with_mountings
+from truearm.session.dwell_samples import LEARNT, Sensing, collect_samples, measured, usual_noise, without_noisy
+from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
-from truearm.session.line_passes import WANTED, Leg, LegSamples, LineRules, Listener, Pass, find_legs, measure
+from truearm.session.line_legs import Leg, find_legs
+from truearm.session.line_passes import WANTED, LegSamples, LineRules, Listener, Pass, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.plan_matching import Marks, Plan, contradict, match_plan, nearest_pose, passes_of
-from truearm.session.samples import Allan, ChannelSamples, allan, bar_length, collect_samples, extension, mean_variance
+from truearm.session.sample_noise import Allan, allan, mean_variance
+from truearm.session.samples import ChannelSamples, bar_length, extension
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig, Strings
 
-# by the names that the box's configuration gives them: the columns that kinds of observation declare
+# Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
-MOST_KEPT_BYTES = 64 << 20  # of messages, where legs are to be looked at
+MOST_KEPT_BYTES = 64 << 20  # of messages, if legs are to be processed
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What the first pass says. ``idents``: of each segment that has one; ``clocks``: of each segment with exchanges."""
+    """Results of the first pass. ``idents``: of each segment that has one; ``clocks``: of each segment with exchanges."""
 
     losses: Losses
     streams: tuple[StreamReport, ...]
@@ -61,7 +66,10 @@ class Survey:
 
 @dataclass(frozen=True)
 class SyncResult:
-    """Observations and how they came about. The table's rows are the dwells without a reason, in order, then the passes' rows."""
+    """Observations and their origin.
+
+    The table has one row per dwell without a reason, in order, followed by the rows of the passes.
+    """
 
     table: ObservationTable
     dwells: tuple[Dwell, ...]
@@ -77,25 +85,30 @@ class SyncResult:
 
     @property
     def clock_reports(self) -> tuple[ClockReport, ...]:
-        """Device to host, a report a segment."""
+        """Device-to-host clock reports, one per segment."""
         return self.survey.clock_reports
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How many dwells were rejected, by reason."""
-        return dict(Counter(dwell.reason for dwell in self.dwells if dwell.reason))
+        """Number of rejected dwells by reason; stops for mounting are not included."""
+        return dict(Counter(dwell.reason for dwell in self.dwells if dwell.reason not in ("", MOUNTING)))
+
+    @property
+    def n_mountings(self) -> int:
+        """Number of stops for mounting."""
+        return sum(dwell.reason == MOUNTING for dwell in self.dwells)
 
     @property
     def pass_reasons(self) -> dict[str, int]:
-        """How many passes were rejected, by reason."""
+        """Number of rejected passes by reason."""
         return dict(Counter(one.reason for one in self.passes if one.reason))
 
 
 class Batches:
-    """The messages of a session, batch by batch, with the blocks of samples that come out with each: kept, or read again."""
+    """The messages of a session in batches, with the blocks of samples released by each: kept, or read again."""
 
     def __init__(self, source: Source, ident: Ident | None) -> None:
-        self.ident = ident  # what is known of the box beforehand
+        self.ident = ident  # what is known about the box beforehand
         self._source = source
         self._kept: list[tuple[Messages, list[Blocks]]] | None = []
         self._bytes = 0
@@ -107,7 +120,7 @@ class Batches:
         yield columns_of([]), box.finish()
 
     def keep(self, messages: Messages, blocks: list[Blocks]) -> None:
-        """Keep a batch for a second time."""
+        """Keep a batch for the second pass."""
         self._bytes += len(messages.data)
         if self._bytes > MOST_KEPT_BYTES:
             self.drop()
@@ -127,7 +140,10 @@ class Batches:
 def survey(
     source: Source, ident: Ident | None = None, rules: DwellRules | None = None, channel: str = "lvdt"
 ) -> Survey:
-    """Read all messages. ``ident`` (of the session's metadata) serves until the box itself says its own; ``channel`` is the ball-bar's."""
+    """Read all messages and return the survey.
+
+    ``ident`` (from the session's metadata) is used until the box sends its own; ``channel`` is that of the ball-bar.
+    """
     box, robot, marks = BoxReader(ident), JointReader(), Marks()
     batches = Batches(source, ident)
     samples = ChannelSamples(channel, lambda: (one for _, blocks in batches for one in blocks))
@@ -138,7 +154,7 @@ def survey(
         samples.keep(blocks)
         if marks.names_lines:
             batches.keep(messages, blocks)
-        else:  # if any line is named later, the session is read again
+        else:  # if a line is named later, the session is read again
             batches.drop()
     fits = {s.index: fit for s in box.segments if (fit := fit_clock(s.index, s.exchanges)) is not None}
     clocks = {index: clock for index, (clock, _) in fits.items()}
@@ -180,16 +196,19 @@ def observations(
     line_rules: LineRules | None = None,
     labels: Sequence[DwellLabel] | None = None,
 ) -> SyncResult:
-    """Observations of the ball-bar and of a line device; ``found`` is the survey of the same messages, if it was made already.
+    """Return the observations of the ball-bar and of a line device.
 
-    ``labels``: what was mounted, where that was settled afterwards; plan and events are not asked then. ``name`` stands for the session in the table's ``source``. Raises RigError where a dwell's bar, chuck or sphere, a line
-    or its target is not in the rig, SessionError where the box has no channel of the ball-bar or no calibration of it.
+    ``found`` is the survey of the same messages, if it was already made. ``labels``: what was mounted, if settled
+    afterwards; plan and events are then not used. ``name`` is the session's name in the table's ``source``. Raises
+    RigError if a dwell's bar, chuck or sphere, a line or its target is not in the rig. Raises SessionError if the box
+    has no channel for the ball-bar or no calibration of it.
     """
     rules, line_rules = rules or DwellRules(), line_rules or LineRules()
     if rig.line_travel is not None:
         line_rules = replace(line_rules, reach=0.5 * rig.line_travel)
     found = found or survey(source, ident, rules)
     dwells = _pair(found, rig, rules) if labels is None else _settled(found, rig, labels)
+    dwells = with_mountings(dwells, found.marks, rules.pose_tolerance)
     passes = passes_of(found.legs, found.marks, rig, line_rules.pose_tolerance)
     good = sorted((d.start_host_ns, d.end_host_ns, i) for i, d in enumerate(dwells) if not d.reason)
     if good:
@@ -214,7 +233,7 @@ def observations(
 
 
 def _driven(planned: Sequence[Pass | None], found: Survey, rules: LineRules) -> tuple[Pass, ...]:
-    """The passes, each measured from what was heard during its leg."""
+    """Return the passes, each measured from the data of its leg."""
     passes = list(planned)
     legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
     if legs:
@@ -227,12 +246,12 @@ def _driven(planned: Sequence[Pass | None], found: Survey, rules: LineRules) -> 
 
 
 def _rest(listener: Listener) -> Iterator[LegSamples]:
-    """The legs that are open in the end, to be asked for then."""
+    """Yield the legs that are still open at the end."""
     yield from listener.rest()
 
 
 def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
-    """The dwells with their times of the host's clock."""
+    """Return the dwells with host times."""
     times = np.array([(dwell.start_s, dwell.end_s) for dwell in dwells]).reshape(-1, 2)
     segment = np.array([dwell.segment for dwell in dwells], dtype=np.intp)
     host = np.empty(times.shape, np.int64)
@@ -245,7 +264,7 @@ def _on_host(dwells: Sequence[Dwell], joints: JointStream) -> list[Dwell]:
 
 
 def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
-    """Ascending intervals, none begun before the one before it ended: controller segments may overlap in host time."""
+    """Return ascending intervals that do not overlap: controller segments may overlap in host time."""
     disjoint: list[tuple[int, int, int]] = []
     for dwell, start, end in intervals:
         start = max(start, disjoint[-1][2] + 1) if disjoint else start
@@ -254,7 +273,7 @@ def disjoint(intervals: list[tuple[int, int, int]]) -> list[tuple[int, int, int]
 
 
 def _pair(found: Survey, rig: Rig, rules: DwellRules) -> list[Dwell]:
-    """The dwells with what was mounted. A dwell that is already rejected takes no pose from its neighbour."""
+    """Return the dwells with what was mounted. A rejected dwell takes no pose from its neighbour."""
     dwells = list(found.dwells)
     good = [i for i, dwell in enumerate(dwells) if not dwell.reason]
     said = [found.marks.mounted_at(dwells[i].start_host_ns) for i in good]
@@ -287,7 +306,7 @@ def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwel
 def _unmatched(
     dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules, said: Mapping[str, str]
 ) -> tuple[str, str]:
-    """Why a dwell is no pose of the plan: the reason, and how far off it is."""
+    """Return the reason why a dwell is not a pose of the plan, and its distance."""
     nearest, distance = nearest_pose(dwell.q, plan)
     if nearest < 0:
         return "no plan match", f"the plan is of {plan.q.shape[1]} joints"
@@ -300,7 +319,7 @@ def _unmatched(
 
 
 def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:
-    """The dwell with its fittings, or with the reason that it lacks some."""
+    """Return the dwell with its fittings, or with the reason why some are missing."""
     if any(key not in mounted for key in BAR_MOUNTED):
         return replace(dwell, pose=pose, mounted=mounted, reason="no plan match")
     _check_rig(mounted, rig)
@@ -317,9 +336,9 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
 def table_of(
     dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name: str, bins: Bins | None
 ) -> ObservationTable:
-    """A row of each dwell without a reason, then all rows of the passes; ``name`` is the session's, for ``source``.
+    """Return a table with one row per dwell without a reason, then all rows of the passes.
 
-    ``bins``: of the joints, which say from where they came to a dwell.
+    ``name`` is the session's name for ``source``. ``bins`` of the joints give the direction of approach of each dwell.
     """
     parts = [_of_dwells(dwells, joints, name, bins)]
     parts += [_of_pass(one, number, name) for number, one in enumerate(passes, start=1) if not one.reason]
@@ -337,7 +356,7 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | Non
         side[:] = [came_from(bins, dwell) for _, dwell in rows]
     return ObservationTable(
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
-        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep one letter
+        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep only one letter
         value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
         sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
         source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
@@ -366,12 +385,15 @@ def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:
     )
 
 
-LEAST = 5e-4  # rad or m; a joint that moved less has come from nowhere: a swing about its place is no approach
-BACK_BINS = 200  # how far back the last motion is looked for: 10 s
+LEAST = 5e-4  # rad or m; a smaller motion is a swing about the position, not an approach
+BACK_BINS = 200  # how far back the last motion is searched: 10 s
 
 
 def came_from(bins: Bins, dwell: Dwell) -> Floats:
-    """Direction (j,) of the last motion of each joint before a dwell: −1 or 1, 0 where it did not move or nobody knows."""
+    """Return the direction (j,) of the last motion of each joint before a dwell.
+
+    −1 or 1, or 0 if the joint did not move or the direction is not known.
+    """
     direction = np.zeros(dwell.q.size)
     last = dwell.bins[0]
     while last > 0 and bins.t_first_s[last - 1] >= dwell.stood_s and bins.segment[last - 1] == dwell.segment:
@@ -387,20 +409,21 @@ def came_from(bins: Bins, dwell: Dwell) -> Floats:
 
 # ------------------------------------------------------------------------------------------------ how poses are reached
 
-BEFORE_S = 0.6  # of the approach, looked at with each dwell
-LONG_S = 8.0  # a dwell so long shows slow noise
-FAR = 4.0  # bands; a bar that comes from nearer has not come into the band from outside
-SIGMAS = 6.0  # a band must be wider than so many sigmas of a sample
+BEFORE_S = 0.6  # of the approach, included with each dwell
+LONG_S = 8.0  # a dwell of this length shows slow noise
+FAR = 4.0  # bands; a bar that starts nearer has not entered the band from outside
+SIGMAS = 6.0  # a band must be wider than this many standard deviations of a sample
 
 
 @dataclass(frozen=True)
 class Visits:
     """The n dwells of a session that gave an observation.
 
-    ``direction`` (n, j): in which each joint moved last, −1 or 1, 0 where it did not. ``settling`` (n, b) [s]: how long after the
-    bar first came within each of the bands of its mean it stayed there for good; NaN where it did not come from outside
-    or the noise is too large for the band. ``mean_var`` (n, j) [rad², m²]: of the mean reading, its correlation counted, its
-    quantisation not. ``spacing_s`` (n,): time between independent samples. ``rests``: samples [m] of each dwell that has a whole piece.
+    ``direction`` (n, j): the last motion of each joint, −1 or 1, 0 if it did not move. ``settling`` (n, b) [s]: time
+    from first entering each of the bands around the bar's mean to staying in it; NaN if the bar did not come from
+    outside or the noise is too large for the band. ``mean_var`` (n, j) [rad², m²]: variance of the mean reading
+    including correlation, without quantisation. ``spacing_s`` (n,): time between independent samples. ``rests``:
+    samples [m] of each dwell with a gap-free piece.
     """
 
     dwells: tuple[Dwell, ...]
@@ -414,13 +437,13 @@ class Visits:
 
     @property
     def allan(self) -> Allan:
-        """Of the long dwells, of all if none is long."""
+        """Return the Allan deviation of the long dwells, or of all dwells if none is long."""
         long = [rest for rest in self.rests if rest.size * self.period_s >= LONG_S]
         return allan(long or self.rests, self.period_s)
 
 
 def joined(parts: Sequence[Visits]) -> Visits:
-    """The visits of a session's parts, with the same bands, as one."""
+    """Join the visits of a session's parts, which have the same bands."""
     with_samples = [part.period_s for part in parts if part.rests]
     return Visits(
         dwells=tuple(dwell for part in parts for dwell in part.dwells),
@@ -439,7 +462,7 @@ def visits(
     rig: Rig,
     bands: Sequence[float],
 ) -> Visits:
-    """What the dwells of ``result`` have in common with the samples around them. ``bands`` [m] are those of the settling."""
+    """Combine the dwells of ``result`` with the samples around them. ``bands`` [m] are those of the settling time."""
     used = [dwell for dwell in result.dwells if not dwell.reason]
     bins = result.survey.joints.bins
     rests: list[Floats] = []
@@ -467,9 +490,9 @@ def visits(
 
 
 def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:
-    """From the first sample (n,) in the band to the one from which all are (ISO 9283, 7.4), after the last far excursion.
+    """Return the time from the first sample (n,) in the band to the one from which all are in it (ISO 9283, 7.4).
 
-    NaN where the samples did not come from outside.
+    Counted after the last large excursion. NaN if the samples did not come from outside.
     """
     size = np.abs(deviation)
     farthest = float(np.max(size, initial=0.0))
@@ -485,7 +508,7 @@ def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float
 
 
 def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
-    """Variance (j,) of the mean reading of a dwell, by the means of its bins."""
+    """Return the variance (j,) of the mean reading of a dwell, from the means of its bins."""
     means = bins.mean[slice(*dwell.bins)]
     if len(means) < 4:
         return np.full(means.shape[1], np.nan)

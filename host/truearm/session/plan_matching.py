@@ -1,19 +1,20 @@
-"""Which bar, chuck and sphere a dwell belongs to: by the plan, or by what was said to be mounted (hop 5).
+"""Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted (hop 5).
 
-A robot follows its plan in order, but a pose may be left out, visited twice, or stopped at in between, and the program may be
-stopped and begun again. The pairing is therefore a way through the plan: (dwell, pose) pairs that are near in joint space,
-each dwell in one of them. It gains 1 for every pair and pays REPEAT for standing at the pose before once more and BACK for
-going back in the plan; of ways that are worth the same, the one with the smaller distances. Going on costs nothing, however
-many poses are left out. So one stop that happens to lie near an earlier pose is no restart, two in a row are. The best way
-is found dwell by dwell, the best that ends before a pose by a Fenwick tree: O(k log k) for k near pairs.
+A robot follows its plan in order. A pose may be left out, visited twice, or stopped at in between, and the program may
+be stopped and begun again. The assignment is therefore a path through the plan: (dwell, pose) pairs that are near in
+joint space, with each dwell in at most one of them. The path gains 1 for every pair. It pays REPEAT for staying at the
+previous pose and BACK for going back in the plan. Among paths of equal value the one with the smaller distances is
+chosen. Moving forward costs nothing, however many poses are skipped. A single stop near an earlier pose is therefore
+not a restart, but two in a row are. The best path is computed dwell by dwell; a Fenwick tree gives the best one that
+ends before a pose. This takes O(k log k) for k near pairs.
 
-A plan may hold the same joint pose twice with different fittings. Where dwells are missing, several ways are then worth the
-same, and nothing says which of them the robot took: a dwell to which such ways give different bars, chucks or spheres
-is **ambiguous**. A pair lies on a best way exactly if the best way that ends at it and the best that begins at it, less the
-pair that they share, are worth that much. Distances do not decide here: a robot that misses its poses by a little more on one
-side would be given another bar.
+A plan may contain the same joint pose twice with different fittings. If dwells are missing, several paths may then have
+the same value, and nothing shows which one the robot took. A dwell to which such paths assign different bars, chucks or
+spheres is **ambiguous**. A pair lies on a best path exactly if the best path ending at it plus the best path beginning
+at it, minus the pair they share, has the best value. Distances do not decide here: otherwise a robot that misses its
+poses by a little more on one side would be assigned another bar.
 
-Lines: which leg was which line: by the plan, or by what was said to be mounted (hop 5).
+Legs are assigned to lines in the same way, by the plan or by what was said to be mounted.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ import numpy as np
 
 from truearm.errors import RigError
 from truearm.session.joint_readings import MAX_JOINTS
-from truearm.session.line_passes import LONGEST_S, Leg, Pass
+from truearm.session.line_legs import Leg
+from truearm.session.line_passes import LONGEST_S, Pass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig
 
 NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)
@@ -36,19 +38,19 @@ FITTINGS = (*NAMED, "shell")
 MAX_NAME = 64
 REPEAT = 0.25
 BACK = 1.125
-WIDER = 1.0 + 1e-9  # than the tolerance: rounding must not cost a pose that is just within it
+WIDER = 1.0 + 1e-9  # times the tolerance: rounding must not exclude a pose that is just within it
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The poses at which the ball-bar is read, or the ends of lines, in their order: q (p, j) and what is mounted at each."""
+    """The poses at which the ball-bar is read, or the ends of lines, in order: q (p, j) and what is mounted at each."""
 
     q: Floats
     mounted: tuple[dict[str, str], ...]
 
 
 class Row(NamedTuple):
-    """A row of the plan as ``/plan`` has it (``types.Plan``)."""
+    """A row of the plan as in ``/plan`` (``types.Plan``)."""
 
     q: list[float]
     mounted: dict[str, str]  # of FITTINGS
@@ -57,7 +59,7 @@ class Row(NamedTuple):
 
 @dataclass
 class Marks:
-    """Gathers what ``/plan`` and ``/events`` say."""
+    """Collects the contents of ``/plan`` and ``/events``."""
 
     rows: list[Row] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
@@ -92,11 +94,11 @@ class Marks:
 
     @property
     def dwells(self) -> list[int]:
-        """The rows at which the ball-bar is read."""
+        """Return the rows at which the ball-bar is read."""
         return [number for number, row in enumerate(self.rows) if row.move == Move.DWELL]
 
     def plan(self) -> Plan | None:
-        """The poses of ``dwells``, None without any."""
+        """Return the poses of ``dwells``; None if there are none."""
         poses = [self.rows[number] for number in self.dwells]
         if not poses:
             return None
@@ -104,11 +106,11 @@ class Marks:
 
     @property
     def names_lines(self) -> bool:
-        """Whether a line was planned or said to be mounted."""
+        """Return whether a line was planned or said to be mounted."""
         return any(row.move == Move.LINE for row in self.rows) or any("line" in said for _, said in self.mountings)
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
-        """What was said to be mounted at a time; empty before the first word."""
+        """Return what was said to be mounted at a time; empty before the first statement."""
         times = [t for t, _ in self.mountings]
         index = int(np.searchsorted(np.array(times, dtype=np.int64), t_host_ns, side="right"))
         return self.mountings[index - 1][1] if index else {}
@@ -116,15 +118,16 @@ class Marks:
 
 @dataclass(frozen=True)
 class Matches:
-    """The planned pose of each dwell, None where there is none, and the fittings ("b46 c1 s1") that suit a dwell equally
-    well where they differ."""
+    """The planned pose of each dwell, None if there is none, and the possible fittings ("b46 c1 s1") of ambiguous
+    dwells.
+    """
 
     poses: tuple[int | None, ...]
     ambiguous: Mapping[int, tuple[str, ...]]
 
 
 class _Pair(NamedTuple):
-    """A dwell near a planned pose; ``closeness`` is 0 to 1, and so small that all of them together are less than REPEAT."""
+    """A dwell near a planned pose. ``closeness`` is 0 to 1, scaled so that the sum over all pairs is less than REPEAT."""
 
     dwell: int
     pose: int
@@ -132,10 +135,10 @@ class _Pair(NamedTuple):
 
 
 def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
-    """Which planned pose each dwell is.
+    """Assign a planned pose to each dwell.
 
-    ``q`` (d, j): mean readings in order; ``tolerance`` [rad or m] holds for every joint; ``said``: what events said to be
-    mounted at each dwell, which a pose must not contradict.
+    ``q`` (d, j): mean readings in order. ``tolerance`` [rad or m] applies to every joint. ``said``: what events said to
+    be mounted at each dwell; the pose must not contradict it.
     """
     pairs = _near_pairs(q, plan, tolerance, said)
     matched: list[int | None] = [None] * len(q)
@@ -148,7 +151,7 @@ def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[s
 
 
 def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
-    """The planned pose nearest to one mean reading (j,), and its distance in the joint that is furthest off."""
+    """Return the planned pose nearest to one mean reading (j,), and the largest joint distance to it."""
     if q.shape[0] != plan.q.shape[1]:
         return -1, float("nan")
     distance = np.max(np.abs(plan.q - q), axis=1)
@@ -156,7 +159,7 @@ def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
 
 
 def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
-    """Near pairs by dwell, then by pose."""
+    """Return the near pairs by dwell, then by pose."""
     if not len(q) or q.shape[1] != plan.q.shape[1]:
         return []
     order = np.argsort(plan.q[:, 0])
@@ -175,15 +178,15 @@ def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[
 
 
 def contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
-    """Whether what was said to be mounted is not what the plan has."""
+    """Return whether what was said to be mounted contradicts the plan."""
     return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in NAMED)
 
 
 def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
-    """What the best way that ends at each pair is worth, and the pair before it on that way, -1 for none."""
+    """Return the value of the best path that ends at each pair, and the previous pair on that path (-1 for none)."""
     nothing = (0.0, -1)
-    tree = [nothing] * (poses + 1)  # of the best ways that end before a pose
-    at: dict[int, tuple[float, int]] = {}  # the best way that ends at a pose
+    tree = [nothing] * (poses + 1)  # of the best paths that end before a pose
+    at: dict[int, tuple[float, int]] = {}  # the best path that ends at a pose
     best = nothing
     worth: list[float] = []
     before: list[int] = []
@@ -197,7 +200,7 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
             coming = max(coming, (again[0] - REPEAT, again[1]), (best[0] - BACK, best[1]))
             worth.append(coming[0] + 1.0 + closeness[k])
             before.append(coming[1])
-        for k, pose in of_dwell:  # only now: a dwell is in one pair
+        for k, pose in of_dwell:  # only now: a dwell is in at most one pair
             way = (worth[k], k)
             best, at[pose] = max(best, way), max(at.get(pose, nothing), way)
             i = pose + 1
@@ -207,9 +210,9 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
 
 
 def _ambiguous(pairs: list[_Pair], plan: Plan) -> dict[int, tuple[str, ...]]:
-    """The dwells to which ways of the greatest worth give different fittings, and those."""
+    """Return the dwells to which paths of the highest value assign different fittings, and these fittings."""
     poses = len(plan.q)
-    exact = [0.0] * len(pairs)  # eighths: sums of them are exact
+    exact = [0.0] * len(pairs)  # multiples of 1/8: their sums are exact
     ending, _ = _ways(pairs, exact, poses)
     backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
     beginning = _ways(backward, exact, poses)[0][::-1]
@@ -237,11 +240,11 @@ def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[Pass]:
-    """The legs that may be lines, in order; what already rules one out is its reason.
+    """Return the legs that may be lines, in order; a leg that is already ruled out carries its reason.
 
-    With lines in the plan a leg is one that goes from the row before to the line's own, in the order of the plan; without, one
-    during which a line was mounted all the time. Of a leg that is none of the plan's, with a line mounted, the device will
-    say whether the magnet moved along it. Raises RigError where a line or target is not in the rig.
+    With lines in the plan, a leg is a motion from the previous row to the line's own row, in the order of the plan.
+    Without, it is a motion during which a line was mounted all the time. For a leg outside the plan with a line
+    mounted, the device shows whether the magnet moved along it. Raises RigError if a line or target is not in the rig.
     """
     said = [_mounted(marks, leg) for leg in legs]
     plan, rows = planned_lines(marks)
@@ -255,7 +258,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
 
 
 def planned_lines(marks: Marks) -> tuple[Plan | None, list[int]]:
-    """The lines of the plan, q (p, 2j) being the joints at both ends, and their rows; None without any."""
+    """Return the lines of the plan and their rows; None if there are none. q (p, 2j) holds the joints at both ends."""
     rows = [k for k, row in enumerate(marks.rows) if row.move == Move.LINE and k > 0 and "line" in row.mounted]
     if not rows:
         return None, rows
@@ -282,14 +285,14 @@ def _too_long(leg: Leg) -> bool:
 
 
 def _mounted(marks: Marks, leg: Leg) -> dict[str, str]:
-    """What was said to be mounted during all of a leg; empty where that changed."""
+    """Return what was said to be mounted during all of a leg; empty if that changed."""
     first, last = (marks.mounted_at(t) for t in (leg.start_host_ns, leg.end_host_ns))
     return first if first == last else {}
 
 
 def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
     for key, names in (("line", rig.lines), ("target", rig.targets)):
-        as_they_come = key == "line" and not names  # a rig that lists no lines takes any
+        as_they_come = key == "line" and not names  # a rig that lists no lines accepts any
         if mounted.get(key) and mounted[key] not in names and not as_they_come:
             have = ", ".join(sorted(names)) or "none"
             raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have})")

@@ -1,17 +1,19 @@
-"""Reading a session file, complete or cut off in the middle, within bounds.
+"""Read a session file, complete or truncated, within bounds.
 
-The records' layout is the mcap library's; the walk over them is ours for two reasons: a stranger's file may claim any
-size, which the library would allocate, and messages are wanted as they stand in the file, several times faster
-than through its indices (1.3 µs a message of 200 bytes).
+The record layout is that of the mcap library. Iterating over the records is done here for two reasons. An untrusted
+file may claim any size, which the library would allocate. And messages are needed in the order of the file, which is
+several times faster than through its indices (1.3 µs for a message of 200 bytes).
 
-**What is whole of a damaged session** (``salvage()``): every record that can be checked, and where and how much is missing between.
+**Recovering a damaged session** (``salvage()``) finds every record that can be verified, and where and how much is
+missing in between.
 
-A chunk has a CRC of its own, so one flipped bit costs the second of messages that a chunk holds. Where a record's length is
-wrong or bytes are missing, the next record that proves to be one is searched for: by its opcode and a sane length, then
-by its content. The file is read once; a stranger's file that is made of false starts is given up.
+Each chunk has its own CRC, so one flipped bit costs the second of messages in that chunk. If a record's length is wrong
+or bytes are missing, the next valid record is searched for: first by its opcode and a plausible length, then by its
+content. The file is read once. The search is abandoned if an untrusted file consists of false starts.
 
-Metadata (the clock's anchors, the box's ident) have a CRC among their entries. What has none (headers, metadata of other
-programs) is taken as it stands; if a complete file does not fit its CRC and no place is found, that is said.
+Metadata (the clock's anchors, the box's ident) have a CRC among their entries. Records without one (headers, metadata
+of other programs) are accepted as they are. If a complete file does not match its CRC and the damaged place is not
+found, this is reported.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from mcap.records import Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from truearm.errors import Argument, SessionError
+from truearm.progress import step
 from truearm.session.message_columns import (
     ADVICE,
     CHANNELS,
@@ -63,7 +66,7 @@ class Session:
     """An opened session file.
 
     ``truncated``: the recorder did not complete it; ``messages`` then ends where the file does. ``metadata`` maps
-    record names to their entries (of several records of one name the last), ``attachments`` names to bytes.
+    record names to their entries (of several records with one name, the last). ``attachments`` maps names to bytes.
     ``damage``: what ``messages`` leaves out elsewhere, if that was allowed.
     """
 
@@ -71,55 +74,58 @@ class Session:
     metadata: dict[str, dict[str, str]]
     attachments: dict[str, bytes]
     truncated: bool
-    spans: tuple[tuple[int, int], ...]  # bytes between which there are whole records alone
+    spans: tuple[tuple[int, int], ...]  # byte ranges that contain only complete records
     channels: dict[int, str] = field(default_factory=dict)  # that the records themselves may not declare
     damage: tuple[Damage, ...] = ()
-    unread_bytes: int = 0  # of a damaged file: those that stand in no whole record
-    counted: dict[str, int] = field(default_factory=dict)  # messages by topic as a damaged file's end has them
+    unread_bytes: int = 0  # of a damaged file: bytes that are not in a complete record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic according to the end of a damaged file
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Messages of ``topics`` (all if None) in the order in which they were written.
+        """Yield messages of ``topics`` (all if None) in the order of writing.
 
-        Raises SessionError where the file is damaged.
+        Raises SessionError if the file is damaged.
         """
         wanted = None if topics is None else frozenset([topics] if isinstance(topics, str) else topics)
         for messages in self.batches():
             yield from messages.of(messages.rows(lambda topic: wanted is None or topic in wanted))
 
     def batches(self) -> Iterator[Messages]:
-        """All messages as columns, some megabytes at a time, in the order in which they were written.
+        """Yield all messages as columns, some megabytes at a time, in the order of writing.
 
-        Raises SessionError where the file is damaged.
+        Raises SessionError if the file is damaged.
         """
         return batches(self.path, self.packed(), dict(self.channels))
 
     def numbered(self) -> Iterator[tuple[int, Message]]:
-        """All messages, each with the number that its writer gave it within its topic."""
+        """Yield all messages, each with the number that its writer gave it within its topic."""
         for messages in self.batches():
             yield from zip(messages.sequence.tolist(), messages.of(np.arange(len(messages))), strict=True)
 
     def packed(self) -> Iterator[bytes]:
-        """The records of one chunk after the other."""
-        with open_file(self.path) as file:
+        """Yield the records of one chunk after the other."""
+        first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
+        with open_file(self.path) as file, step(f"reading {self.path.name}") as advance:
             for start, end in self.spans:
                 for opcode, at, length in records(file, end, start):
+                    advance((at - first) / (last - first))
                     if opcode == Opcode.CHUNK:
                         yield chunk_records(self.path, file, at, length)
-                    elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE):  # files of other programs need not have chunks
+                    elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE):  # files of other programs may have no chunks
                         yield RECORD.pack(opcode, length) + body_of(self.path, file, at, length, MAX_CHUNK_BYTES)
 
 
 def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
-    """Open a session file and read all but its messages.
+    """Open a session file and read everything except its messages.
 
-    A file without its end (the recorder was killed, or is still at work) or with damage raises SessionError unless
-    ``allow_damaged``; then what is whole of it is found. Raises SessionError too for what is missing, no MCAP or of absurd
-    size. A complete file is read once as a whole, to hold it against its CRC (1 s a GB); a damaged one a second time.
+    A damaged file, or one without its end (the recorder was killed or is still running), raises SessionError unless
+    ``allow_damaged`` is set; then its intact parts are found. SessionError is also raised if the file is missing, is
+    not MCAP or has an absurd size. A complete file is read once in full to check its CRC (1 s per GB), a damaged one a
+    second time.
     """
     path = Path(path)
     with open_file(path) as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise SessionError(f"{path}: is no MCAP file; give a session that truearm record wrote")
+            raise SessionError(f"{path}: is not an MCAP file; give a session recorded by truearm record")
         try:
             session, proven = _scan(path, file)
         except SessionError:
@@ -130,7 +136,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
             return _salvaged(path, file, known_damaged=False)
     if session.truncated and not allow_damaged:
         raise SessionError(
-            f"{path}: ends in the middle: the recorder was killed or is still running; to use what is there, give ",
+            f"{path}: is incomplete: the recorder was killed or is still running; make it whole with truearm recover, or give ",
             Argument("allow_damaged"),
         )
     return session
@@ -146,7 +152,7 @@ def _salvaged(path: Path, file: BinaryIO, known_damaged: bool) -> Session:
 
 
 def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
-    """The session, and whether a CRC proves that it is as it was written."""
+    """Return the session, and whether a CRC proves that it is unchanged."""
     size = os.fstat(file.fileno()).st_size
     metadata: dict[str, dict[str, str]] = {}
     attachments: dict[str, bytes] = {}
@@ -174,12 +180,12 @@ def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
     if last_chunk is not None:
         end = _without_torn_chunk(path, file, last_chunk, end)
     if has_footer(file, size):
-        damaged(path, end)  # complete, yet the walk did not come to its end: a length is wrong, or bytes are missing
+        damaged(path, end)  # complete, yet the scan did not reach its end: a length is wrong, or bytes are missing
     return Session(path, metadata, attachments, True, ((start, end),)), False
 
 
 def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
-    """Hold all bytes before the record DataEnd against the CRC in it; False if its writer took none."""
+    """Check all bytes before the DataEnd record against the CRC in it; False if the writer stored none."""
     written = int.from_bytes(body_of(path, file, at, length, MAX_METADATA_BYTES)[:4], "little")
     if written == 0:
         return False
@@ -189,12 +195,12 @@ def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
         crc = zlib.crc32(block, crc)
         left -= len(block)
     if crc != written:
-        raise SessionError(f"{path}: is damaged: its bytes do not fit its CRC; ", *ADVICE)
+        raise SessionError(f"{path}: is damaged: its CRC does not match; ", *ADVICE)
     return True
 
 
 def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
-    """Hold the chunks that were found against the file's statistics: a damaged head would hide one."""
+    """Compare the chunks found with the file's statistics: a damaged header would hide a chunk."""
     for opcode, at, length in summary:
         if opcode == Opcode.STATISTICS:
             body = body_of(path, file, at, length, MAX_METADATA_BYTES)
@@ -207,7 +213,7 @@ def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, 
 
 
 def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: int) -> int:
-    """``end``, or the start of the last chunk if a power cut left its place on the disk but not its bytes."""
+    """Return ``end``, or the start of the last chunk if a power cut kept its space on disk but not its bytes."""
     try:
         chunk_records(path, file, *last)
     except SessionError:
@@ -215,24 +221,25 @@ def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: 
     return end
 
 
-# -------------------------------------------------------------------------------------- what is whole of a damaged file
+# ------------------------------------------------------------------------------------------- recovery of a damaged file
 
-MAX_BAD = 1000  # records; each may have cost the unpacking of a chunk
-MAX_TRIES = 100_000  # places looked at in one search; a file of chunks has none that is not one
+MAX_BAD = 1000  # records; for each, a chunk may have been decompressed
+MAX_TRIES = 100_000  # positions checked in one search; a file of chunks has no false ones
 MAX_ITEMS = 1000  # attachments, and metadata records
 MAX_SUMMARY_BYTES = 16 << 20  # a day's chunks
 _BLOCK = 1 << 20
 _DATA_END = RECORD.pack(Opcode.DATA_END, 4)
-# What is searched for: a chunk, an attachment, metadata or the data's end, of less than 4 GiB.
+# What is searched for: a chunk, an attachment, metadata or the end of data, of less than 4 GiB.
 _START = re.compile(rb"[\x06\x09\x0c\x0f](?=.{4}\0{4})", re.DOTALL)
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
 
 @dataclass(frozen=True)
 class Damage:
-    """A place where a file is damaged. ``at``: its first byte, None where only a CRC tells. Seconds of the session.
+    """A place where a file is damaged. ``at``: its first byte, None if only a CRC reveals it. Times in seconds of the
+    session.
 
-    ``lost_s`` of the ``of_s`` seconds are missing, from ``from_s`` after its first message on.
+    ``lost_s`` of the ``of_s`` seconds are missing, starting ``from_s`` after the first message.
     """
 
     at: int | None
@@ -243,46 +250,46 @@ class Damage:
 
 @dataclass
 class Whole:
-    """What was found. ``spans`` are ranges of bytes that hold whole records alone."""
+    """Intact parts of a file. ``spans`` are byte ranges that contain only complete records."""
 
     channels: dict[int, str]
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     spans: list[tuple[int, int]] = field(default_factory=list)
     damage: tuple[Damage, ...] = ()
-    unread_bytes: int = 0  # that stand in no whole record
-    counted: dict[str, int] = field(default_factory=dict)  # messages by topic, as the file's end says
+    unread_bytes: int = 0  # not in a complete record
+    counted: dict[str, int] = field(default_factory=dict)  # messages by topic, according to the end of the file
     first_ns: int | None = None
     last_ns: int | None = None  # of the messages, by MCAP's log time
     _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
 
     def bad(self, at: int) -> None:
-        """A record at ``at`` is none, or not whole; those that follow one another count as one."""
+        """Note that the record at ``at`` is invalid or incomplete; consecutive ones count as one."""
         if not self._gaps or self._gaps[-1][2] is not None:
             self._gaps.append((at, self.last_ns, None))
 
     def good(self, start: int, end: int) -> None:
-        """A record is whole."""
+        """Note a complete record."""
         if self.spans and self.spans[-1][1] == start:
             start = self.spans.pop()[0]
         self.spans.append((start, end))
 
     def declare(self, entries: dict[str, str]) -> None:
-        """What the writer says of its channels outside of the chunks, where it is said at all."""
+        """Note the channels that the writer declares outside of the chunks, if it does."""
         named = {int(number): topic for number, topic in entries.items() if re.fullmatch("[0-9]{1,5}", number)}
         if len(named) <= MAX_CHANNELS:
             self.channels.update(named)
 
     def saw(self, first_ns: int, last_ns: int) -> None:
-        """A whole chunk has messages of these times."""
+        """Note the message times of a complete chunk."""
         self._close(first_ns)
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
     def finish(self, complete: bool, span: tuple[int, int] | None) -> None:
-        """Make ``damage`` of it. ``span``: times of the first and last message as the file's summary has them."""
+        """Compute ``damage``. ``span``: times of the first and last message according to the file's summary."""
         if not complete and self._gaps and self._gaps[-1][2] is None:
-            self._gaps.pop()  # nothing comes behind it: the file just ends there
+            self._gaps.pop()  # nothing follows: the file simply ends there
         first, last = span or (self.first_ns or 0, self.last_ns or 0)
         of_s = 1e-9 * max(0, last - first)
         times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
@@ -297,7 +304,7 @@ class Whole:
 
 
 def words_of(at: int | None, lost_s: float, of_s: float) -> str:
-    """A damaged place in words."""
+    """Describe a damaged place in words."""
     if at is None:
         return (
             "damaged: its bytes do not fit its CRC, though all that have one of their own fit it; a header may be wrong"
@@ -306,7 +313,7 @@ def words_of(at: int | None, lost_s: float, of_s: float) -> str:
 
 
 def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
-    """What is whole of a file, and whether it has its end. Raises SessionError where hardly anything is."""
+    """Return the intact parts of a file, and whether it has its end. Raises SessionError if hardly anything is intact."""
     size = os.fstat(file.fileno()).st_size
     complete = has_footer(file, size)
     channels, span, counted = _summary(path, file, size) if complete else ({}, None, {})
@@ -336,11 +343,11 @@ def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
 
 
 def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: Whole) -> bool:
-    """Whether a record keeps to what can be checked of it; what it holds goes to ``whole``."""
+    """Return whether a record passes all possible checks; its contents are added to ``whole``."""
     body = at + RECORD.size
     try:
         if opcode == Opcode.CHUNK:
-            if not _fits(file, at, body + length):  # the library would pass over bytes behind what the chunk holds
+            if not _fits(file, at, body + length):  # the library would skip bytes after the contents of the chunk
                 return False
             _take_messages(path, chunk_records(path, file, body, length), whole)
         elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.SCHEMA):
@@ -350,7 +357,7 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
         elif opcode == Opcode.METADATA:
             name, entries, proven = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
             whole.metadata[name] = entries
-            if name == CHANNELS and proven:  # wrong names would make other messages of what is whole
+            if name == CHANNELS and proven:  # wrong names would turn intact messages into others
                 whole.declare(entries)
         elif opcode == Opcode.ATTACHMENT:
             name, data = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)
@@ -376,7 +383,7 @@ def _take_messages(path: Path, data: bytes, whole: Whole) -> None:
 
 
 def _may_begin(file: BinaryIO, at: int, size: int) -> bool:
-    """Whether a record may begin at ``at``, or the file ends there: a length that leads elsewhere is wrong."""
+    """Return whether a record may begin at ``at`` or the file ends there; otherwise the length that led there is wrong."""
     if at + RECORD.size > size:
         return at == size
     file.seek(at)
@@ -385,7 +392,7 @@ def _may_begin(file: BinaryIO, at: int, size: int) -> bool:
 
 
 def _search(file: BinaryIO, at: int, size: int) -> int | None:
-    """The next place at which a record seems to begin, None if there is none or it is not found in bounds."""
+    """Return the next position at which a record seems to begin; None if there is none or the limits are reached."""
     tries = 0
     while at + RECORD.size <= size:
         file.seek(at)
@@ -401,7 +408,7 @@ def _search(file: BinaryIO, at: int, size: int) -> int | None:
 
 
 def _fits(file: BinaryIO, at: int, size: int) -> bool:
-    """Whether the lengths inside a record agree with its own."""
+    """Return whether the lengths inside a record agree with its own."""
     file.seek(at)
     opcode, length = RECORD.unpack(file.read(RECORD.size))
     if length > size - at - RECORD.size:
@@ -425,10 +432,10 @@ _Summary = tuple[dict[int, str], tuple[int, int] | None, dict[int, int]]
 
 
 def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
-    """What a complete file says again at its end: its channels, the times of its first and last message, and how many
-    messages each channel has.
+    """Return what a complete file repeats at its end.
 
-    Where bytes are missing, the footer's offset is wrong: the summary is what follows the data's end.
+    These are its channels, the times of its first and last message, and the number of messages per channel. If bytes
+    are missing, the footer's offset is wrong: the summary is then what follows the end of data.
     """
     tail = min(size, MAX_SUMMARY_BYTES)
     file.seek(size - tail)
@@ -449,6 +456,6 @@ def _summary(path: Path, file: BinaryIO, size: int) -> _Summary:
                 statistics = Statistics.read(ReadDataStream(io.BytesIO(body)))
                 span = statistics.message_start_time, statistics.message_end_time
                 counts = statistics.channel_message_counts
-    except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it serves
+    except (SessionError, *UNREADABLE):  # the summary is damaged too: what was read of it is used
         pass
     return channels, span, counts

@@ -1,10 +1,11 @@
-"""A session's messages as columns, batch by batch: all that was recorded, for other programs (``truearm export-session``).
+"""Convert the messages of a session to columns, batch by batch, for other programs (``truearm export-session``).
 
-Titles end in the unit. Each batch is a mapping of titles to columns of equal length; a table's titles stay the same from its first
-batch on. Where a box or a robot describes itself otherwise later (other channels, other keys), another table begins, ``NAME-2``.
-Nothing is left out, filled in or averaged: a gap is marked where it is.
+Titles end in the unit. Each batch is a mapping of titles to columns of equal length. A table's titles stay the same
+from its first batch on; if a box or a robot later describes itself differently (other channels, other keys), another
+table ``NAME-2`` begins. Nothing is left out, filled in or averaged: gaps are marked.
 
-Plan, dwells and passes are columns too (``plan_columns()``, ``dwell_columns()``, ``pass_columns()``). A number that is not known is NaN, a whole one UNKNOWN.
+Plan, dwells and passes are columns too (``plan_columns()``, ``dwell_columns()``, ``pass_columns()``). An unknown number
+is NaN, an unknown integer UNKNOWN.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from truearm.session.samples import extension, volts, with_ratios
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Message
 from truearm_wire import messages as wire
 
-BLOCKS = 512  # of samples, in a batch
-ROWS = 2048  # of small messages, in a batch
+BLOCKS = 512  # of samples, per batch
+ROWS = 2048  # of small messages, per batch
 MAX_TABLES = 100
-UNKNOWN = -1  # a whole number that is not known
+UNKNOWN = -1  # an unknown integer
 
 Columns = dict[str, NDArray[Any]]
 Batch = tuple[str, Columns]
-Ready = tuple[int, str, Columns]  # a batch and the message with which it is complete
+Ready = tuple[int, str, Columns]  # a batch and the message that completes it
 
-# Optional keys of a reading and how their columns are titled (docs/session-format.md).
+# Optional keys of a reading and the titles of their columns (docs/reference/session-format.md).
 _TITLES = {
     **{"q_cmd": "q_cmd{0}_{1}", "qd": "qd{0}_{1}_s", "current": "current{0}_A", "effort": "effort{0}_{2}"},
     **{name: name for name in ("inputs", "robot_mode", "runtime_state")},
@@ -53,10 +54,10 @@ _TORQUE = {"rad": "Nm", "m": "N"}
 
 
 def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
-    """(table, columns) of all messages of the session that ``found`` is of, in one pass; memory does not grow with it.
+    """Yield (table, columns) for all messages of the session surveyed in ``found``, in one pass with constant memory.
 
-    ``joint_units``: "rad" or "m" for each joint ("rad" where none is given).
-    Raises SessionError where the box describes itself in ever new ways.
+    ``joint_units``: "rad" or "m" for each joint ("rad" if not given). Raises SessionError if the box's description
+    keeps changing.
     """
     names = _Names()
     reader = BoxReader(found.batches.ident, keep_exchanges=False)
@@ -72,7 +73,7 @@ def tabulate(found: Survey, joint_units: Sequence[str] = ()) -> Iterator[Batch]:
 
 @dataclass
 class _Names:
-    """The table that columns of these titles belong to."""
+    """Assigns the table for columns with these titles."""
 
     known: dict[tuple[str, tuple[str, ...]], str] = field(default_factory=dict)
 
@@ -81,7 +82,7 @@ class _Names:
         if key not in self.known:
             if len(self.known) >= MAX_TABLES:
                 raise SessionError(
-                    f"the session would become more than {MAX_TABLES} tables; truearm record writes a dozen"
+                    f"the session would become more than {MAX_TABLES} tables; a session of truearm record has about a dozen"
                 )
             before = sum(other == name for other, _ in self.known)
             self.known[key] = f"{name}-{before + 1}" if before else name
@@ -90,7 +91,7 @@ class _Names:
 
 @dataclass
 class _Rows:
-    """Small messages of one table until there are enough of them."""
+    """Collects small messages of one table until there are enough."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
 
@@ -118,7 +119,7 @@ class _Small:
                 yield name, self.completed(table.columns())
 
     def completed(self, columns: Columns) -> Columns:
-        """The columns with what is worked out of all rows together."""
+        """Return the columns, including those computed from all rows together."""
         return columns
 
 
@@ -129,7 +130,7 @@ class _Box(_Small):
         super().__init__()
         self._found = found
         self._reader = reader
-        self._blocks: dict[int, list[Blocks]] = {}  # by stream: of one segment, ident and timing
+        self._blocks: dict[int, list[Blocks]] = {}  # by stream: all of one segment, ident and timing
 
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> Iterator[Ready]:
         for one in blocks:
@@ -147,7 +148,7 @@ class _Box(_Small):
                 yield from self._frame(at, message, row)
 
     def completed(self, columns: Columns) -> Columns:
-        """With the host's times of what the box stamped."""
+        """Add the host times of the box's stamps."""
         if "host_time_ns" in columns:
             for segment in np.unique(columns["segment"]).tolist():
                 if segment in self._found.clocks:
@@ -162,7 +163,7 @@ class _Box(_Small):
         yield from super().flush()
 
     def _stream(self, blocks: Blocks) -> Iterator[Ready]:
-        """Blocks of one stream: tables of BLOCKS of one segment, ident and timing."""
+        """Collect blocks of one stream into tables of BLOCKS of one segment, ident and timing."""
         key, begin = blocks.stream.id, 0
         changes = [*(np.flatnonzero(np.diff(blocks.period_ns)) + 1).tolist(), len(blocks)]
         while begin < len(blocks):
@@ -188,7 +189,7 @@ class _Box(_Small):
         kind = message.topic.rpartition("/")[2]
         names = wire.names(_KINDS[kind])
         if frame is None or any(type(value) is not int or abs(value) >= 2**63 for value in frame):
-            return  # malformed: the survey's account has it
+            return  # malformed: counted by the survey
         row = dict(zip(names, frame[1:], strict=False))
         if "t_us" not in row:
             return
@@ -198,17 +199,18 @@ class _Box(_Small):
         yield from self.add(at, f"box_{kind}", {**said, **times, **values, **named})
 
     def _name(self, segment: int, row: dict[str, Any]) -> str:
-        """Of the thermometer of a reading."""
+        """Return the name of the thermometer of a reading."""
         ident, number = self._found.idents.get(segment), row.get("thermometer", UNKNOWN)
         known = ident is not None and 0 <= number < len(ident.thermometers)
         return ident.thermometers[number] if ident is not None and known else ""
 
 
 def samples(blocks: Blocks, found: Survey) -> Columns:
-    """The samples of blocks: when they were taken, counts and what these mean.
+    """Return the samples of blocks: times, counts and converted values.
 
-    ``device_time_ns`` is the box's stamp; ``host_time_ns`` that instant on the host's clock less the converter's group delay, which
-    is when the signal had that value, with the bound of its error. ``gap`` 1: samples are missing before this one.
+    ``device_time_ns`` is the box's stamp. ``host_time_ns`` is that instant on the host's clock minus the converter's
+    group delay, which is when the signal had that value; the bound of its error is given too. ``gap`` 1: samples are
+    missing before this one.
     """
     stream, n, within_ns = blocks.stream, blocks.n, blocks.within_ns()
     counts = with_ratios(blocks.counts(), stream.channels)
@@ -239,7 +241,7 @@ def samples(blocks: Blocks, found: Survey) -> Columns:
 
 
 def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Counts, what the converter saw, and what the calibration makes of that in SI units."""
+    """Return counts, the converter's input, and the calibrated value in SI units."""
     name = _clean(channel.name) or unnamed
     yield f"{name}_counts", counts
     if channel.fault:
@@ -256,7 +258,7 @@ def _channel(counts: NDArray[np.int32], channel: Channel, unnamed: str) -> Itera
 
 
 class _Robot:
-    """The readings of the robot, in order of arrival, each with its place on the host's clock."""
+    """The readings of the robot in order of arrival, each with its host time."""
 
     def __init__(self, found: Survey, units: Sequence[str]) -> None:
         self._clocks = found.joints.clocks
@@ -266,7 +268,7 @@ class _Robot:
             raise SessionError(f"the session has readings of {n} joints, the robot has {len(self._units)}")
         self._order = ReadingOrder(len(self._units) or None)
         self._segment = -1
-        self._keys: set[str] = set()  # optional ones that came so far
+        self._keys: set[str] = set()  # optional keys seen so far
 
     def take(self, messages: Messages) -> Iterator[Ready]:
         for batch in self._joined(self._order.take(messages)):
@@ -276,7 +278,7 @@ class _Robot:
         yield from self._joined(self._order.finish())
 
     def _joined(self, pieces: Sequence[tuple[bool, JointBatch]]) -> Iterator[Batch]:
-        """One table of pieces of one segment each."""
+        """Return tables of pieces of one segment each."""
         if not pieces:
             return
         segments = self._segment + np.cumsum([begins for begins, _ in pieces])
@@ -334,12 +336,15 @@ def _kind(text: str) -> str:
 
 
 def _clean(text: str) -> str:
-    """A stranger's name as part of a title."""
+    """Return an untrusted name as part of a title."""
     return re.sub(r"[^A-Za-z0-9_/°µ-]+", "_", text)[:32]
 
 
 def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | None:
-    """The plan's rows as they were recorded, via points and lines too; None without any. ``pose`` is what dwells and passes name."""
+    """Return the plan's rows as recorded, including via points and lines; None if there are none.
+
+    ``pose`` is the number that dwells and passes refer to.
+    """
     rows = found.marks.rows
     if not rows:
         return None
@@ -354,7 +359,7 @@ def plan_columns(found: Survey, joint_units: Sequence[str] = ()) -> Columns | No
 
 
 def dwell_columns(found: Survey, dwells: Sequence[Dwell], joint_units: Sequence[str] = ()) -> Columns:
-    """A row a dwell, those that gave no observation too, with the reason."""
+    """Return one row per dwell; those without an observation have a reason."""
     units = tuple(joint_units) or ("rad",) * len(found.joints.step)
     return {
         "dwell": np.arange(1, len(dwells) + 1),
@@ -379,7 +384,10 @@ def dwell_columns(found: Survey, dwells: Sequence[Dwell], joint_units: Sequence[
 
 
 def pass_columns(passes: Sequence[Pass]) -> Columns:
-    """A row a motion along a line, those that gave no rows too, with the reason; ``noise``: of single samples about the motion."""
+    """Return one row per motion along a line; those that gave no rows have a reason.
+
+    ``noise``: standard deviation of single samples about the motion.
+    """
     legs = [one.leg for one in passes]
     noise = np.array([one.noise for one in passes]).reshape(len(passes), 3)
     return {

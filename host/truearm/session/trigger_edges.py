@@ -1,31 +1,45 @@
-r"""Robot controller time ↔ device time by the edges of a trigger line (hop 4).
+r"""Relate robot controller time to device time by the edges of a trigger line (hop 4).
 
-The box toggles a digital input of the controller at random times (SPEC §6). Its hardware stamps each edge; the controller's readings show
-between which two of them the input changed. An input is late, by a delay of its own for each direction: a coupler switches on sooner than
-off, a filter adds to both. So controller time c(d) of device time d keeps to two bounds, a cycle apart where no reading is missing::
+The box toggles a digital input of the controller at random times (SPEC §6). Its hardware stamps each edge; the
+controller's readings show between which two of them the input changed. An input is delayed differently in each
+direction: an optocoupler switches on faster than off, and a filter adds to both. So the controller time c(d) at device
+time d has two bounds, one cycle apart if no reading is missing::
 
     last reading with the old level  <  c(edge) + delay of that direction  ≤  first reading with the new level
 
-**Unknown** are the two delays, and whether the input is inverted. Each direction therefore has a clock of its own, c + its delay. An exchange says as much of the
-host's clock, so all lines that keep to the bounds are found as there (``clock_windows``), in overlapping windows. Edges
-fall anywhere in a cycle, thus n of them leave some nths of a cycle open; no latency comes in.
+**Unknown** are the two delays, and whether the input is inverted. Each direction therefore has a clock of its own, c +
+its delay. The bounds have the same form as those of an exchange for the host's clock, so all lines that satisfy them
+are found in the same way (``clock_windows``), in overlapping windows. Edges occur anywhere within a cycle, so n of them
+narrow the uncertainty to a few nths of a cycle. Latency plays no role.
 
-**No edge shows a delay itself**, only how far the two are apart: a delay that both have looks like an earlier clock. No delay is negative, and the shorter one is taken to be at
-most SHORTEST_DELAY_NS, as it is of an input without a filter. With that, c lies between the earlier clock less SHORTEST_DELAY_NS and the earlier clock; where the bounds
-do not tell which is the earlier one, in the union of what both allow. That is the **bound**. It holds if the shorter delay is within that range, and
-the two clocks drift apart by no more than 1 ppm a minute (the first assumption of ``clock_windows``; both are crystals that nothing slews). What a filter's delay exceeds the range by is constant, and part of the delay τ;
-so is what lies between the instants of a reading's joints and of its inputs.
+All edges together allow less than each direction separately, because the two clocks differ by a constant and bend
+slowly. ``edge_ranges`` computes these ranges. If the edges contradict each other there, or all have the same direction,
+only the windows' lines are used.
 
-The **estimate** is the middle of that range. Of the lines that edges allow, it takes the middle one of those with the rate that arrivals tell, or the rate nearest to it that is possible: edges
-a cycle wide tell offsets well and rates poorly, of arrivals it is the other way round. What arrivals say only chooses among what edges allow, the bound owes them nothing.
+**No edge shows a delay itself**, only the difference of the two: a delay common to both looks like an earlier clock. No
+delay is negative, and the shorter one is assumed to be at most SHORTEST_DELAY_NS, as for an input without a filter.
+With that, c lies between the earlier clock minus SHORTEST_DELAY_NS and the earlier clock. If the bounds do not show
+which clock is the earlier one, c lies in the union of what both allow. That is the **bound**. It holds under two
+conditions. The shorter delay must be within that range. The two clocks must drift apart by no more than 1 ppm per
+minute (the first assumption of ``clock_windows``; both are crystals that nothing slews). Any excess of a filter's delay
+over the range is constant and becomes part of the delay τ. So does any difference between the sampling instants of a
+reading's joints and its inputs.
 
-**Windows** are of 60 s for edges that come every 0.1 s: longer ones would leave more to the drift than they take from a cycle of 2 ms. Each window is true at
-any time, so what windows of 120 s exclude, which hold more of edges that come less often, is excluded too.
+The **estimate** is the middle of that range if it is narrow. If it is wide, the lines allowed by the edges are first
+restricted to the rate given by arrivals, or to the nearest possible rate, and the middle of those is used. Edges a
+cycle wide determine offsets well and rates poorly; for arrivals it is the other way round. Arrivals only choose among
+what edges allow; the bound does not depend on them.
 
-**Which edge is which**: by the clocks that are known already (arrivals and exchanges), to TOLERANCE_S. A change of the input and an edge belong to each
-other if neither could belong to another one and all go the same way, or all the opposite way. A bouncing contact or a gap in the readings makes several
-possible: these are left out and counted. What contradicts the rest is rejected as in ``clock_windows``; but an edge alone against all others is one that
-was paired wrongly or bounced between two readings, not a clock that jumped and came back, so the bound does not reach for it.
+**Windows** are 60 s long for edges every 0.1 s: longer ones would lose more to drift than they gain on a cycle of 2 ms.
+Every window is valid at any time, so the range is also restricted by windows of 120 s, which contain more edges if
+these are less frequent.
+
+**Matching edges** uses the clocks that are already known (arrivals and exchanges), to within TOLERANCE_S. A change of
+the input and an edge are matched if neither could belong to another one and all have the same polarity, or all the
+opposite one. A bouncing contact or a gap in the readings makes several matches possible: these are left out and
+counted. Edges that contradict the rest are rejected as in ``clock_windows``. A single edge that contradicts all others
+was matched incorrectly or bounced between two readings; a clock does not jump and return. The bound therefore is not
+extended for it.
 """
 
 from __future__ import annotations
@@ -40,21 +54,23 @@ from numpy.typing import NDArray
 
 from truearm.session.clock_windows import Window, blended, lower_hull, windows_of
 from truearm.session.device_clock import DeviceClock
+from truearm.session.edge_ranges import EdgeRanges, edge_ranges
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.session.robot_clock import EdgeReport, RobotClock
 from truearm.types import Floats
 
 Ints = NDArray[np.int64]
 
-SHORTEST_DELAY_NS = 15_000.0  # the most that the quicker direction of an input is late; of a coupler without a filter
+SHORTEST_DELAY_NS = 15_000.0  # upper limit for the shorter delay of an input: an optocoupler without a filter
 WINDOWS_US = (60_000_000, 120_000_000)
-RATE_US = 30_000_000  # to both sides of a window's centre: where arrivals are asked for the rate
-TOLERANCE_S = 0.1  # that arrivals may be late, and less than half the time between edges
+RATE_US = 30_000_000  # on both sides of a window's centre: range of arrivals used for the rate
+TOLERANCE_S = 0.1  # possible delay of arrivals; less than half the time between edges
 LEAST_USED = 3
-LEAST_SHARE = 0.5  # of the edges: an input of which fewer fit does something else
-STAMP_NS = 1000  # edges' stamps are at most 0.3 µs late, readings' are printed to the microsecond
-NODE_S = 10.0  # between the places at which a clock of the host's time is worked out
-LATENCY_NS = 1e6  # a quick link's shortest latency: with wider bounds than that arrivals know more
+LEAST_SHARE = 0.5  # of the edges: an input that matches fewer serves another purpose
+NARROW_NS = 50_000.0  # on each side: within so narrow a range, arrivals are not used to choose
+STAMP_NS = 1000  # edge stamps are at most 0.3 µs late; readings are printed to the microsecond
+NODE_S = 10.0  # between the points at which the host time is computed
+LATENCY_NS = 1e6  # shortest latency of a fast link: if the bounds are wider, arrivals are more accurate
 
 
 @dataclass(frozen=True)
@@ -66,13 +82,15 @@ class Output:
 
     @classmethod
     def of(cls, edges: Sequence[tuple[int, bool]]) -> Output:
-        """From (device time, level) as they came."""
+        """Build from (device time, level) in order of arrival."""
         t_us, level = zip(*edges, strict=True)
         return cls(np.array(t_us, dtype=np.int64), np.array(level, dtype=np.bool_))
 
 
 class TimedEdges(NamedTuple):
-    """Edges (n,) of the output by ascending device time, each with the controller times [s] between which the input showed it."""
+    """Edges (n,) of the output by ascending device time, each with the controller times [s] between which the input
+    changed.
+    """
 
     t_us: Ints
     level: NDArray[np.bool_]
@@ -81,7 +99,9 @@ class TimedEdges(NamedTuple):
 
 
 class Matched(NamedTuple):
-    """Which change of an input each edge (n,) of the output is, −1 where that is not known, and how many were not told apart."""
+    """Index of the input change that matches each edge (n,) of the output, −1 if unknown, and the number of ambiguous
+    ones.
+    """
 
     change: NDArray[np.intp]
     unseen: int
@@ -90,14 +110,14 @@ class Matched(NamedTuple):
 
     @property
     def paired(self) -> int:
-        """How many edges are some change."""
+        """Number of matched edges."""
         return int(np.sum(self.change >= 0))
 
 
 def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Matched:
-    """Pair edges that are expected at controller times (n,) [s], ascending, with the changes of an input.
+    """Match edges expected at ascending controller times (n,) [s] with the changes of an input.
 
-    ``level`` (n,): what the input becomes.
+    ``level`` (n,): the new level of the input.
     """
     n = expected_s.size
     if not n:
@@ -118,66 +138,77 @@ def match(expected_s: Floats, level: NDArray[np.bool_], changes: Changes) -> Mat
 
 @dataclass(frozen=True)
 class SeenClock:
-    """Device time → the controller time at which the input shows an edge of one direction; ns from a reference."""
+    """Device time → controller time at which the input shows an edge of one direction; ns from a reference."""
 
     windows: tuple[tuple[Window, ...], ...]  # of each length
 
     @classmethod
     def of(cls, rows: Ints, arrivals: Callable[[Ints], Floats]) -> SeenClock | None:
-        """By edges (n, 4) as rows of ``clock_windows``; None where none can be used."""
+        """Build from edges (n, 4) as rows of ``clock_windows``; None if none is usable."""
         if len(rows) < LEAST_USED:
             return None
         each = [tuple(_chosen(window, arrivals) for window in windows_of(rows, length)) for length in WINDOWS_US]
         return cls(tuple(each)) if all(each) else None
 
-    def rejected(self) -> int:
-        """How many edges contradict the others."""
-        return len({t for window in self.windows[0] for t in window.rejected_us})
+    def rejected(self) -> set[int]:
+        """Return the device times of the edges that contradict the others."""
+        return {t for window in self.windows[0] for t in window.rejected_us}
 
     def at(self, t_us: Ints) -> tuple[Ints, Floats, Floats]:
-        """Controller times (n,) of device times, and how far [ns] the truth is behind them, at least and at most."""
+        """Return controller times (n,) of device times, and the range of the true minus these [ns]."""
         seen, bound = blended(self.windows[0], t_us)
         low, high = -bound, bound
         for window in (window for windows in self.windows for window in windows):
             here, reach = window.to_host_ns(t_us)
             behind = (here - seen).astype(np.float64)
             low, high = np.maximum(low, behind - reach), np.minimum(high, behind + reach)
-        torn = low > high  # windows contradict each other: ``blended`` knows what to do
+        torn = low > high  # windows contradict each other: handled by ``blended``
         return seen, np.where(torn, -bound, low), np.where(torn, bound, high)
 
 
 @dataclass(frozen=True)
 class EdgeClock:
-    """Device time → controller time of one segment each, as ``DeviceClock`` is of the host's; ns from ``t_ref_s``."""
+    """Device time → controller time within one segment, like ``DeviceClock`` for the host's; ns from ``t_ref_s``."""
 
     t_ref_s: float
-    earlier: tuple[SeenClock, ...]  # of the direction that is less late; of both where that is not known
+    earlier: tuple[SeenClock, ...]  # of the direction with the shorter delay; of both if that is not known
+    together: EdgeRanges | None  # None if the clock violates DRIFT or all edges have the same direction
     first_us: int
 
     def to_robot_s(self, t_us: Ints) -> tuple[Floats, Floats]:
-        """Controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
+        """Return controller times (n,) [s] of device times (n,) and the bounds (n,) [ns] of their errors."""
         t_us = np.asarray(t_us, dtype=np.int64)
         seen, low, high = (np.array(rows) for rows in zip(*(clock.at(t_us) for clock in self.earlier), strict=True))
         behind = (seen - seen[0]).astype(np.float64)
-        estimate = np.mean(behind + np.clip(0.0, low, high), axis=0) - 0.5 * SHORTEST_DELAY_NS
-        earliest = np.min(behind + low, axis=0) - SHORTEST_DELAY_NS
-        latest = np.min(behind + high, axis=0)  # no delay is negative, whichever is the shorter
-        error = np.maximum(latest - estimate, estimate - earliest)
-        return np.asarray(self.t_ref_s + 1e-9 * (seen[0] + estimate)), error
+        estimate = np.mean(behind + np.clip(0.0, low, high), axis=0)
+        earliest = np.min(behind + low, axis=0)
+        latest = np.min(behind + high, axis=0)  # whichever delay is shorter
+        if self.together is not None:
+            base, lowest, highest = self.together.at(t_us)
+            aside = (base - seen[0]).astype(np.float64)
+            earliest, latest = np.maximum(earliest, aside + lowest), np.minimum(latest, aside + highest)
+            middle, half = 0.5 * (earliest + latest), 0.5 * (latest - earliest)
+            aside_at_most = np.maximum(half - NARROW_NS, 0.0)
+            estimate = np.clip(estimate, middle - aside_at_most, middle + aside_at_most)
+        # No delay is negative, and the shorter one is at most SHORTEST_DELAY_NS.
+        error = np.maximum(latest - estimate, estimate - earliest) + 0.5 * SHORTEST_DELAY_NS
+        return np.asarray(self.t_ref_s + 1e-9 * (seen[0] + estimate - 0.5 * SHORTEST_DELAY_NS)), error
 
 
 class EdgeFit(NamedTuple):
-    """A clock by edges, how many contradict the others, and how much later the output's falling edges are than its rising ones."""
+    """A clock from edges, the number of contradicting edges, and how much later falling output edges are than rising
+    ones.
+    """
 
     clock: EdgeClock
     rejected: int
-    falling_later_ns: tuple[float, float]  # at least and at most; NaN where only one direction can be used
+    falling_later_ns: tuple[float, float]  # at least and at most; NaN if only one direction is usable
 
 
 def fit_edges(t_ref_s: float, edges: TimedEdges, arrivals: Callable[[Ints], Floats]) -> EdgeFit | None:
-    """The clock by edges (n,) of one segment.
+    """Fit the clock to edges (n,) of one segment.
 
-    ``arrivals``: controller times [s] of device times, late or early by whatever constant. None without an edge that can be used.
+    ``arrivals``: controller times [s] of device times, up to an unknown constant. None if no edge is usable.
     """
     low, high = (np.rint(1e9 * (t - t_ref_s)).astype(np.int64) for t in (edges.before_s, edges.after_s))
     rows = np.stack([low - STAMP_NS, edges.t_us, edges.t_us, high + STAMP_NS], axis=1)
@@ -185,24 +216,33 @@ def fit_edges(t_ref_s: float, edges: TimedEdges, arrivals: Callable[[Ints], Floa
     clocks = tuple(clock for clock in each if clock is not None)
     if not clocks:
         return None
-    rejected = sum(clock.rejected() for clock in clocks)
+    left_out = np.array(sorted(set().union(*(clock.rejected() for clock in clocks))), dtype=np.int64)
+    kept = ~np.isin(edges.t_us, left_out)
+    together = edge_ranges(rows[kept], edges.level[kept])
     later = _later_ns(*clocks, edges.t_us) if len(clocks) == 2 else (np.nan, np.nan)
+    if together is not None:
+        later = max(later[0], together.falling_later_ns[0]), min(later[1], together.falling_later_ns[1])
     if 0.0 < later[0] <= later[1]:
         clocks = clocks[:1]
     elif later[0] <= later[1] < 0.0:
         clocks = clocks[1:]
-    return EdgeFit(EdgeClock(t_ref_s, clocks, int(edges.t_us[0])), rejected, later)
+    return EdgeFit(EdgeClock(t_ref_s, clocks, together, int(edges.t_us[0])), left_out.size, later)
 
 
 def _later_ns(first: SeenClock, second: SeenClock, t_us: Ints) -> tuple[float, float]:
-    """How much later the second clock is than the first, at least and at most: it is constant, so all device times (n,) tell."""
+    """Return the least and greatest delay of the second clock relative to the first.
+
+    The delay is constant, so all device times (n,) contribute.
+    """
     (first_ns, first_low, first_high), (second_ns, second_low, second_high) = first.at(t_us), second.at(t_us)
     apart = (second_ns - first_ns).astype(np.float64)
     return float(np.max(apart + second_low - first_high)), float(np.min(apart + second_high - first_low))
 
 
 def _chosen(window: Window, arrivals: Callable[[Ints], Floats]) -> Window:
-    """The window with the middle of its lines at the rate of ``arrivals``, or the nearest that it allows."""
+    """Return the window with the middle of its lines at the rate of ``arrivals``, or at the nearest rate that it
+    allows.
+    """
     ends = window.centre_us + np.array([-RATE_US, RATE_US])
     apart = np.diff(arrivals(ends))[0]
     offsets, rates = window.lines.T
@@ -214,7 +254,7 @@ def _chosen(window: Window, arrivals: Callable[[Ints], Floats]) -> Window:
 
 @dataclass(frozen=True)
 class _Tie:
-    """One segment of the box's time tied to one of the controller's."""
+    """A segment of the box's time tied to a segment of the controller's."""
 
     fit: EdgeFit
     device: DeviceClock
@@ -222,7 +262,7 @@ class _Tie:
 
 
 def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]) -> JointStream:
-    """The readings with their clocks by edges wherever these tell more than arrivals do.
+    """Return the readings, with clocks from edges wherever these are more accurate than arrivals.
 
     ``outputs`` and ``clocks``: of the box's segments.
     """
@@ -242,7 +282,7 @@ def with_edges(joints: JointStream, outputs: Mapping[int, Output], clocks: Mappi
 def _of_segment(
     k: int, joints: JointStream, outputs: Mapping[int, Output], clocks: Mapping[int, DeviceClock]
 ) -> tuple[RobotClock, EdgeReport | None]:
-    """The clock of one segment of controller time, and what the edges say of it."""
+    """Return the clock of one segment of controller time and the report on its edges."""
     arrivals, track, (first_s, last_s) = joints.clocks[k], joints.inputs[k], joints.reports[k].t_robot_s
     edges = _expected(arrivals, outputs, clocks, first_s, last_s)
     if not edges.expected_s.size or not track.readings:
@@ -270,13 +310,13 @@ def _of_segment(
 
 
 def _common(ranges: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """What all ranges that are known have in common; NaN if none is."""
+    """Return the intersection of all known ranges; NaN if none is known."""
     known = np.array([one for one in ranges if np.isfinite(one).all()]).reshape(-1, 2)
     return (float(np.max(known[:, 0])), float(np.min(known[:, 1]))) if len(known) else (np.nan, np.nan)
 
 
 class _Edges(NamedTuple):
-    """Edges (n,) of all segments of the box, by ascending controller time at which arrivals let expect them."""
+    """Edges (n,) of all segments of the box, by ascending controller time expected from arrivals."""
 
     expected_s: Floats
     t_us: Ints
@@ -284,7 +324,7 @@ class _Edges(NamedTuple):
     segment: Ints
 
     def rows(self, which: NDArray[np.intp]) -> _Edges:
-        """Some of them."""
+        """Return a selection of the edges."""
         return _Edges(self.expected_s[which], self.t_us[which], self.level[which], self.segment[which])
 
 
@@ -295,7 +335,7 @@ def _expected(
     first_s: float,
     last_s: float,
 ) -> _Edges:
-    """The edges that came while the controller's readings did."""
+    """Return the edges that occurred while the controller sent readings."""
     parts = [_Edges(np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_), np.empty(0, np.int64))]
     for segment, output in outputs.items():
         if segment in clocks:
@@ -311,7 +351,7 @@ def _expected(
 
 
 class _Followed(NamedTuple):
-    """The input that follows the output, if one does, whether inverted, and how."""
+    """The input that follows the output, if one does, whether it is inverted, and its matches."""
 
     input: int | None
     inverted: bool
@@ -319,7 +359,7 @@ class _Followed(NamedTuple):
 
 
 def _followed(track: InputTrack, edges: _Edges) -> _Followed:
-    """The input and the polarity with the most edges that can be told apart."""
+    """Return the input and the polarity with the most unambiguous matches."""
     n = edges.expected_s.size
     best = none = _Followed(None, False, Matched(np.full(n, -1, dtype=np.intp), n, 0, 0))
     for number in track.inputs():
@@ -352,9 +392,9 @@ def _ties(
 
 
 def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, last_s: float) -> RobotClock:
-    """Controller time → host time by way of device time, worked out every NODE_S.
+    """Convert controller time to host time via device time, computed every NODE_S.
 
-    Between nodes both clocks are all but straight: DRIFT bends them by less than 1 µs in 10 s.
+    Between nodes both clocks are practically straight: DRIFT bends them by less than 1 µs in 10 s.
     """
     nodes = np.linspace(first_s, last_s, max(2, round((last_s - first_s) / NODE_S) + 1))
     best = np.full(nodes.size, np.inf)
@@ -365,7 +405,7 @@ def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, l
         at, of_device = tie.device.to_host_ns(d_us)
         bound = of_robot + of_device
         here = bound < best
-        # Device time is whole microseconds; the rest of the way is shorter than that.
+        # Device time is whole microseconds; the remainder is less than that.
         at = at + np.rint(1e9 * (nodes - robot_s)).astype(np.int64)
         best[here], host[here] = bound[here], at[here]
     dt = 1e9 * (nodes - arrivals.t_ref_s)
@@ -377,7 +417,7 @@ def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, l
 
 
 def _device_us(tie: _Tie, nodes: Floats) -> Ints:
-    """Device times [µs] of controller times [s], by steps of what is left: rates differ by less than 0.1 %."""
+    """Return device times [µs] of controller times [s] by iterating on the remainder: rates differ by less than 0.1 %."""
     begin, _ = tie.fit.clock.to_robot_s(np.array([tie.fit.clock.first_us]))
     d = tie.fit.clock.first_us + np.rint(1e6 * (nodes - begin[0])).astype(np.int64)
     for _ in range(4):

@@ -1,4 +1,4 @@
-"""The work of ``truearm add-joints``: joint readings that were recorded elsewhere, into a copy of a session."""
+"""Add joint readings recorded elsewhere to a copy of a session (``truearm add-joints``)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from truearm.session.session_file import open_session
 class AddJoints:
     """What to add to a session, and how.
 
-    ``zero`` [s] says when the controller's time was 0, after the session's begin; None: its time is UTC. ``replace``: leave out the
-    readings that the session has.
+    ``zero`` [s]: when the controller's time was 0, after the session's begin; None: its time is UTC. ``replace``: leave
+    out the session's own readings.
     """
 
     session: Path
@@ -31,11 +31,13 @@ class AddJoints:
 
 
 def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
-    """Write the session with the readings, whole or not at all; returns how many there are. Raises InputError, SessionError."""
+    """Write the session with the readings, completely or not at all; return their number. Raises InputError,
+    SessionError.
+    """
     check_writable(wanted.out, force, inputs=[wanted.session, wanted.source])
     zero = wanted.zero
     if zero is not None and not abs(zero) < 1e9:
-        raise InputError(Argument("zero"), f" {zero:g} is no time; give seconds")
+        raise InputError(Argument("zero"), f" {zero:g} is not a time; give seconds")
     opened = open_session(wanted.session, wanted.options.allow_damaged)
     readings = readings_of_file(wanted.source, wanted.options)
     said = {
@@ -54,12 +56,12 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
 
 
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
-    """The joints' names from the base on; [] if nobody said. Raises InputError."""
+    """Return the joints' names from the base on; [] if none were given. Raises InputError."""
     if joints is not None and robot.robot is not None:
-        raise InputError(Argument("joints"), " and ", Argument("robot"), " both name the joints; give one")
+        raise InputError(Argument("joints"), " and ", Argument("robot"), " both name the joints; give one of them")
     if robot.robot is not None:
         return [joint.name for joint in load_robot(robot.robot, robot.base, robot.tip).chain.joints]
     names = [] if joints is None else [name.strip() for name in joints.split(",")]
     if "" in names or len(set(names)) < len(names):
-        raise InputError(Argument("joints"), f" {joints!r} is no list of different names: a,b,c")
+        raise InputError(Argument("joints"), f" {joints!r} must be a list of different names: a,b,c")
     return names

@@ -1,4 +1,4 @@
-"""What later commands read of an identification: a result.json and the robot that it is of."""
+"""The result of an identification as used by later commands: a result.json and its robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEFAULT = RobotChoice()
 
 
 class ParameterEstimate(NamedTuple):
-    """A parameter in its SI unit; ``sigma`` is None where it was held, or the observations do not see it.
+    """A parameter in its SI unit; ``sigma`` is None if it was held fixed or the observations do not determine it.
 
     Examples
     --------
@@ -54,11 +54,11 @@ class ParameterEstimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A robot and what was identified of it: what a result.json holds.
+    """A robot and its identified parameters, as stored in a result.json.
 
-    ``nominal`` and ``identified`` are the robot's parameters (p,), ``covariance`` (p, p) is theirs, 0 for what was held.
-    ``unseen`` (p, d) holds the directions that the observations did not see, those held as a choice of frame among them, the
-    largest weight of each being 1.
+    ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified ones, 0
+    for fixed ones. ``unseen`` (p, d) holds the null space: the directions that the observations did not determine,
+    including those fixed as a choice of frame. The largest weight of each direction is 1.
 
     Examples
     --------
@@ -118,7 +118,7 @@ class Calibration:
 
     @property
     def chain(self) -> Chain:
-        """The robot's chain."""
+        """The robot's kinematic chain."""
         return self.robot.chain
 
     @property
@@ -128,14 +128,14 @@ class Calibration:
 
     @property
     def document(self) -> Mapping[str, Any]:
-        """The content of result.json (docs/result-format.md)."""
+        """The content of result.json (docs/reference/result-format.md)."""
         return self.stored.document
 
 
 def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration:
-    """Read a result and its robot; without a choice, the built-in robot of the name that the result has.
+    """Read a result and its robot; by default the built-in robot named in the result.
 
-    Raises InputError where the two do not belong together.
+    Raises InputError if the two do not belong together.
     """
     check_names(result)
     stored = read_result(result)
@@ -143,7 +143,7 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
     name, base, tip = choice
     if name is None:
         if frames.name not in builtin_names():
-            raise InputError(f"{result}: is of robot {frames.name[:60]!r}; name its file as ", Argument("robot"))
+            raise InputError(f"{result}: belongs to robot {frames.name[:60]!r}; give its file as ", Argument("robot"))
         name = frames.name
     if is_urdf(name):
         base, tip = base or frames.base_frame, tip or frames.end_frame
@@ -151,48 +151,50 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
 
 
 def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:
-    """The calibration of a robot by a result; ``called`` and ``result`` name the two in messages. Raises InputError."""
+    """Return the calibration of a robot from a result; ``called`` and ``result`` name the two in messages. Raises
+    InputError.
+    """
     robot = robot_with_laws(robot, _laws_of(stored, robot, result))
     chain, mine = robot.chain, stored.of_robot
     names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         raise InputError(
-            f"{result}: its parameters are not those of robot {called}; give the robot it was identified with"
+            f"{result}: its parameters differ from those of robot {called}; give the robot it was identified with"
         )
     nominal, identified = stored.nominal[mine], stored.value[mine]
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
         at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
-            f"{result}: began from another {names[at]} than robot {called} has; give the robot it was identified with"
+            f"{result}: was identified from another value of {names[at]} than robot {called} has; give the robot it was identified with"
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
-        raise InputError(f"{result}: a parameter's value is missing or absurd; identify again")
+        raise InputError(f"{result}: a parameter's value is missing or implausible; identify again")
     return Calibration(robot, stored, nominal, identified, covariance_of(stored, names), unseen_of(stored, names))
 
 
 def _laws_of(stored: StoredResult, robot: Robot, result: str) -> tuple[Law, ...]:
-    """The result's joint laws. Raises InputError where they are of joints or frames that the robot does not have."""
+    """Return the result's joint laws. Raises InputError if they refer to joints or frames that the robot does not have."""
     joints = len(robot.chain.joints)
     for law in stored.laws:
         frames = law.frames if isinstance(law, SagMasses) else ()
         if not (law.joint < joints and all(law.joint < frame <= joints for frame in frames)):
-            raise InputError(f"{result}: a joint law is of a joint that the robot does not have; identify again")
+            raise InputError(f"{result}: a joint law belongs to a joint that the robot does not have; identify again")
     return stored.laws
 
 
 def check_names(*paths: Path | None) -> None:
-    """Raise InputError for "-": neither standard input nor standard output is meant by any of these."""
+    """Raise InputError for "-": these arguments cannot be standard input or standard output."""
     if Path("-") in paths:
-        raise InputError("-: is no file name; standard input and output are not used, give files")
+        raise InputError("-: is not a file name; standard input and output are not used, give files")
 
 
 def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:
-    """The mountings to take out: the calibration's, or none."""
+    """Return the mountings to remove: the calibration's, or none."""
     return mountings(calibration.chain, calibration.nominal, calibration.identified) if own_frames else NONE
 
 
 def six_text(pose: Floats) -> str:
-    """A pose in mm and deg."""
+    """Format a pose in mm and deg."""
     x, y, z, alpha, beta, gamma = six_of(pose)
     place = ", ".join(f"{MM.of(v):.3f}" for v in (x, y, z))
     turns = ", ".join(f"{DEG.of(v):.4f}" for v in (alpha, beta, gamma))
@@ -200,7 +202,7 @@ def six_text(pose: Floats) -> str:
 
 
 def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[str]:
-    """The mountings by the names of the frames that they lie between."""
+    """Format the mountings with the names of the frames between which they lie."""
     found = mountings(chain, nominal, identified)
     return [
         f"robot's base in {chain.base_frame}: {six_text(found.base)}",
@@ -209,19 +211,19 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
 
 
 def check_joints(argument: str, given: Sequence[float] | None, joint_units: tuple[str, ...]) -> Floats | None:
-    """Joint readings (j,) [rad, m] of an argument; None where it was not given. Raises InputError."""
+    """Check joint readings (j,) [rad, m] given as an argument; None if it was not given. Raises InputError."""
     if given is None:
         return None
     q = np.array(given, dtype=float)
     if q.shape != (len(joint_units),) or not np.isfinite(q).all():
-        raise InputError(Argument(argument), f": must be {len(joint_units)} finite numbers, one a joint")
+        raise InputError(Argument(argument), f": must be {len(joint_units)} finite numbers, one per joint")
     if np.abs(q).max() > LARGEST_JOINT:
-        raise InputError(Argument(argument), ": no joint goes so far")
+        raise InputError(Argument(argument), ": no joint reaches that far")
     return q
 
 
 def covariance_of(stored: StoredResult, names: Sequence[str]) -> Floats:
-    """(k, k) of some parameters, 0 for what was held."""
+    """Return the covariance (k, k) of some parameters, 0 for fixed ones."""
     at = {name: i for i, name in enumerate(names)}
     covariance = np.zeros((len(names), len(names)))
     rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
@@ -231,7 +233,10 @@ def covariance_of(stored: StoredResult, names: Sequence[str]) -> Floats:
 
 
 def unseen_of(stored: StoredResult, names: Sequence[str]) -> Floats:
-    """(k, d) the null space's part of some parameters, and what was held as a choice of frame: other fixtures may see either."""
+    """Return (k, d), the part of the null space for some parameters, including directions fixed as a choice of frame.
+
+    Other fixtures may see either.
+    """
     at = {name: i for i, name in enumerate(names)}
     directions = (*stored.null_space, *stored.frames)
     unseen = np.zeros((len(names), len(directions)))

@@ -1,4 +1,4 @@
-"""``truearm identify --report``: the page about an identification."""
+"""Write the page about an identification (``truearm identify --report``)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ def write_page(
     recordings: Sequence[Recording] = (),
     certificate: Certificate | None = None,
 ) -> None:
-    """Write the page whole or not at all; ``recordings`` are the sessions that were read. Raises InputError when the place cannot be written."""
+    """Write the page, completely or not at all; ``recordings`` are the sessions read. Raises InputError if it cannot be
+    written.
+    """
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.certificate import facts_of
     from truearm.report.law_words import law_sentences, law_steps
@@ -76,14 +78,14 @@ def _curves(found: Identification) -> tuple[SampledCurve, ...]:
 
 
 def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
-    """What each kind says of its rows, as label and value."""
+    """Return label and value of the facts about the rows of each kind."""
     every = ((kind, table.select(table.kind == name)) for name, kind in kinds().items())
     return tuple(fact for kind, rows in every if kind.facts and len(rows) for fact in kind.facts(rows))
 
 
 def _error_elsewhere(found: Identification) -> list[str]:
-    """What is known of the error where nothing was measured, if it does not follow from the parameters' covariance."""
-    from truearm.report.words import unexplained_words
+    """Describe the error where nothing was measured, if it does not follow from the parameters' covariance."""
+    from truearm.report.result_words import unexplained_words
 
     if found.estimate.unexplained:
         return [unexplained_words(found.estimate.unexplained)]
@@ -91,8 +93,8 @@ def _error_elsewhere(found: Identification) -> list[str]:
 
 
 def _timing(estimate: Estimate) -> list[str]:
-    """How late the joint readings are, a sentence for each rig that has a time offset."""
-    from truearm.report.words import time_offset
+    """Return one sentence on the delay of the joint readings for each rig with a time offset."""
+    from truearm.report.result_words import time_offset
 
     sigma = np.where(np.isfinite(estimate.sigma), estimate.sigma, np.nan)
     return [
@@ -102,7 +104,10 @@ def _timing(estimate: Estimate) -> list[str]:
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
-    """(n,) [rad] longitude of the rows of each kind that has one, a sphere's about its chuck, with the identified robot; else NaN."""
+    """Return the longitude (n,) [rad] of the rows of each kind that has one, with the identified robot; else NaN.
+
+    For a sphere it is measured about its chuck.
+    """
     rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
     out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
     for name, kind in kinds().items():

@@ -1,4 +1,4 @@
-"""A session of approaches → what it says of robot and sensor, as a document, and the noise file (sync and estimate joined)."""
+"""Characterize robot and sensor from a session of approaches, as a document and a noise file."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LEAST_VISITS = 6
 
 @dataclass(frozen=True)
 class CharacterizeFiles:
-    """What ``truearm characterize`` reads and writes; ``rig`` and ``plan`` stand in for those that the session holds."""
+    """Input and output files of ``truearm characterize``; ``rig`` and ``plan`` replace those in the session."""
 
     session: Path
     robot: RobotChoice
@@ -57,7 +57,7 @@ class CharacterizeFiles:
 
 
 class Part(NamedTuple):
-    """One of the files of a session: its messages, its name and what the box in it says of itself beforehand."""
+    """One file of a session: its messages, its name and the box's description in its metadata."""
 
     messages: Source
     name: str
@@ -70,9 +70,9 @@ def characterize_files(
     bands: Sequence[float],
     remarks: Callable[[Mapping[str, Any]], Iterable[str]] = lambda _: (),
 ) -> dict[str, Any]:
-    """Read a session in all its parts, and write the noise file with these remarks at its head; returns what was found.
+    """Read all parts of a session and write the noise file, headed by these remarks; return the results.
 
-    ``bands`` [m]: to settle in. Raises InputError, RigError, SessionError.
+    ``bands`` [m]: for the settling time. Raises InputError, RigError, SessionError.
     """
     paths = session_parts(files.session)
     if files.out is not None:
@@ -91,7 +91,7 @@ def characterize_files(
 
 
 def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
-    """The rig that was given, else the one that all parts were recorded with."""
+    """Return the given rig, else the one with which all parts were recorded."""
     if given is not None:
         return read_rig(given)
     first: Rig | None = None
@@ -109,8 +109,8 @@ def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
 
 
 def _with_plan(session: Session, path: Path | None) -> Source:
-    """What the session holds, a plan file's rows in place of its own plan."""
-    from truearm.workflows.record import plan_rows  # brings the live view along
+    """Return the contents of the session, with the rows of a plan file in place of its own plan."""
+    from truearm.workflows.record import plan_rows  # imports the live view
 
     if path is None:
         return session.batches
@@ -127,9 +127,10 @@ def _with_plan(session: Session, path: Path | None) -> Source:
 def characterized(
     parts: Sequence[Part], chain: Chain, rig: Rig, bands: Sequence[float]
 ) -> tuple[dict[str, Any], NoiseFile]:
-    """Everything that a session, in one file or several, says of how the robot repeats.
+    """Return everything that a session, in one or more files, shows about the robot's repeatability.
 
-    Raises InputError where it is of another robot or its parts do not belong together, SessionError where it does not hold what is needed.
+    Raises InputError if it is of another robot or its parts do not belong together, SessionError if required data is
+    missing.
     """
     synced = [_synced(part, chain, rig, bands) for part in parts]
     results, of_parts = [result for result, _ in synced], [found for _, found in synced]
@@ -138,12 +139,12 @@ def characterized(
         rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(
-            f"{parts[0].name}: {len(found.dwells)} dwells can be used ({reasons or 'no other was found'})"
+            f"{parts[0].name}: {len(found.dwells)} dwells are usable ({reasons or 'no other was found'})"
         )
     for part, one in zip(parts, of_parts, strict=True):
         if one.rests and one.period_s != found.period_s:
-            raise InputError(f"{part.name}: the box sampled at another rate than in the first part of the session")
-    # A short part may not have shown the joints' finest steps.
+            raise InputError(f"{part.name}: the box's sample rate differs from that of the session's first part")
+    # A short part may not show the finest steps of the joints.
     step = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
     bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
     of_bar = np.array([dwell.mounted["bar"] == bar for dwell in found.dwells])
@@ -170,7 +171,7 @@ def characterized(
             "joint_sigma_si": [one._asdict() for one in spread.joint_sigma],
         },
     }
-    # none of a joint that the bar does not show
+    # none for a joint that does not affect the bar
     widths = [one.value for one in spread.backlash]
     width, known_to = (np.nan_to_num(values) for values in (widths, spread.backlash_sigma))
     backlash = tuple(width.tolist()), tuple(known_to.tolist())
@@ -178,13 +179,13 @@ def characterized(
 
 
 def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
-    """What one file says."""
+    """Return the results of one file."""
     result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
         raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")
     found = visits(result, rig, bands)
-    if not found.dwells:  # what has no robot has no number of joints
+    if not found.dwells:  # without a robot the number of joints is unknown
         none = np.zeros((0, len(chain.joints)))
         found = replace(found, direction=none, mean_var=none)
     return result, found
@@ -209,7 +210,7 @@ def _visited(found: Visits, rows: Floats, chain: Chain, rig: Rig, step: Floats) 
 
 
 def _derivatives(chain: Chain, rig: Rig, dwell: Dwell) -> Floats:
-    """∂length/∂joints (1, j) on the robot as described: of differences a thousandth the size, 1 % is enough."""
+    """Return ∂length/∂joints (1, j) for the robot as described, by finite differences: an accuracy of 1 % is enough."""
     p_sphere = np.array(rig.spheres[dwell.mounted["sphere"]].xyz)
     trace = trace_point(chain, chain.params_nominal, dwell.q[None], p_sphere)
     vector = trace.p_base - np.array(rig.chucks[dwell.mounted["chuck"]].xyz)
@@ -217,8 +218,8 @@ def _derivatives(chain: Chain, rig: Rig, dwell: Dwell) -> Floats:
 
 
 def _reading_sigma(dwells: Sequence[Dwell], step: Floats) -> Floats:
-    """Of one reading (j,) before it is rounded, by Sheppard's correction."""
-    variance = np.mean([np.diag(dwell.q_cov) for dwell in dwells], axis=0) - step**2 / 12.0  # of what was read
+    """Return the standard deviation of one reading (j,) before rounding, by Sheppard's correction."""
+    variance = np.mean([np.diag(dwell.q_cov) for dwell in dwells], axis=0) - step**2 / 12.0  # of the rounded readings
     return np.asarray(np.sqrt(np.maximum(variance - step**2 / 12.0, 0.0)))
 
 
@@ -249,7 +250,7 @@ def _settling(found: Visits) -> dict[str, Any]:
 
 
 def _readings(found: Visits, step: Floats) -> list[dict[str, Any]]:
-    """Noise of single readings, of each joint: as read, and what is left of it and of the rounding in a mean."""
+    """Return the noise of single readings for each joint: as read, and what remains of it and of rounding in a mean."""
     variances = np.array([np.diag(dwell.q_cov) for dwell in found.dwells]) - step**2 / 12.0
     rounding = rounding_variance(step, _reading_sigma(found.dwells, step))
     return [

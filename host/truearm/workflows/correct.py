@@ -1,4 +1,4 @@
-"""The work of ``truearm correct``: read, correct or refuse, write."""
+"""Correct targets or refuse them (``truearm correct``): read, correct, write."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ Six = tuple[float, float, float, float, float, float]
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
-MOVES = 1e-6  # m by a direction that was not seen, whose largest weight is 1
+MOVES = 1e-6  # m of motion by an unseen direction with a largest weight of 1
 
 
 class CorrectOptions(NamedTuple):
     """How to correct.
 
-    ``own_frames``: targets lie in the robot's own base and flange frames. ``margin``: targets with a smaller singular value
-    are refused. ``work`` and ``tool``: the frame that the targets are in and the tool's pose, position [m] and rotation
-    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how a program is corrected, whose frames
-    stand there. ``document``: find what is expected of each target, as a report does too.
+    ``own_frames``: targets are in the robot's own base and flange frames. ``margin``: targets with a smaller singular
+    value are refused. ``work`` and ``tool``: the frame of the targets and the tool's pose, position [m] and rotation
+    vector [rad]. ``home``: joints (j,) [rad, m] near those of the first target. ``program``: how to correct a program,
+    which contains its own frames. ``document``: compute what is expected of each target, as a report does too.
     """
 
     method: Method | str = Method.NEWTON
@@ -75,7 +75,7 @@ class CorrectOptions(NamedTuple):
 
 
 class CorrectFiles(NamedTuple):
-    """What ``truearm correct`` reads and writes."""
+    """Input and output files of ``truearm correct``."""
 
     result: Path
     robot: RobotChoice
@@ -88,7 +88,7 @@ class CorrectFiles(NamedTuple):
 
 @dataclass(frozen=True)
 class _Request:
-    """How to correct, for a robot."""
+    """How to correct, for a given robot."""
 
     pair: ModelPair
     units: tuple[str, ...]
@@ -101,7 +101,7 @@ class _Request:
 
 
 class _Done(NamedTuple):
-    """What was done, and what is to be said of it."""
+    """What was done, and the text to print about it."""
 
     targets: CorrectedTargets
     moves: CorrectedMoves
@@ -113,7 +113,7 @@ class _Done(NamedTuple):
 class CorrectedFile:
     """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines.
 
-    ``document`` is what was found of it, as JSON (docs/target-format.md); empty where it was not asked for.
+    ``document`` holds the findings as JSON (docs/reference/target-format.md); empty if it was not requested.
     """
 
     calibration: Calibration
@@ -130,14 +130,14 @@ class CorrectedFile:
 def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
     """Correct a table or a program by the calibration of ``files.result`` and write it.
 
-    Raises InputError in one line, and then writes nothing.
+    Raises InputError with a one-line message, and then writes nothing.
     """
     check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
     check_writable(files.out, files.force, inputs=read, ours=None if program else looks_like_targets)
     if program and files.out.exists():
-        raise InputError(f"{files.out}: exists; a program is only written under a new name")
+        raise InputError(f"{files.out}: exists; give a new name, a corrected program never replaces a file")
     request = _request(calibration, options)
     written = [*read, files.out]
     for path, ours in ((files.residuals, looks_like_targets), (files.report, looks_like_page)):
@@ -170,7 +170,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOptions) -> Correction:
     """Correct poses (n, 4, 4) of the end frame in the base frame.
 
-    Raises TargetError for the first that is out of reach or near a singularity.
+    Raises TargetError for the first one that is out of reach or near a singularity.
     """
     request = _request(calibration, options)
     done = correct(
@@ -235,7 +235,7 @@ def _correct_program(
 
 
 def _is_urdf(robot: RobotChoice) -> bool:
-    """Whether the calibration's robot is described by a URDF, whose frames have ROS's names."""
+    """Return whether the calibration's robot is described by a URDF, with ROS frame names."""
     return robot.robot is not None and is_urdf(robot.robot)
 
 
@@ -250,7 +250,7 @@ def _refuse(
 
 
 def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
-    """What a reader of the errors should know of the calibration."""
+    """Return caveats about the calibration for readers of the errors."""
     doubts = []
     if calibration.stored.status != "converged":
         doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
@@ -265,7 +265,7 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
 
 
 def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
-    """One row a target; no angles where only positions matter."""
+    """Return one row per target; without angles if only positions matter."""
     lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
     for place, before, after in zip(places, correction.before, correction.after, strict=True):
         lengths = [f"{MM.of(error[0]):.6f}" for error in (before, after)]
@@ -275,5 +275,5 @@ def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
 
 
 def _frame(six: Six) -> Floats:
-    """(4, 4) of a position [m] and a rotation vector [rad]."""
+    """Return the frame (4, 4) of a position [m] and a rotation vector [rad]."""
     return np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0])

@@ -1,17 +1,17 @@
-"""Correct a robot's program: every move that goes to a target, or none of them."""
+"""Correct a robot's program: every move to a target, or none of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
-from truearm.correct.correction import Configuration, Correction, correct
+from truearm.correct.correction import Configuration, Correction, correct, joined
 from truearm.correct.inverse import Origins
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
@@ -39,14 +39,15 @@ from truearm.files.programs.targets import (
     targets_of,
 )
 from truearm.files.programs.values import Pose, fixed_six, readings_of
-from truearm.model.poses import inverted, pose_of
+from truearm.model.poses import apart, inverted, pose_of
 from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
 
 N_READINGS = 6  # of a program's joint readings
-NEAR = 0.3  # rad, m from joints that a program gives to those of the target: farther ones are searched for
-MOST_MOVES = 20_000  # straight moves that are driven: about 0.14 ms each
+SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
+NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
+MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
@@ -58,11 +59,13 @@ SEARCHED = (
 class ProgramOptions(NamedTuple):
     """How to correct a program.
 
-    ``joint_moves``: what to do with moves to joint readings, None to refuse a program that has some. ``split``: write numbers of its own into a move that would
-    need others than another move. ``partial``: write the file though some moves cannot be corrected; ``mark`` them with a comment. ``base``: the controller's base in the
-    calibration's base frame, ``flange``: its flange in the calibration's end frame, where their names do not say. ``tool``: the tool in force
-    before a URScript sets one. ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name. Poses are positions [m] and
-    rotation vectors [rad]. ``harmless``: routines from elsewhere that do not move the robot.
+    ``joint_moves``: what to do with moves to joint readings, None to refuse a program with any. ``split``: write
+    separate numbers into a move that would need different numbers from another move. ``partial``: write the file even
+    if some moves cannot be corrected; ``mark`` marks these with a comment. ``base``: the controller's base in the
+    calibration's base frame, and ``flange``: its flange in the calibration's end frame, if their names do not show
+    this. ``tool``: the tool in force before a URScript sets one. ``tools`` and ``works``: tools and work objects
+    declared elsewhere, by name. Poses are positions [m] and rotation vectors [rad]. ``harmless``: external routines
+    that do not move the robot.
     """
 
     joint_moves: JointMoves | None = None
@@ -86,7 +89,10 @@ class ProgramRefused(ProgramError):
 
 
 class CalibrationFrames(NamedTuple):
-    """The frames that a calibration names. ``brought``: by a robot that is no URDF; ``own``: targets lie in the robot's own frames."""
+    """The frames of a calibration.
+
+    ``brought``: defined by a robot that is not a URDF. ``own``: targets are in the robot's own frames.
+    """
 
     base: str
     end: str
@@ -106,7 +112,7 @@ class HowCorrected(NamedTuple):
 
 @dataclass(frozen=True)
 class CorrectedProgram:
-    """A program's new text, its targets and straight moves; ``refused`` what was left; ``notes`` what to know of it."""
+    """A program's new text, its targets and straight moves. ``refused``: what was left unchanged; ``notes``: remarks."""
 
     text: bytes
     targets: CorrectedTargets
@@ -118,8 +124,11 @@ class CorrectedProgram:
 def correct_program(
     path: Path, how: HowCorrected, names: CalibrationFrames, options: ProgramOptions
 ) -> CorrectedProgram:
-    """Correct a program. Raises ProgramRefused where a move cannot be corrected, ProgramError for what is no program."""
+    """Correct a program. Raises ProgramRefused if a move cannot be corrected, ProgramError if it is not a valid
+    program.
+    """
     language = language_of(path)
+    _check_names(path, language, options)
     base, flange = _placed(language, names, options)
     tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
     frames = {name.lower(): fixed_six(six) for name, six in {**options.tools, **options.works}.items()}
@@ -128,7 +137,7 @@ def correct_program(
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
         raise ProgramError(
-            f"{path} line {lines[0]}: goes to joint readings, as {counted(len(lines), 'line')} of this program in all; say whether to keep or to correct them with ",
+            f"{path} line {lines[0]}: goes to joint readings, as do {counted(len(lines), 'line')} of this program in all; keep or correct them with ",
             Argument("joint_moves"),
         )
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
@@ -136,11 +145,16 @@ def correct_program(
     place, frame, tools = poses_of(targets.poses, literals)
     ends = base.pose @ frame @ place @ inverted(tools) @ inverted(flange.pose)
     n_joints = len(how.pair.chain.joints)
-    near, quarters = nears_of(targets.poses, n_joints), quarters_of(targets.poses, n_joints)
-    done = _corrected_poses(how, ends, near, quarters, targets.origins)
+    goals = [*(one.goal for one in targets.poses), *(one.goal for one in targets.revisits)]
+    near, quarters = nears_of(goals, n_joints), quarters_of(goals, n_joints)
+    of = [*range(len(targets.poses)), *(one.pose for one in targets.revisits)]
+    origins = [*targets.origins, *(one.origin for one in targets.revisits)]
+    every = _corrected_poses(how, ends[of], near, quarters, origins)
+    done = _rows(every, range(len(targets.poses)))
     readings = [literal for literal, _ in targets.joints]
     joints = _corrected_joints(how, readings)
     refused = [*targets.refused, *_problems(program, done, [one.at for one in targets.poses])]
+    refused += _other_configurations(program, targets, every)
     refused += _problems(program, joints, [at for _, at in targets.joints])
     good = [i for i, problem in enumerate(done.problem) if not problem]
     poses = [targets.poses[i] for i in good]
@@ -167,8 +181,8 @@ def correct_program(
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
     lines_of += [program.source.line(readings[i].start) for i in moved]
     rows = [good[i] for i in kept]
-    correction = _joined(_rows(done, rows), _rows(joints, moved))
-    whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings are of no tool
+    correction = joined([_rows(done, rows), _rows(joints, moved)])
+    whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings have no tool
     at_end = flange.pose @ tools[rows]
     of_pose = {i: k for k, i in enumerate(rows)}
     of_joints = {readings[i].start: len(rows) + k for k, i in enumerate(moved)}
@@ -207,7 +221,10 @@ def _straight_moves(
     of_joints: Mapping[int, int],
     corrected: CorrectedTargets,
 ) -> CorrectedMoves:
-    """Drive the straight moves between corrected targets: their rows by a pose's index, and by the place of joint readings."""
+    """Simulate the straight moves between corrected targets.
+
+    ``of_pose`` maps a pose's index to its row in ``corrected``, ``of_joints`` the place of joint readings to theirs.
+    """
     starts: list[Floats] = []
     ends: list[int] = []
     places: list[tuple[str, str]] = []
@@ -242,8 +259,11 @@ def _joints_kept(n: int) -> list[str]:
 def _configurations(
     q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int]
 ) -> list[str]:
-    """What to check of the arm's configurations: those that were searched for, and those that a program's own data contradict. ``after``: the program says where
-    the robot comes from."""
+    """Return the arm configurations to check: those found by a search, and those that contradict the program's own
+    data.
+
+    ``after``: the program shows where the robot comes from.
+    """
     told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
     wrong = ((np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)).any(axis=1)
     where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
@@ -254,8 +274,26 @@ def _configurations(
     ) + [check] * bool(wrong.any())
 
 
+def _check_names(path: Path, language: ProgramLanguage, options: ProgramOptions) -> None:
+    """Refuse tools and work objects that the program's language cannot use. Raises ProgramError."""
+    match language:
+        case "urscript":
+            for given, argument in ((options.tools, "tool"), (options.works, "work")):
+                if given:
+                    wrong = f"{path}: a URScript knows no tools or work objects by name, such as {next(iter(given))[:40]}; give one pose by "
+                    raise ProgramError(wrong, Argument(argument))
+        case "rapid":
+            if options.tool is not None and any(options.tool):
+                wrong = f"{path}: each move of a RAPID program names its tool; give NAME=X,Y,Z,RX,RY,RZ by "
+                raise ProgramError(wrong, Argument("tool"))
+        case _:
+            assert_never(language)
+
+
 def _placed(language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions) -> tuple[Frame, Frame]:
-    """The controller's base and flange in the calibration's frames. Raises ProgramError where nothing says where they are."""
+    """Return the controller's base and flange in the calibration's frames. Raises ProgramError if they are not
+    specified.
+    """
     if names.own:
         return SAME, SAME
     base = _given(options.base) or base_of(language, names.base, names.brought)
@@ -263,9 +301,9 @@ def _placed(language: ProgramLanguage, names: CalibrationFrames, options: Progra
     for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
         if found is None:
             raise ProgramError(
-                f"the calibration is of frame {frame[:60]}, and where the controller's {what} is in it is not known; give it as ",
+                f"the calibration is of frame {frame[:60]}, and where the controller's {what} is lies in it is not known; give it as ",
                 Argument(argument),
-                " (all 0 for the same frame), or take the robot's own frames by ",
+                " (all 0 for the same frame), or use the robot's own frames with ",
                 Argument("own_frames"),
             )
     assert base is not None
@@ -282,16 +320,19 @@ def _given(six: Six | None) -> Frame | None:
 def _corrected_poses(
     how: HowCorrected, ends: Floats, near: Floats, quarters: Floats, origins: Sequence[int | Taught | None]
 ) -> Correction:
-    """Targets (n, 4, 4) corrected: those with joints near them from there, the others by a search from where the robot comes from."""
+    """Correct targets (n, 4, 4).
+
+    Those with joints nearby start from there, the others from a search from the robot's previous position.
+    """
     given: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
     known = given.copy()
     at_known = _corrected(how, ends[known], Configuration(q_start=near[known]))
     if (far := np.abs(at_known.q_nominal - near[known]).max(axis=1) > NEAR).any():
         known[np.flatnonzero(known)[far]] = (
-            False  # downhill from so far may lead to another configuration than the nearest
+            False  # from so far away, descent may end in another configuration than the nearest
         )
         at_known = _rows(at_known, np.flatnonzero(~far).tolist())
-    place = np.where(known, np.cumsum(known), np.cumsum(~known)) - 1  # among those of its sort
+    place = np.where(known, np.cumsum(known), np.cumsum(~known)) - 1  # among those of its kind
     begun = Origins(np.full(len(ends), -1), near.copy())
     for i, origin in enumerate(origins):
         if given[i]:
@@ -303,18 +344,16 @@ def _corrected_poses(
         elif isinstance(origin, int):
             begun.target[i] = place[origin]
     rest = Origins(begun.target[~known], begun.q[~known])
-    found = _joined(
-        at_known,
-        _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known], origins=rest)),
-    )
+    by_search = _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known], origins=rest))
+    found = joined([at_known, by_search])
     order = np.concatenate([np.flatnonzero(known), np.flatnonzero(~known)])
     return _rows(found, np.argsort(order).tolist())
 
 
 def _corrected_joints(how: HowCorrected, literals: Sequence[Taught]) -> Correction:
-    """Joint readings corrected: where a perfect robot would be with them is where the true one shall be.
+    """Correct joint readings: the true robot shall be where a perfect robot would be with them.
 
-    Raises ProgramError for a robot with other than six joints.
+    Raises ProgramError for a robot without exactly six joints.
     """
     n_joints = len(how.pair.chain.joints)
     q = np.array([readings_of(literal) for literal in literals]).reshape(-1, 6)
@@ -334,29 +373,35 @@ def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) ->
 
 
 def _rows(of: Correction, rows: Sequence[int]) -> Correction:
-    """Some of its targets."""
+    """Return a selection of the targets."""
     k = np.array(rows, dtype=int)
     problems = tuple(of.problem[i] for i in rows)
     return Correction(of.q_nominal[k], of.q[k], of.commanded[k], of.before[k], of.after[k], problems)
-
-
-def _joined(a: Correction, b: Correction) -> Correction:
-    """The targets of one, then of the other."""
-    pairs = (
-        (a.q_nominal, b.q_nominal),
-        (a.q, b.q),
-        (a.commanded, b.commanded),
-        (a.before, b.before),
-        (a.after, b.after),
-    )
-    q_nominal, q, poses, before, after = (np.concatenate(pair) for pair in pairs)
-    return Correction(q_nominal, q, poses, before, after, (*a.problem, *b.problem))
 
 
 def _problems(program: Program, done: Correction, places: Sequence[int]) -> list[Refused]:
     return [refused_at(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
 
 
+def _other_configurations(program: Program, targets: Targets, done: Correction) -> list[Refused]:
+    """Return the revisits in which the arm needs a different correction from that of its first visit to the pose.
+
+    Their rows follow those of the poses.
+    """
+    rows = [one.pose for one in targets.revisits]
+    again = done.commanded[len(targets.poses) :]
+    off = np.abs(apart(done.commanded[rows], again)).max(axis=1) > SAME_TARGET
+    found = []
+    for one, row, problem, is_off in zip(targets.revisits, rows, done.problem[len(targets.poses) :], off, strict=True):
+        if done.problem[row]:
+            continue
+        if is_off or problem:
+            line = program.source.line(targets.poses[row].at)
+            why = f"the arm comes to its target in another configuration than in line {line}, and needs other numbers there"
+            found.append(refused_at(program, one.at, problem or why))
+    return found
+
+
 def _place(target: PoseTarget) -> int:
-    """Where the numbers of a target stand."""
+    """Return the place of a target's numbers."""
     return target.literal.start if target.literal is not None else target.goal.start

@@ -1,4 +1,4 @@
-"""``truearm demo --rig ballbar``: Goswami's experiment, shells of one bar to fit and of another to judge by."""
+"""``truearm demo --rig ballbar``: Goswami's experiment, with the shells of one bar to fit and of another to judge."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BallBarCalibration:
-    """The identified robot: with its usual free parameters (the paper's 36), and with all of them free, which shows the rank."""
+    """The robot identified with its usual free parameters (the paper's 36), and with all of them free, which shows the
+    rank.
+    """
 
     subject: Subject
     rig: Rig
     estimate: Estimate
     all_free: Estimate
-    longitude: Floats  # (n,) rad, of the sphere about its chuck, identified robot
+    longitude: Floats  # (n,) rad, of the sphere about its chuck, for the identified robot
     predicted: PredictedError | None
 
 
 def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCalibration:
-    """Fit the shells of the first bar, judge by those of the second; writes result.json."""
+    """Fit the shells of the first bar, judge by those of the second, and write result.json."""
     from truearm.estimate.identify import identify
     from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import prior_named
@@ -53,7 +55,7 @@ def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCa
 
 
 def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
-    """report.html: pictures and tables, everything inline."""
+    """Write report.html with pictures and tables, everything inline."""
     from truearm.report.calibration_page import CalibrationPage, render
 
     page = CalibrationPage(
@@ -63,7 +65,7 @@ def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: 
         table=result.table,
         longitude=found.longitude,
         facts=(
-            ("dwells used", f"{len(result.table)} of {len(result.dwells)}"),
+            ("dwells used", f"{len(result.table)} of {len(result.dwells) - result.n_mountings}"),
             *recording_facts(result, truth),
             (f"rank with all {len(found.all_free.free)} parameters free", f"{found.all_free.rank}"),
         ),

@@ -1,9 +1,9 @@
-"""What every ``truearm demo`` does alike: its steps and their seconds, the recording in virtual time, what is said of it."""
+"""Common parts of every ``truearm demo``: its timed steps, the recording in virtual time, and the facts to report."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from truearm.errors import LinkError
 from truearm.files.robot_file import RobotChoice
+from truearm.progress import step
 from truearm.units import NS, US
 from truearm.workflows.session_observations import Say
 from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simulated_robot, with_repeatability
@@ -18,7 +19,6 @@ from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simu
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.model.workspace import Branch
-    from truearm.record.status import Status
     from truearm.session.observations import SyncResult
     from truearm.types import BallBar, Plan, Rig
     from truearm_sim.simbox import SimulatedBox
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Subject:
-    """The robot that the demo calibrates: as a user names it, as it is in the lab, and the rig of its ball-bars."""
+    """The robot calibrated by the demo: its name, its true state in the lab, and the rig of its ball-bars."""
 
     choice: RobotChoice
     simulated: SimulatedRobot
@@ -35,22 +35,22 @@ class Subject:
 
     @property
     def robot(self) -> Robot:
-        """The model that is calibrated."""
+        """The model to be calibrated."""
         return self.simulated.robot
 
     @property
     def fitted(self) -> BallBar:
-        """The bar whose shells are fitted."""
+        """The bar with the shells to fit."""
         return list(self.rig.bars.values())[0]
 
     @property
     def judging(self) -> BallBar:
-        """The bar whose shells judge."""
+        """The bar with the shells for judging."""
         return list(self.rig.bars.values())[1]
 
 
 def subject(choice: RobotChoice, branch: Branch | None, truth: TruthOptions, seed: int) -> Subject:
-    """Return the robot with its hidden truth before the simulator's rig. Raises InputError."""
+    """Return the robot with its hidden truth, in front of the simulator's rig. Raises InputError."""
     from truearm_sim.world import standard_rig
 
     simulated = simulated_robot(choice, truth, seed, branch)
@@ -59,7 +59,10 @@ def subject(choice: RobotChoice, branch: Branch | None, truth: TruthOptions, see
 
 @dataclass(frozen=True)
 class ClockTruth:
-    """The clock fit against the simulator's truth: largest error and largest bound [ns], and whether all errors are within theirs."""
+    """The clock fit compared with the simulator's truth.
+
+    Largest error and largest bound [ns], and whether all errors are within their bounds.
+    """
 
     error_ns: float
     bound_ns: float
@@ -67,7 +70,7 @@ class ClockTruth:
 
 
 class Steps:
-    """Names and seconds of the steps; ``say`` hears of each as it ends."""
+    """Names and durations [s] of the steps; ``say`` is called as each ends."""
 
     def __init__(self, say: Say) -> None:
         self.done: list[tuple[str, float]] = []
@@ -86,19 +89,19 @@ class Steps:
 
 
 def robot_title(subject: Subject) -> str:
-    """What a page calls the robot."""
+    """Return the robot's name for a page."""
     name = subject.robot.chain.name
     return "PUMA 560" if name == "puma560" else name
 
 
 def of_model(subject: Subject, command: str) -> str:
-    """A demo's command with the option that chooses its robot, none for the default one."""
+    """Return a demo's command with the option for its robot, without it for the default robot."""
     name = subject.choice.robot
     return command if name == "puma560" else command.replace("truearm demo", f"truearm demo --model {name}", 1)
 
 
 def write_setup(out: Path, world: World) -> None:
-    """plan.csv and rig.toml, as a person would have them."""
+    """Write plan.csv and rig.toml, as a user would have them."""
     from truearm.files.plan_file import write_plan
     from truearm.files.rig_file import write_rig
 
@@ -113,10 +116,12 @@ def record_virtually(
     box: SimulatedBox,
     osr: int,
     seed: int,
-    progress: Callable[[Status], None] | None = None,
     step_ns: int | None = None,
 ) -> None:
-    """The recorder on the lab's links and clock: session.mcap. ``step_ns``: the longest step of the box's time; None: the lab's own."""
+    """Run the recorder on the lab's links and clock and write session.mcap.
+
+    ``step_ns``: the longest step of the box's time; None: the lab's own.
+    """
     from truearm.interrupt import asked_to_stop
     from truearm.record.recorder import Hooks, RecordOptions, record
     from truearm.record.session_writer import SessionWriter
@@ -126,15 +131,20 @@ def record_virtually(
 
     lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
-    # An exception in the middle of a grant would leave the box's process waiting for its other half.
-    with asked_to_stop() as interrupted:
+    # An exception in the middle of a grant would leave the box's process waiting for its counterpart.
+    name = f"recording {world.duration / 60:.0f} minutes in virtual time"
+    with asked_to_stop() as interrupted, step(name) as advance:
         summary = record(
             lab.box_link,
             writer,
             lab.clock,
             robot=lab.robot_link,
             options=RecordOptions(plan=plan_rows(plan), rig_toml=(out / "rig.toml").read_bytes(), osr=osr),
-            hooks=Hooks(interrupted=interrupted, progress=progress, operator=Confirming(lab)),
+            hooks=Hooks(
+                interrupted=interrupted,
+                progress=lambda status: advance(status.elapsed_s / world.duration),
+                operator=Confirming(lab),
+            ),
         )
     if summary.reason == "interrupted":
         raise KeyboardInterrupt
@@ -143,7 +153,7 @@ def record_virtually(
 
 
 def observe(out: Path, robot: Robot) -> SyncResult:
-    """The observations of session.mcap, also written as observations.csv."""
+    """Return the observations of session.mcap, and write them as observations.csv."""
     from truearm.files.observation_table import write_table
     from truearm.workflows.session_observations import observations_of_session
 
@@ -153,7 +163,7 @@ def observe(out: Path, robot: Robot) -> SyncResult:
 
 
 def clock_truth(result: SyncResult, box: SimulatedBox) -> ClockTruth:
-    """The device clock at a thousand times of the session against the simulator's truth."""
+    """Compare the device clock with the simulator's truth at a thousand times of the session."""
     import numpy as np
 
     from truearm_sim.lab import HOST_AT_START_NS
@@ -167,13 +177,13 @@ def clock_truth(result: SyncResult, box: SimulatedBox) -> ClockTruth:
 
 
 def visits_in_words(plan: Plan) -> str:
-    """How many dwells and drives a plan asks for."""
+    """Describe the number of dwells and drives in a plan."""
     dwells, drives = int(plan.dwells.sum()), int(plan.lines.sum())
     return " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{drives} drives along lines"] * (drives > 0))
 
 
 def recording_facts(result: SyncResult, truth: ClockTruth) -> tuple[tuple[str, str], ...]:
-    """What is to be known of the recording, as label and value."""
+    """Return label and value of facts about the recording."""
     losses, (clock,) = result.losses, result.clock_reports
     rejected = ", ".join(f"{n} {reason}" for reason, n in sorted(result.reasons.items())) or "none"
     return (

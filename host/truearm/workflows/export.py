@@ -1,4 +1,4 @@
-"""The work of ``truearm export``: refit what must be, write, and keep what is lost."""
+"""Export a calibrated robot (``truearm export``): refit where necessary, write, and report what is lost."""
 
 from __future__ import annotations
 
@@ -24,12 +24,14 @@ from truearm.workflows.calibration import Calibration, check_names, mounting_lin
 from truearm.workflows.curve_table import curve_table, looks_like_curves
 from truearm.workflows.selection import matching
 
-N_POSES = 600  # of a refit that names none; 2400 marks for some 60 unknowns
+N_POSES = 600  # of a refit without given poses; 2400 coordinates for about 60 unknowns
 MARK = "written by truearm export"
 
 
 class ExportOptions(NamedTuple):
-    """What to write: a format, with or without the mountings of base and tool, and patterns of what may change (all by default)."""
+    """What to write: a format, with or without the mountings of base and tool, and patterns of what may change
+    (default: all).
+    """
 
     form: str
     own_frames: bool = False
@@ -38,10 +40,10 @@ class ExportOptions(NamedTuple):
 
 @dataclass(frozen=True)
 class ExportedRobot:
-    """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows that in mm.
+    """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
-    ``form`` is the format, ``text`` that of the file, ``mountings`` say where base and tool are. ``fitted`` holds what was
-    written: its ``left`` (n,) is the file's position error [m] against the identified robot over n poses.
+    ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool. ``fitted`` holds the
+    written parameters: its ``left`` (n,) is the file's position error [m] against the identified robot over n poses.
 
     Examples
     --------
@@ -64,12 +66,12 @@ class ExportedRobot:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """The identified parameters that the format has no place for."""
+        """The identified parameters that the format cannot hold."""
         return self.fitted.missing
 
     @property
     def exact(self) -> bool:
-        """Whether the file holds all that was identified."""
+        """Whether the file holds everything that was identified."""
         return self.fitted.exact
 
     @property
@@ -87,7 +89,7 @@ class ExportedRobot:
 
 
 def cost_lines(found: ExportedRobot) -> list[str]:
-    """What the file does not hold, and how far it errs by that."""
+    """Describe what the file does not hold, and the resulting error."""
     fitted = found.fitted
     lines = [f"The format {found.form} has no place for {named(found.missing)}."] if found.missing else []
     if fitted.refitted:
@@ -114,9 +116,10 @@ def export_file(
     curves: Path | None = None,
     force: bool = False,
 ) -> ExportedRobot:
-    """Write the calibrated robot; ``over``: a table or a plan of poses to refit over, ``curves``: where to write the joints' error curves.
+    """Write the calibrated robot.
 
-    Raises InputError, and writes nothing.
+    ``over``: a table or a plan of poses to refit over. ``curves``: where to write the joints' error curves. Raises
+    InputError, and then writes nothing.
     """
     check_names(result, out, over, curves)
     inputs = [result, *robot.files, *filter(None, [over])]
@@ -133,7 +136,7 @@ def export_file(
 
 
 def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
-    """The error curves of the joints. Raises InputError where the result has none."""
+    """Return the error curves of the joints. Raises InputError if the result has none."""
     stored, seen = calibration.stored, calibration.stored.joint_range
     if seen is None or not any(isinstance(law, CurveKnots) for law in stored.laws):
         raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
@@ -142,9 +145,10 @@ def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
-    """The calibrated robot in a format; ``over`` (n, j): where a refit shall be good, anywhere within the limits by default.
+    """Return the calibrated robot in a format; ``over`` (n, j): poses for the refit, by default anywhere within the
+    limits.
 
-    Raises InputError where the format holds nothing of what may change, or nothing that is worth writing.
+    Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
     fitted = _fitted(calibration, options, over)
     mountings = tuple(_mountings(calibration, fitted.params, options))
@@ -160,41 +164,46 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
 
 
 def _urdf_text(calibration: Calibration) -> str | None:
-    """The text that the robot came from, where that is a URDF."""
+    """Return the robot's source text if it is a URDF."""
     robot = calibration.robot
     return read_text(Path(robot.file), MAX_BYTES, InputError) if robot.is_urdf else None
 
 
 def looks_like_ours(head: bytes) -> bool:
-    """A URDF that was changed in place bears no mark, since nothing but its numbers may change: it is not replaced."""
+    """Return whether truearm wrote the file.
+
+    A URDF that was changed in place has no mark, since only its numbers may change, so it is not replaced.
+    """
     return not head.strip() or MARK.encode() in head
 
 
 def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> Fitted:
-    """Parameters that the format holds and the user may adjust."""
+    """Return the parameters that the format holds and the user allows to change."""
     chain = calibration.chain
     adjustable = np.ones(len(chain.parameters), dtype=bool)
     if options.adjust:
         adjustable = matching(chain.parameter_names, "adjust", options.adjust)
         if not (adjustable & held(chain, FORMATS[options.form])).any():
-            raise InputError(Argument("adjust"), f" {options.adjust[0]}: leaves nothing that {options.form} can hold")
+            raise InputError(
+                Argument("adjust"), f" {options.adjust[0]}: leaves no parameter that {options.form} can hold"
+            )
     q = _anywhere(chain) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
 
 def _anywhere(chain: Chain) -> Floats:
-    """(n, j) poses within the joints' limits and a half turn either way, drawn by chance."""
+    """Return random poses (n, j) within the joints' limits and half a turn in each direction."""
     lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
     return np.random.default_rng(0).uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (N_POSES, lower.size))
 
 
 def _thinned(q: Floats) -> Floats:
-    """As many poses of q (n, j) as a refit needs."""
+    """Return as many poses of q (n, j) as a refit needs."""
     return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, min(len(q), N_POSES)).astype(int))])
 
 
 def _poses_of(path: Path, chain: Chain) -> Floats:
-    """(n, j) of a table or a plan. Raises InputError."""
+    """Return the poses (n, j) of a table or a plan. Raises InputError."""
     is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
     q = read_plan(path).q if is_plan else read_table(path, chain.joint_units).q
     if q.shape[1] != len(chain.joints):
@@ -203,7 +212,7 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
 
 
 def _mountings(calibration: Calibration, params: Floats, options: ExportOptions) -> list[str]:
-    """Where the mountings are, and what they are."""
+    """Describe where the mountings are, and their values."""
     kept = "written at both ends" if FORMATS[options.form].mountings and not options.own_frames else "left out"
     return [
         f"Mountings ({kept}):",

@@ -1,4 +1,4 @@
-"""The work of ``truearm export-session``: a session as tables for other programs, all of them or none."""
+"""Export a session as tables for other programs, all of them or none (``truearm export-session``)."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ SAID = "session.json"
 
 @dataclass(frozen=True)
 class ExportSession:
-    """What to export: ``out`` is a new or empty folder, ``rig`` stands in for the recorded one, ``robot`` says which joints slide.
+    """What to export.
 
-    ``rate_hz``: of a format of messages in time, how many samples of a stream a second at most; 0 for all.
+    ``out``: a new or empty folder. ``rig`` replaces the recorded one. ``robot`` shows which joints are prismatic.
+    ``rate_hz``: for a format with timed messages, the maximum number of samples of a stream per second; 0 for all.
     """
 
     session: Path
@@ -44,7 +45,7 @@ class ExportSession:
 
 
 def export_session_files(wanted: ExportSession) -> dict[str, int]:
-    """Write all tables, or none; returns the rows of each by its name. Raises InputError, SessionError, WriteError."""
+    """Write all tables, or none; return the number of rows by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)
     units = () if wanted.robot is None else load_robot(wanted.robot).chain.joint_units
     given = None if wanted.rig is None else read_rig(wanted.rig)
@@ -69,7 +70,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
 def _check_folder(out: Path) -> None:
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError(f"{out}: exists and is no empty folder; choose another name")
+            raise InputError(f"{out}: exists and is not an empty folder; choose another name")
         if not out.parent.is_dir():
             raise InputError(f"{out}: the folder {out.parent} does not exist; create it first")
     except OSError as exc:
@@ -79,7 +80,7 @@ def _check_folder(out: Path) -> None:
 def _export(
     session: Session, folder: Path, wanted: ExportSession, rig: Rig | None, units: Sequence[str]
 ) -> dict[str, Any]:
-    """Write all tables; returns what session.json says."""
+    """Write all tables; return the contents of session.json."""
     ident = ident_of(session)
     found = survey(session.batches, ident)
     utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
@@ -93,7 +94,7 @@ def _export(
     try:
         for name, columns in _observations(session, found, rig, units):
             tables.write(name, columns)
-    except InputError as exc:  # the rest is of use without it
+    except InputError as exc:  # the rest is useful without it
         not_paired = one_line(str(exc))
     return {
         "session": session.path.name,
@@ -113,11 +114,11 @@ def _export(
 def _observations(
     session: Session, found: Survey, rig: Rig | None, units: Sequence[str]
 ) -> Iterator[tuple[str, Columns]]:
-    """Dwells, passes along lines, and observations where there is a rig to pair them with."""
+    """Add dwells, passes along lines, and, if there is a rig to assign them, observations."""
     rig = rig or attached_rig(session, session.path)
     if rig is None:
         yield "dwells", dwell_columns(found, found.dwells, units)
-        raise InputError("was recorded without a rig; give a rig to have observations")
+        raise InputError("was recorded without a rig; give a rig to get observations")
     result = observations(session.batches, rig, name=session.path.name, found=found, labels=labels_of(session.path))
     yield "dwells", dwell_columns(found, result.dwells, units)
     if result.passes:
@@ -138,7 +139,7 @@ class _Tables:
         self._tables[name][1].write(columns)
 
     def close(self) -> dict[str, Any]:
-        """Complete all; rows and titles of each."""
+        """Complete all tables; return rows and titles of each."""
         for _, table, _ in self._tables.values():
             table.close()
         self._all.close()

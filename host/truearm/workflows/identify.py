@@ -1,15 +1,16 @@
-"""The work of ``truearm identify``: from files of observations, or from a table and a rig, to a calibration."""
+"""Identify a calibration from files of observations, or from a table and a rig (``truearm identify``)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm import option_defaults
 from truearm.arguments import check_fields
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
@@ -37,17 +38,19 @@ from truearm.kinds.quantities import Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot, builtin_robot
+from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.types import Estimate, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
+from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
-LEAST_ROWS = 5  # of a kind, that must not all say the same
+LEAST_ROWS = 5  # of a kind, which must not all be equal
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -58,38 +61,40 @@ class IdentifyOptions:
     Parameters
     ----------
     free : tuple of str
-        Patterns such as ``"joint*.offset"``. Only robot parameters that match one are identified. Default: those that
-        the robot file frees; of a URDF all but the joint gains.
+        Patterns such as ``"joint*.offset"``. Only robot parameters that match one are identified. Default: the free
+        parameters in the robot file; for a URDF all but the joint gains.
     also_free : tuple of str
-        Patterns of parameters that are identified in addition.
+        Patterns of additional parameters to identify.
     freeze : tuple of str
-        Patterns of parameters that are held fixed.
+        Patterns of parameters to hold fixed.
     prior : str or None
         "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, only
-        for what the observations tell less well. None chooses by robot and solver.
+        for what the observations determine less accurately. None: chosen by robot and solver.
     solver : str
         "lm", "map", "recursive", "renders-1991" or "ls".
     loss : str
-        "linear", "huber" or "cauchy"; the robust losses go with the solvers "lm" and "map".
+        "linear", "huber" or "cauchy"; the robust losses require the solver "lm" or "map".
     max_iterations : int
-        The solver stops there, whether it has converged or not; at most 10000.
+        The solver stops after this many iterations, converged or not; at most 10000.
     seed : int
-        Draws the rows of a held-out fraction; 0 or more.
+        Random seed for the rows of a held-out fraction; 0 or more.
     allow : tuple of str
-        Systematic errors that are estimated too: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
-        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time, ``"bar.b46.zero.thermal_drift"`` in the box's temperature.
+        Systematic errors to estimate as well: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
+        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time, and
+        ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature.
     fit_only : tuple of str
-        Groups such as ``"place=front"``: only their rows are fitted, all others judge.
+        Groups such as ``"place=front"``: only their rows are fitted, all others are used for judging.
     leave_out : tuple of str
-        Rows that are neither fitted nor judged, as ``"120:140"``.
+        Rows that are neither fitted nor used for judging, such as ``"120:140"``.
     joint_laws : str
-        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both, where geometry and declared noise do not
-        explain the residuals); each law enters if the evidence in the fitted rows carries it.
+        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both, if geometry
+        and declared noise do not explain the residuals). Each law is included if the evidence in the fitted rows
+        supports it.
 
     Raises
     ------
     TypeError, InputError
-        If a field is wrong, or the solver knows no such loss or prior.
+        If a field is invalid, or the solver does not support the loss or prior.
 
     Examples
     --------
@@ -102,14 +107,14 @@ class IdentifyOptions:
     also_free: tuple[str, ...] = ()
     freeze: tuple[str, ...] = ()
     prior: Annotated[str, OneOf(tuple(Prior))] | None = None
-    solver: Annotated[str, OneOf(SOLVERS)] = "lm"
-    loss: Annotated[str, OneOf(tuple(Loss))] = "linear"
-    max_iterations: Annotated[int, ITERATIONS] = 50
-    seed: Annotated[int, SEED] = 0
+    solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER
+    loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS
+    max_iterations: Annotated[int, ITERATIONS] = option_defaults.MAX_ITERATIONS
+    seed: Annotated[int, SEED] = option_defaults.SEED
     allow: tuple[str, ...] = ()
     leave_out: tuple[str, ...] = ()
     fit_only: tuple[str, ...] = ()
-    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = "none"
+    joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -119,7 +124,7 @@ class IdentifyOptions:
             raise InputError(Argument("loss"), text)
         if prior not in (None, Prior.NONE) and SOLVERS[solver].prior is None:
             text = f" {solver}, which knows no prior; use map"
-            raise InputError(Argument("prior"), f" {prior} is nothing to ", Argument("solver"), text)
+            raise InputError(Argument("prior"), f" {prior} does not apply to ", Argument("solver"), text)
 
 
 DEFAULTS = IdentifyOptions()
@@ -127,7 +132,7 @@ DEFAULTS = IdentifyOptions()
 
 @dataclass(frozen=True)
 class Identification(Calibration):
-    """A calibration with the observations that it was identified from and the whole estimate.
+    """A calibration with its observations and the complete estimate.
 
     Examples
     --------
@@ -142,7 +147,7 @@ class Identification(Calibration):
     rig: Rigs
     table: ObservationTable
     estimate: Estimate
-    predicted: PredictedError | None  # how far the tool may be off
+    predicted: PredictedError | None  # the expected error of the tool
 
     @property
     def prior(self) -> str:
@@ -152,21 +157,21 @@ class Identification(Calibration):
 
 @dataclass(frozen=True)
 class Selection:
-    """The parameters to estimate, free (p,), and the rows to judge by: held_out (n,), and what the user called them.
+    """The parameters to estimate, free (p,), and the rows for judging: held_out (n,), and the user's names for them.
 
-    ``named`` (p,) are the parameters that were asked for by name: no default holds them.
+    ``named`` (p,) are the parameters requested by name: no default fixes them.
     """
 
     free: Mask
     held_out: Mask | None = None
     held_out_by: tuple[str, ...] = ()
     named: Mask | None = None
-    hold_out: tuple[str, ...] = ()  # as it was asked for
+    hold_out: tuple[str, ...] = ()  # as requested
 
 
 @dataclass(frozen=True)
 class IdentifyFiles:
-    """What ``truearm identify`` reads and writes; ``command`` stands on the report."""
+    """Input and output files of ``truearm identify``; ``command`` is printed on the report."""
 
     robot: RobotChoice
     sources: Sources
@@ -178,9 +183,9 @@ class IdentifyFiles:
 
 
 def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: IdentifyOptions) -> Identification:
-    """Read everything, identify, and write result, table and report where they are wanted.
+    """Read everything, identify, and write result, table and report as requested.
 
-    Raises InputError in one line, and ProblemError as ``identified`` does; then no result is written.
+    Raises InputError with a one-line message, and ProblemError as ``identified`` does; then no result is written.
     """
     from truearm.report.page_parts import looks_like_page
 
@@ -199,17 +204,29 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         write_table(files.save_table, table, robot.chain.joint_units)
     found = identified(robot, rig, table, selection, options, inputs=hashed_inputs(sources, files.robot), counts=counts)
     if files.report is not None:
-        write_page(files.report, found, files.command, counted_dwells(recordings, counts))
+        with step("drawing the report"):
+            write_page(files.report, found, files.command, counted_dwells(recordings, counts))
     if files.out is not None:
         write_result(files.out, found.document)
     return found
 
 
+def _held_out_facts(table: ObservationTable, held: Mask | None) -> dict[str, Any]:
+    """Return the names without any row left in the fit, and a share that could be held out."""
+    proposed = proposed_hold_out(table)
+    return {
+        "all_held_out": [] if held is None else all_held_out(table, held),
+        "hold_out_proposal": None if proposed is None else proposed._asdict(),
+    }
+
+
 def _check_rows(table: ObservationTable, selection: Selection) -> None:
-    """Raise ProblemError for rows that can tell nothing: one alone, or readings that never change though the robot moves."""
+    """Raise ProblemError for rows without information: a single row, or readings that never change though the robot
+    moves.
+    """
     rows = np.ones(len(table), dtype=bool) if selection.held_out is None else ~selection.held_out
     if rows.sum() == 1:
-        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row identifies nothing; measure more poses")
+        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; measure more poses")
     for name, kind in kinds().items():
         mine = table.select(rows & (table.kind == name))
         if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
@@ -222,18 +239,18 @@ def _check_rows(table: ObservationTable, selection: Selection) -> None:
 
 
 def _other_robots() -> dict[str, Candidate]:
-    """The built-in robots by name, which observations may be of."""
+    """Return the built-in robots by name, to which observations may belong."""
     robots = {name: builtin_robot(name) for name in builtin_names()}
     return {name: Candidate(robot.chain, robot.free) for name, robot in robots.items()}
 
 
 def default_free(robot: Robot) -> Mask:
-    """(p,) the parameters to identify unless something else is asked for: of a URDF, whose constants are redundant, all but the gains."""
+    """Return the parameters (p,) to identify by default: for a URDF, which has redundant constants, all but the gains."""
     return free_without_gains(robot.chain) if robot.is_urdf else robot.free
 
 
 def default_prior(robot: Robot, solver: str) -> Prior:
-    """The prior that robot or solver needs: the weak one settles the redundant constants of a URDF."""
+    """Return the prior that robot or solver needs: the weak one resolves the redundant constants of a URDF."""
     needed = SOLVERS[solver].prior
     if needed is None:
         return Prior.NONE
@@ -241,7 +258,7 @@ def default_prior(robot: Robot, solver: str) -> Prior:
 
 
 def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], options: IdentifyOptions) -> Selection:
-    """What to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
+    """Return what to estimate and what to judge by. Raises InputError for a pattern or group that matches nothing."""
     rows = held_out_rows(table, hold_out, options.seed, options.fit_only)
     held_out_by = (*hold_out, *(f"all but {group}" for group in options.fit_only))
     names = robot.chain.parameter_names
@@ -261,10 +278,11 @@ def identified(
     counts: Sequence[DwellCount] = (),
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify the selected parameters. ``inputs`` are the files that result.json names as its sources, ``counts`` what became of their dwells.
+    """Identify the selected parameters.
 
-    A choice of frame and joints that stand still are held, unless their parameters were asked for by name.
-    Raises ProblemError where observations and robot make no problem that can be solved.
+    ``inputs``: the source files to name in result.json. ``counts``: the accounts of their dwells. A choice of frame and
+    joints that do not move are held fixed, unless their parameters were requested by name. Raises ProblemError if
+    observations and robot do not form a problem that can be solved.
     """
     chain = robot.chain
     _check_rows(table, selection)
@@ -296,11 +314,13 @@ def identified(
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     others = _other_robots() if absurd(estimate) else {}
-    estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
-    chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
+    with step("trying other readings of the inputs"):
+        estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
+    with step("weighing joint laws"):
+        chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
-            "these observations determine nothing of the robot: each fits unknowns of the rig whatever it says"
+            "these observations say nothing about the robot: unknowns of the rig fit each of them exactly"
         )
     predicted = None  # a fit that is not usable predicts nothing
     if estimate.status == "converged" and not estimate.unusable:
@@ -308,6 +328,7 @@ def identified(
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
-    document = with_checksum({**document, "sessions": [count._asdict() for count in counts], "made_with": made_with})
+    document |= {"sessions": [count._asdict() for count in counts], "made_with": made_with}
+    document = with_checksum({**document, **_held_out_facts(table, selection.held_out)})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

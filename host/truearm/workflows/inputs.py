@@ -1,4 +1,4 @@
-"""What an identification reads: its files named, checked, read as one table, and hashed."""
+"""Inputs of an identification: files are named, checked, read as one table, and hashed."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.model.robot import Robot
+from truearm.progress import step
 from truearm.session.dwells import DOUBTFUL, NEED_WORDS
 from truearm.types import ObservationTable, Rig
 from truearm.workflows.relabel import borne_out_rows
@@ -34,16 +35,16 @@ from truearm.workflows.session_observations import (
 from truearm.workflows.session_parts import is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
 
-Output = tuple[Path, Callable[[bytes], bool]]  # a file to write, and what knows by its beginning one that truearm wrote
+Output = tuple[Path, Callable[[bytes], bool]]  # a file to write, and a test of its beginning for a file of truearm
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Sessions and tables of observations, and the rig files that they were measured with.
+    """Sessions and tables of observations, and the rig files used for measuring them.
 
-    ``rigs``: by the name that rows have in their column rig, "" for the one rig of all rows; none: each session's own.
-    ``noise`` is a noise file whose figures stand in for those of the rigs, ``line_points`` are of each pass along a line
-    at most. ``say`` is called with what is lost of a damaged session, ``heard`` with every session.
+    ``rigs``: by the name in the rows' column rig, "" for the one rig of all rows; if empty, each session's own.
+    ``noise``: a noise file that replaces the figures of the rigs. ``line_points``: maximum number per pass along a
+    line. ``say`` is called with the losses of a damaged session, ``heard`` with every session.
     """
 
     inputs: tuple[Path, ...]
@@ -56,34 +57,35 @@ class Sources:
 
     @property
     def files(self) -> list[Path]:
-        """All of them."""
+        """All files."""
         return [*self.inputs, *self.rigs.values(), *filter(None, [self.noise])]
 
 
 def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = (), force: bool = False) -> None:
-    """No input twice (its sigmas would shrink), no output over an input, another output or a stranger's file.
+    """Check that no input is given twice and no output replaces an input, another output or an unknown file.
 
-    Raises InputError.
+    A repeated input would make its sigmas too small. Raises InputError.
     """
     if Path("-") in sources.inputs:
         raise InputError("-: standard input is not read; save the data to a file first")
     if any(path == Path("-") for path, _ in outputs):
-        raise InputError("-: is no file name; ", Argument("as_json"), " prints the result to standard output")
+        raise InputError("-: is not a file name; ", Argument("as_json"), " prints the result to standard output")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
             raise InputError(f"{path}: is given twice; its observations would count twice")
     for i, (path, _) in enumerate(outputs):
         if any(same_file(path, other) for other, _ in outputs[:i]):
-            raise InputError(f"{path}: would be two outputs in one file; give each its own")
+            raise InputError(f"{path}: is named for two outputs; give each its own file")
     for path, ours in outputs:
         check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours)
 
 
 class DwellCount(NamedTuple):
-    """What became of a session's dwells: how many there are, how many are used, and of the others how many for which reason.
+    """Account of a session's dwells: their number, how many are used, and the others by reason.
 
-    ``labels``: whether they were settled by ``truearm relabel``.
+    ``labels``: whether they were settled by ``truearm relabel``. ``mountings``: stops for mounting, which are not
+    dwells.
     """
 
     session: str
@@ -91,15 +93,16 @@ class DwellCount(NamedTuple):
     used: int
     rejected: Mapping[str, int]
     labels: bool
+    mountings: int
 
     @property
     def need_words(self) -> int:
-        """Dwells of which nobody knows what was mounted."""
+        """Number of dwells for which it is not known what was mounted."""
         return sum(n for reason, n in self.rejected.items() if reason in NEED_WORDS)
 
 
 class Observed(NamedTuple):
-    """The rig, or the rigs by name, the observations, and what became of the sessions' dwells."""
+    """The rig, or the rigs by name, the observations, and the accounts of the sessions' dwells."""
 
     rigs: Rig | dict[str, Rig]
     table: ObservationTable
@@ -107,16 +110,19 @@ class Observed(NamedTuple):
 
 
 def observed(sources: Sources, joint_units: tuple[str, ...] | None) -> tuple[Rig | dict[str, Rig], ObservationTable]:
-    """The rig, or the rigs by name, and the observations, held against each other.
+    """Return the rig, or the rigs by name, and the observations, checked against each other.
 
-    ``joint_units`` are the robot's; None does without that check.
+    ``joint_units`` are the robot's; None skips that check.
     """
     found = read_sources(sources, joint_units)
     return found.rigs, found.table
 
 
 def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: Robot | None = None) -> Observed:
-    """Like ``observed``, with what became of the dwells. By the nominal ``robot`` labels that the readings do not bear out are left out."""
+    """Return the same as ``observed``, with the accounts of the dwells.
+
+    With the nominal ``robot``, labels that the readings do not support are left out.
+    """
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
@@ -126,7 +132,7 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     counts = tuple(count for _, count in read.values() if count is not None)
     table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
     if not len(table):
-        raise InputError(f"{inputs[0]}: no dwell and no line gave an observation; see truearm inspect {inputs[0]}")
+        raise InputError(f"{inputs[0]}: no dwell or line gave an observation; see truearm inspect {inputs[0]}")
     rigs = given | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -141,16 +147,16 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
 
 
 def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path]) -> None:
-    """Every row names one of the rigs, and every rig that was given is named. Raises InputError."""
+    """Check that every row names one of the rigs, and that every given rig is named. Raises InputError."""
     for name, file in files.items():
         if not (table.rig == name).any():
             raise InputError(
-                Argument("rig"), f" {name}={file}: no row has that name in its column rig, and no session is called so"
+                Argument("rig"), f" {name}={file}: no row has that name in its column rig, and no session has that name"
             )
     for name, source in zip(table.rig, table.source, strict=True):
         if name not in rigs:
             whose = f"belongs to rig {str(name)!r}" if name else "names no rig in its column rig"
-            raise InputError(f"{source}: {whose}; given: {', '.join(sorted(rigs))}")
+            raise InputError(f"{source}: {whose}; the rigs given are {', '.join(sorted(rigs))}")
 
 
 def _read_input(
@@ -173,16 +179,18 @@ def _read_input(
     labels = labels_of(path) is not None
     rejected = Counter(result.reasons)
     if robot is not None and not labels:
-        borne_out = borne_out_rows(robot, rig, result)
+        with step("holding labels against the readings"):
+            borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
         rejected += Counter({DOUBTFUL: int((~borne_out).sum())})
     used = sum(table.kind == "ball_bar")
-    count = DwellCount(path.name, len(result.dwells), int(used), dict(sorted(rejected.items())), labels)
+    n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
+    count = DwellCount(path.name, n, int(used), dict(sorted(rejected.items())), labels, mountings)
     return replace(table, rig=np.full(len(table), name)), count
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
-    """Name and SHA-256 of every file that an identification read."""
+    """Return name and SHA-256 of every file read by an identification."""
     return [
         *(input_of("observations", path) for path in sources.inputs),
         *(input_of("labels", labels) for path in sources.inputs if (labels := labels_path(path)).exists()),

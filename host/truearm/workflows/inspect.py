@@ -1,4 +1,4 @@
-"""The work of ``truearm inspect``: what is in a session file, as a document."""
+"""Describe the contents of a session file as a document (``truearm inspect``)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
 MAX_TOPICS = 1000
-CONSOLE_RUNS = 10  # shown of what the box printed
-CONSOLE_BYTES = 400  # shown of each
+CONSOLE_RUNS = 10  # displayed of the box's text
+CONSOLE_BYTES = 400  # displayed of each run
 
 
 @dataclass
@@ -42,19 +42,19 @@ class Topic:
 
 
 class Contents:
-    """Counts messages as they pass, and keeps the first words of the box."""
+    """Counts messages as they pass, and keeps the first console text of the box."""
 
     def __init__(self) -> None:
         from truearm.session.losses import Silences
 
         self.topics: dict[str, Topic] = {}
         self.console: list[bytes] = []
-        self.other_joints = 0  # readings that the recorder did not take for such: of another number of joints
+        self.other_joints = 0  # readings with a different number of joints, which the recorder did not accept
         self.silences = Silences()
         self._watched = False
 
     def watched(self, batches: Iterator[Messages]) -> Iterator[Messages]:
-        """The same messages; they are counted when they are read for the first time."""
+        """Yield the same messages; they are counted the first time."""
         if self._watched:
             yield from batches
             return
@@ -71,7 +71,9 @@ class Contents:
         t_ns, topic = messages.t_host_ns[rows], self.topics.get(name)
         if topic is None:
             if len(self.topics) >= MAX_TOPICS:
-                raise SessionError(f"the session has more than {MAX_TOPICS} topics; truearm record writes a dozen")
+                raise SessionError(
+                    f"the session has more than {MAX_TOPICS} topics; a session of truearm record has about a dozen"
+                )
             topic = self.topics[name] = Topic(0, 0, int(t_ns[0]), int(t_ns[0]))
         topic.messages += len(rows)
         topic.bytes += int((messages.end[rows] - messages.begin[rows]).sum())
@@ -86,9 +88,9 @@ class Contents:
 
 
 def describe(session: Session) -> dict[str, Any]:
-    """The content of a session as a document fit for JSON; what is not known is None.
+    """Return the contents of a session as a JSON-compatible document; unknown values are None.
 
-    Raises SessionError where the file is damaged.
+    Raises SessionError if the file is damaged.
     """
     from truearm.session.observations import survey
 
@@ -119,7 +121,7 @@ def describe(session: Session) -> dict[str, Any]:
 
 
 def ident_of(session: Session) -> Ident | None:
-    """What the session's metadata say of the box; None where they say nothing."""
+    """Return the box's description in the session's metadata; None if there is none."""
     from truearm.session.box_ident import parse_ident_json
 
     text = session.metadata.get("box", {}).get("ident")
@@ -127,7 +129,7 @@ def ident_of(session: Session) -> Ident | None:
 
 
 def printable(data: bytes) -> str:
-    """Bytes of a stranger as printable text; what is no text as \\x.. escapes."""
+    """Return untrusted bytes as printable text; anything else as \\x.. escapes."""
     text = data.decode(errors="backslashreplace").replace("\r\n", "\n")
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
@@ -143,7 +145,7 @@ def _topic(topic: Topic) -> dict[str, Any]:
 
 
 def _stream(stream: Any, found: Survey) -> dict[str, Any]:
-    """Rates by the box's own stamps; and by the host's clock, where the exchanges tell how the two relate."""
+    """Return rates by the box's own stamps, and by the host's clock if the exchanges relate the two."""
     ppm = found.clock_reports[-1].rate_ppm if found.clock_reports else math.nan
     by_host = NS.factor / (stream.measured_ns * (1.0 + PPM.to_si(ppm)))
     return {
@@ -155,7 +157,9 @@ def _stream(stream: Any, found: Survey) -> dict[str, Any]:
 
 
 def _silences(gaps: list[tuple[int, int]], begin_ns: int, found: Survey) -> dict[str, Any]:
-    """Where the box said nothing, in seconds of the session, and what it would have sampled meanwhile."""
+    """Return the times when the box sent nothing, in seconds of the session, and the number of samples it would have
+    taken.
+    """
     rate_hz = sum(NS.factor / stream.period_ns for stream in found.streams if stream.period_ns)
     silent_s = NS.to_si(sum(end - start for start, end in gaps))
     return {
@@ -180,11 +184,12 @@ def _robot(found: Survey, contents: Contents) -> dict[str, Any]:
 
 
 def _measured(session: Session, found: Survey) -> dict[str, Any]:
-    """Dwells by the joint readings and passes along lines; with a rig also what became of them."""
+    """Return dwells by the joint readings and passes along lines; with a rig also their outcome."""
     rejected = [dwell.reason for dwell in found.dwells if dwell.reason]
     dwells: dict[str, Any] = {
         "found": len(found.dwells),
         "rejected": _tally(rejected),
+        "mountings": 0,
         "observations": None,
         "samples_used": None,
         "not_paired": None,
@@ -199,12 +204,13 @@ def _measured(session: Session, found: Survey) -> dict[str, Any]:
         return document
     try:
         result = _observations(session, attached, found)
-    except InputError as exc:  # says what is in the file, so it says this too; the file itself was read to its end
+    except InputError as exc:  # reported like everything else about the file; the file itself was read to its end
         dwells["not_paired"] = one_line(str(exc))
         return document
     bounds = [dwell.clock_bound_ns for dwell in result.dwells if not dwell.reason]
     dwells |= {
         "rejected": result.reasons,
+        "mountings": result.n_mountings,
         "observations": sum(not dwell.reason for dwell in result.dwells),
         "samples_used": result.samples_used,
         "clock_bound_ns": max(bounds, default=None),
@@ -227,12 +233,12 @@ def _observations(session: Session, attached: bytes, found: Survey) -> SyncResul
     try:
         text = attached.decode()
     except UnicodeDecodeError as exc:
-        raise InputError("the attached rig.toml is no UTF-8 text") from exc
+        raise InputError("the attached rig.toml is not UTF-8 text") from exc
     return observations(session.batches, parse_rig(text, "rig.toml"), found=found, labels=labels_of(session.path))
 
 
 def _pass_row(number: int, one: Pass) -> dict[str, Any]:
-    """A pass: when, which line and way, what was measured and how well, or why not."""
+    """Describe a pass: time, line and direction, what was measured and how well, or why not."""
     return {
         "pass": number,
         "t_robot_s": one.leg.start_s,
@@ -254,7 +260,7 @@ def _pass_row(number: int, one: Pass) -> dict[str, Any]:
 
 
 def _dwell_rows(dwells: Collection[Dwell]) -> list[dict[str, Any]]:
-    """Every stop: when, how long of it is used and how long it took to settle, what it is of, why it is rejected."""
+    """Describe every stop: time, how long it is used and took to settle, what it measures, and why it is rejected."""
     return [
         {
             "dwell": number,

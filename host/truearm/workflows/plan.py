@@ -1,7 +1,8 @@
-"""The work of ``truearm plan``: read what is known, plan, write plan file and programs, hand back the forecast."""
+"""Plan measurements: read what is known, plan, write plan file and programs, return the forecast (``truearm plan``)."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from truearm import option_defaults
 from truearm.arguments import check_fields
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, SEED, TRAVEL, VISITS, OneOf
 from truearm.errors import Argument, InputError
@@ -27,7 +29,7 @@ from truearm.plan.branches import branch_of
 from truearm.plan.cartesian_lines import Shape
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.criteria import Criterion
-from truearm.plan.forecast import Forecast, Known, bar_table, with_rig_values
+from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
@@ -35,30 +37,29 @@ from truearm.plan.region import Region
 from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
-from truearm.types import Floats, Plan, Rig
+from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
+from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_free, default_prior
 from truearm.workflows.inputs import Sources, observed
-from truearm.workflows.session_observations import Say, silent
+from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
-DESIGN_RESERVE = 22e-3  # m of travel for what the model does not know
-RESULT_RESERVE = 3e-3  # m
 APPROACH_CANDIDATES = 400
-LEAST_CHECKS = 3  # fewer say little of a drift, and a short plan has no pose to spare
-POSES_A_CHECK = 36  # check poses are visited twice more: not more than a twentieth of the poses
+LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
+POSES_A_CHECK = 36  # check poses are visited twice more: at most a twentieth of the poses
 NO_SIGNALS = Signals()
-LEFT = 2e-3  # m of travel that the ways between poses need at least
+LEFT = 2e-3  # m of travel that the motions between poses need at least
 
 
 @dataclass(frozen=True)
 class PlanFiles:
-    """What a plan is made from, and what is written.
+    """Inputs of a plan, and the files to write.
 
-    ``result``: an earlier result.json, whose model takes the place of the design. ``measured``: sessions and tables that count
-    as measured already. ``branch``: None for the robot file's. ``programs`` are written for the controller
-    that their suffixes name, with these ``signals`` between robot and box.
+    ``result``: an earlier result.json, with a model that replaces the design. ``measured``: sessions and tables that
+    count as already measured. ``branch``: None for the robot file's. ``programs`` are written for the controllers
+    identified by their suffixes, with these ``signals`` between robot and box.
     """
 
     robot: RobotChoice
@@ -92,16 +93,16 @@ class BallBarOptions:
     Parameters
     ----------
     criterion : str
-        What the poses are good for: "I", the error in the region; "D", all parameters at once; "A", their mean; "E", the
+        What the poses optimise: "I", the error in the region; "D", all parameters at once; "A", their mean; "E", the
         worst of them.
     region : Region, optional
-        Where accuracy is wanted. Default: around the poses.
+        Where accuracy is required. Default: around the poses.
     candidates : int
         Poses to choose from, 9 to 100000.
     bars : tuple of str
-        Only these bars of the rig. Default: all.
+        Use only these bars of the rig. Default: all.
     reserve : float, optional
-        Travel of the bar [m] that is kept for what the model does not know. Default: 22 mm on the design, 3 mm on a
+        Travel of the bar [m] that is reserved for errors of the model. Default: 22 mm with the design, 3 mm with a
         result.
     spread : float
         Varies the bar's length [m] about mid-travel.
@@ -110,17 +111,17 @@ class BallBarOptions:
     seed : int
         Random seed; 0 or more.
     visits : int
-        Visits to every mount, 1 to 10, with its share of the poses each: what drifts or slips shows.
+        Visits to every mount, 1 to 10, each with a share of the poses, to reveal drifts and slips.
     check_poses : int
-        Poses of the first mount that are visited again in the middle and at the end, 0 to 100; none with several visits, and of
-        few poses one in 36 at most, and none of less than 108.
+        Poses of the first mount that are visited again in the middle and at the end, 0 to 100. None with several visits;
+        at most one in 36 poses, and none for fewer than 108 poses.
     joint_laws : bool
-        Tell what the poses will show of the joints' error curves too.
+        Also predict what the poses will show of the joints' error curves.
 
     Raises
     ------
     TypeError, InputError
-        If a field is wrong.
+        If a field is invalid.
 
     Examples
     --------
@@ -129,16 +130,16 @@ class BallBarOptions:
     5000
     """
 
-    criterion: Annotated[str, OneOf(tuple(Criterion))] = "I"
+    criterion: Annotated[str, OneOf(tuple(Criterion))] = option_defaults.CRITERION
     region: Region | None = None
-    candidates: Annotated[int, CANDIDATES] = 5000
+    candidates: Annotated[int, CANDIDATES] = option_defaults.BAR_CANDIDATES
     bars: tuple[str, ...] = ()
     reserve: Annotated[float, TRAVEL] | None = None
-    spread: Annotated[float, TRAVEL] = 0.0
-    dwell: Annotated[float, DWELL] = 2.0
-    seed: Annotated[int, SEED] = 0
-    visits: Annotated[int, VISITS] = 1
-    check_poses: Annotated[int, CHECK_POSES] = 10
+    spread: Annotated[float, TRAVEL] = option_defaults.SPREAD
+    dwell: Annotated[float, DWELL] = option_defaults.DWELL
+    seed: Annotated[int, SEED] = option_defaults.SEED
+    visits: Annotated[int, VISITS] = option_defaults.VISITS
+    check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES
     joint_laws: bool = False
 
     def __post_init__(self) -> None:
@@ -147,42 +148,44 @@ class BallBarOptions:
 
 @dataclass(frozen=True)
 class LineOptions:
-    """How lines are chosen, and what drives along them: ``target`` is the rig's target that is measured."""
+    """How lines are chosen, and what moves along them: ``target`` is the rig's target to be measured."""
 
     shape: Shape
-    passes: int = 1
+    passes: int = option_defaults.PASSES
     target: str | None = None
-    criterion: str = "I"
+    criterion: str = option_defaults.CRITERION
     region: Region | None = None
-    candidates: int = 120
-    seed: int = 0
+    candidates: int = option_defaults.LINE_CANDIDATES
+    seed: int = option_defaults.SEED
 
 
 @dataclass(frozen=True)
 class ApproachOptions:
-    """The poses of ``plan characterize``: on one pairing (the rig's first by default), each reached ``rounds`` times from eight sides.
+    """The poses of ``plan characterize``, on one pairing (by default the rig's first), each reached ``rounds`` times
+    from eight sides.
 
-    ``long_dwell`` and ``dwell`` [s]: a long rest at each pose, and all others. ``reserve`` [m] as of ``BallBarOptions``.
+    ``long_dwell`` and ``dwell`` [s]: one long rest at each pose, and all others. ``reserve`` [m] as in
+    ``BallBarOptions``.
     """
 
     bar: str | None = None
     chuck: str | None = None
     sphere: str | None = None
-    poses: int = 4
-    rounds: int = 4
-    long_dwell: float = 20.0
-    dwell: float = 2.0
+    poses: int = option_defaults.APPROACH_POSES
+    rounds: int = option_defaults.ROUNDS
+    long_dwell: float = option_defaults.LONG_DWELL
+    dwell: float = option_defaults.DWELL
     reserve: float | None = None
-    seed: int = 0
+    seed: int = option_defaults.SEED
 
 
-def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions, say: Say = silent) -> dict[str, Any]:
-    """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
+def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
+    """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
         raise InputError("give a budget: ", Argument("poses"), " or ", Argument("minutes"))
     known = _known(files)
-    planned = planned_ball_bar(known, budget, _with_reserve(options, files.result), say)
+    planned = planned_ball_bar(known, budget, _with_reserve(options, files.result))
     route = planned.route
     if files.out is not None:
         write_plan(files.out, route.visits.of_robot(known.chain.name))
@@ -195,13 +198,43 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "visits": options.visits,
         "check_poses": _visits(budget, options).check_poses,
         "minutes": route.minutes,
+        **_pairings(known, route.plan),
         **({"curves": _curves(known, route.plan)} if options.joint_laws else {}),
         "written": _written(files),
     }
 
 
+def _pairings(known: Known, plan: Plan) -> dict[str, Any]:
+    """Return the number of poses of each pairing, and what would be left to fit if some were held out."""
+    of_pairing = Counter(zip(*(getattr(plan, name).tolist() for name in BAR_MOUNTED), strict=True))
+    table = bar_table(known, plan)
+    wanted = [(f"bar={bar}", 0) for bar in dict.fromkeys(plan.bar.tolist())] if len(set(plan.bar.tolist())) > 1 else []
+    proposed = proposed_hold_out(table)
+    if proposed is not None:
+        wanted.insert(0, (str(proposed.fraction), proposed.seed))
+    return {
+        "pairings": [
+            {**dict(zip(BAR_MOUNTED, names, strict=True)), "poses": poses} for names, poses in of_pairing.items()
+        ],
+        "hold_outs": [_hold_out(known, table, words, seed) for words, seed in wanted],
+    }
+
+
+def _hold_out(known: Known, table: ObservationTable, words: str, seed: int) -> dict[str, Any]:
+    """Return what holding some planned poses out would leave to the fit."""
+    held = held_out_rows(table, [words], seed)
+    assert held is not None
+    return {
+        "hold_out": words,
+        "seed": seed,
+        "poses": int(held.sum()),
+        "rank": forecast(known, table.select(~held)).rank,
+        "all_held_out": all_held_out(table, held),
+    }
+
+
 def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
-    """What planned poses will tell of error curves."""
+    """Return what planned poses will show of error curves."""
     return [
         {
             "joint": one.joint,
@@ -214,16 +247,16 @@ def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
 
 
 def _visits(budget: Budget, options: BallBarOptions) -> Visits:
-    """How often mounts are visited; every mount twice needs no check poses."""
+    """Return the number of visits to each mount; two or more visits need no check poses."""
     poses = budget.n if budget.n is not None else int(60.0 * (budget.minutes or 0.0) / (options.dwell + MOVE))
     checks = min(options.check_poses, poses // POSES_A_CHECK) if options.visits == 1 else 0
     return Visits(options.visits, checks if checks >= LEAST_CHECKS else 0)
 
 
-def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say: Say = silent) -> BallBarPlan:
-    """The best poses for a budget, in order, and what they will tell.
+def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> BallBarPlan:
+    """Return the best poses for a budget, in order, and the forecast.
 
-    Raises InputError for a bar whose travel does not leave the reserve, and PlanError as ``plan_ballbar`` does.
+    Raises InputError for a bar with too little travel for the reserve, and PlanError as ``plan_ballbar`` does.
     """
     limits = _limits(options.reserve)
     _check_travel(known, limits.reserve, options.spread)
@@ -238,11 +271,11 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, say:
     )
     site = make_site(known, limits, Sizes(), options.seed)
     pairings, pace = all_pairings(known.rig, options.bars), Pace(dwell=options.dwell)
-    return plan_ballbar(site, known, pairings, wanted, pace, options.region, say)
+    return plan_ballbar(site, known, pairings, wanted, pace, options.region)
 
 
 def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
-    """Plan, write what was asked for, and tell what will be known. Raises InputError in one line."""
+    """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
         raise InputError("give a budget: ", Argument("lines"), " or ", Argument("minutes"))
@@ -265,8 +298,8 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
     }
 
 
-def plan_approaches_files(files: PlanFiles, options: ApproachOptions, say: Say = silent) -> dict[str, Any]:
-    """Plan, write what was asked for, and tell what is planned. Raises InputError in one line."""
+def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
+    """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
     _check(files)
     known = _known(files)
     limits = _limits(_reserve(options.reserve, files.result))
@@ -277,7 +310,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions, say: Say =
     )
     wanted = ApproachesWanted(options.poses, options.rounds, options.long_dwell, APPROACH_CANDIDATES, options.seed)
     site = make_site(known, limits, Sizes(), options.seed)
-    route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell), say)
+    route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell))
     if files.out is not None:
         write_plan(files.out, route.visits.of_robot(known.chain.name))
     _write_programs(files, route.stops, options.dwell)
@@ -294,7 +327,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions, say: Say =
 
 
 def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
-    """What is known before a plan: the design, or a result's robot and its estimates of the rig."""
+    """Return what is known before a plan: the design, or a result's robot and its estimates of the rig."""
     params, values = robot.chain.params_nominal, {}
     if result is not None:
         estimates = zip(result.stored.parameter_names, result.stored.value.tolist(), strict=True)
@@ -305,7 +338,7 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
 
 
 def _named(what: str, given: str | None, have: Iterable[str]) -> str:
-    """One of the rig's names, the first by default."""
+    """Return one of the rig's names, by default the first."""
     names = list(have)
     if (given is None and not names) or (given is not None and given not in names):
         raise InputError(Argument(what), f" {given or 'is missing'}: the rig has {', '.join(names) or 'none'}")
@@ -313,11 +346,11 @@ def _named(what: str, given: str | None, have: Iterable[str]) -> str:
 
 
 def _limits(reserve: float | None) -> Limits:
-    return Limits(reserve=DESIGN_RESERVE if reserve is None else reserve)
+    return Limits() if reserve is None else Limits(reserve=reserve)
 
 
 def _reserve(reserve: float | None, result: Path | None) -> float | None:
-    return RESULT_RESERVE if reserve is None and result is not None else reserve
+    return option_defaults.RESULT_RESERVE if reserve is None and result is not None else reserve
 
 
 def _with_reserve(options: BallBarOptions, result: Path | None) -> BallBarOptions:
@@ -325,7 +358,7 @@ def _with_reserve(options: BallBarOptions, result: Path | None) -> BallBarOption
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
-    """Where each line lies, from end to end in the base frame, and how the device is turned."""
+    """Return the position of each line, from end to end in the base frame, and the rotation of the device."""
     from truearm.model.chain import point_forward
 
     ends = MM.of(point_forward(known.chain, known.params, planned.lines.q[:, [0, -1]], point))
@@ -342,7 +375,7 @@ def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, An
 
 
 def _target(known: Known, name: str | None) -> str:
-    """The target's name; "" for the end's origin where the rig has none."""
+    """Return the target's name; "" for the end's origin if the rig has no target."""
     have = list(known.rig.targets)
     if name is None and len(have) <= 1:
         return have[0] if have else ""
@@ -356,10 +389,10 @@ def _written(files: PlanFiles) -> list[str]:
 
 
 def _check(files: PlanFiles) -> None:
-    """No output over an input or another output, no suffix that is none. Raises InputError."""
+    """Check that no output replaces an input or another output, and that all suffixes are known. Raises InputError."""
     outputs = files.outputs
     if Path("-") in outputs:
-        raise InputError("-: is no file name; ", Argument("as_json"), " prints the forecast to standard output")
+        raise InputError("-: is not a file name; ", Argument("as_json"), " prints the forecast to standard output")
     for path in files.programs:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
@@ -369,13 +402,13 @@ def _check(files: PlanFiles) -> None:
 
 
 def _is_ours(suffix: str, head: bytes) -> bool:
-    """Whether a file that begins so is empty, or a plan, a rig or a program with this suffix."""
+    """Return whether a file with this beginning is empty, or a plan, a rig or a program with this suffix."""
     program = suffix in DIALECTS and head.startswith(DIALECTS[suffix].begins)
     return not head.strip() or program or looks_like_plan(head) or looks_like_rig(head)
 
 
 def _known(files: PlanFiles) -> Known:
-    """Robot, rig, model and what was measured, from files."""
+    """Return robot, rig, model and earlier measurements, from files."""
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip) if result is None else result.robot
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
@@ -383,7 +416,9 @@ def _known(files: PlanFiles) -> Known:
         return known
     same, table = observed(Sources(tuple(with_parts(list(files.measured))), {"": files.rig}), robot.chain.joint_units)
     if not isinstance(same, Rig):
-        raise InputError(Argument("measured"), ": rows of several rigs cannot be planned on; give those of one rig")
+        raise InputError(
+            Argument("measured"), ": rows of several rigs cannot be used for a plan; give the rows of one rig"
+        )
     return replace(known, measured=table)
 
 
@@ -393,7 +428,7 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
         if left < LEFT:
             raise InputError(
                 f"bar {bar.name}: of {MM.text(0.5 * bar.travel)} travel either way {MM.text(reserve)} are reserve and "
-                f"{MM.text(spread)} spread; {MM.text(LEFT)} must be left to the way, so lower ",
+                f"{MM.text(spread)} spread; {MM.text(LEFT)} must remain, so lower ",
                 *(Argument("reserve"), " or ", Argument("spread")),
             )
 
@@ -406,7 +441,7 @@ def _write_programs(
 
 
 def _document(forecast: Forecast) -> dict[str, Any]:
-    """The forecast as it is printed and as JSON has it."""
+    """Return the forecast as it is printed and as in JSON."""
     return {
         "rows": forecast.n_rows,
         "rank": forecast.rank,

@@ -1,8 +1,9 @@
-"""A project folder: what ``truearm init`` writes into one, and what ``truearm status`` finds there."""
+"""Project folders: what ``truearm init`` writes, and what ``truearm status`` finds."""
 
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum, auto
@@ -14,17 +15,16 @@ from truearm.files.disk import write_atomic
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
 from truearm.units import MM
-from truearm.workflows.session_observations import Say, silent
 
 if TYPE_CHECKING:
     from truearm.model.workspace import Branch
     from truearm.types import Rig
 
 PLAN_MINUTES = 30.0
-OTHER_BARS = 1e-3  # m, how well the length of a bar is known that is estimated: an extension rod by a tape
-GAIN_SIGMA = 1e-3  # of a conditioner (docs/rig.md)
+OTHER_BARS = 1e-3  # m, how well an estimated bar length is known: an extension rod measured by tape
+GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
 RIG_HEAD = """\
-# The rig of {name}: docs/table-format.md says what may stand here, docs/rig.md what of it is worth measuring.
+# The rig of {name}: docs/reference/table-format.md says what may stand here, docs/how-to/rig.md what of it is worth measuring.
 # The coordinates are a proposal for an arm of this reach. Build the fixtures about so, then put in where things are in the end.
 # sigma: how well that was measured; "unknown": it is estimated from the measurements of the robot.
 """
@@ -38,22 +38,36 @@ BARS = """
 
 
 class Wanted(NamedTuple):
-    """What ``init`` is told, in SI units: bars [m], how well chucks and spheres are known [m] and the first bar's length [m]."""
+    """The user's input to ``init``, in SI units: bars [m], uncertainty of chucks and spheres [m] and of the first bar's
+    length [m].
+    """
 
     project: Project
     bars: tuple[float, ...] = ()
     known: float | None = None
     zero_sigma: float = 1e-4
-    minutes: float | None = PLAN_MINUTES  # of the first plan; None: none is made
+    minutes: float | None = PLAN_MINUTES  # of the first plan; None: no plan is made
     branch: Branch | None = None  # of the robot; None: the one of its file
 
 
+class Created(NamedTuple):
+    """Files written by ``create``, and the forecast of the first plan (``plan_ball_bar_files``), None if none was made."""
+
+    written: tuple[Path, ...]
+    plan: dict[str, Any] | None
+
+
 class Step(Enum):
-    """What a project needs next: its rig described, a plan, a recording, a fit, a look at a fit that failed; or it is done."""
+    """The next step of a project.
+
+    This is to describe its rig, to plan, to record, to recover a recording that was cut off, to fit, or to check a
+    failed fit; or the project is done.
+    """
 
     DESCRIBE = auto()
     PLAN = auto()
     RECORD = auto()
+    RECOVER = auto()
     IDENTIFY = auto()
     INSPECT = auto()
     CORRECT = auto()
@@ -61,16 +75,17 @@ class Step(Enum):
 
 @dataclass(frozen=True)
 class SessionState:
-    """A recording: file, size [byte], and whether it was completed."""
+    """A recording: file, size [byte], whether it was completed, and whether it is still being written."""
 
     path: Path
     size: int
     complete: bool
+    written: bool
 
 
 @dataclass(frozen=True)
 class ResultState:
-    """A result: file, held-out error [mm] where rows were held out, and how the fit ended."""
+    """A result: file, held-out error [mm] if rows were held out, and how the fit ended."""
 
     path: Path
     held_out_mm: float | None
@@ -79,7 +94,7 @@ class ResultState:
 
 @dataclass(frozen=True)
 class ProjectState:
-    """What is in a project's folder, and what comes next."""
+    """The contents of a project's folder, and the next step."""
 
     project: Project
     home: Path
@@ -92,24 +107,29 @@ class ProjectState:
 
 
 def sessions_of(folder: Path) -> list[Path]:
-    """The sessions of a folder by name, which is by date; parts that go on from one are read with it and are not listed."""
+    """Return the sessions of a folder by name, which is by date.
+
+    Parts that continue a session are read with it and are not listed, nor are recovered copies.
+    """
+    from truearm.workflows.recover import recovered_name
     from truearm.workflows.session_parts import first_stem
 
     every = sorted(folder.glob("*.mcap"))
     return [
         path
         for path in every
-        if first_stem(path) == path.stem or path.with_name(f"{first_stem(path)}.mcap") not in every
+        if (first_stem(path) == path.stem or path.with_name(f"{first_stem(path)}.mcap") not in every)
+        and recovered_name(path) not in every
     ]
 
 
 def results_of(folder: Path) -> list[Path]:
-    """The results of a folder by name, which is by date."""
+    """Return the results of a folder by name, which is by date."""
     return sorted(folder.glob("*.json"))
 
 
 def new_file(folder: Path, suffix: str) -> Path:
-    """A file of this folder, named by date and time, that is not there; the folder is made."""
+    """Return the path of a new file in this folder, named by date and time; the folder is created."""
     folder.mkdir(parents=True, exist_ok=True)
     stem = datetime.now().astimezone().strftime("%Y-%m-%d-%H%M%S")
     number = 1
@@ -119,18 +139,18 @@ def new_file(folder: Path, suffix: str) -> Path:
 
 
 def new_plan(path: Path) -> Path:
-    """The path, or one beside it with a number, that is not there."""
+    """Return the path, or a numbered one next to it if it exists."""
     number = 1
     while (found := path if number == 1 else path.with_stem(f"{path.stem}-{number}")).exists():
         number += 1
     return found
 
 
-def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
-    """Write truearm.toml, rig.toml and a first plan into a folder; return what was written.
+def create(folder: Path, wanted: Wanted) -> Created:
+    """Write truearm.toml, rig.toml and a first plan into a folder.
 
-    Nothing that is there is written over. Raises InputError for a folder that is a project already, and as loading the robot and
-    planning do; nothing is written then.
+    Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
+    the robot and planning raise; then nothing is written.
     """
     from truearm.files.rig_file import read_rig
     from truearm.files.robot_file import RobotChoice, load_robot
@@ -141,11 +161,12 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
     project = wanted.project
     paths = {"project": folder / FILE, "rig": folder / project.rig, "plan": folder / project.plan}
     if paths["project"].exists():
-        raise InputError(f"{paths['project']} is there already; edit it, or begin in another folder")
-    model = folder / project.model
+        raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
+    model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
     robot = load_robot(choice.robot or "", choice.base, choice.tip)
-    written = []
+    folder.mkdir(parents=True, exist_ok=True)
+    written, plan = list[Path](), None
     if not paths["rig"].exists():
         rig = _as_known(first_rig(replace(robot, branch=branch_of(robot, wanted.branch))), wanted)
         write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
@@ -156,15 +177,16 @@ def create(folder: Path, wanted: Wanted, say: Say = silent) -> list[Path]:
     write_atomic(paths["project"], format_project(project))
     written.insert(0, paths["project"])
     if wanted.minutes is not None and not paths["plan"].exists():
-        say("planning")
         files = PlanFiles(choice, paths["rig"], branch=wanted.branch, out=paths["plan"])
-        plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions(), say)
+        plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
         written.append(paths["plan"])
-    return written
+    return Created(tuple(written), plan)
 
 
 def _as_known(rig: Rig, wanted: Wanted) -> Rig:
-    """A first rig with the bars that there are, and what of it will be measured how well; all bars but the first to 1 mm."""
+    """Return a first rig with the available bars and the expected accuracy of its measurements; all bars but the first
+    to 1 mm.
+    """
     from truearm.plan.first_rig import bars
 
     chucks, spheres = (
@@ -181,7 +203,7 @@ def _as_known(rig: Rig, wanted: Wanted) -> Rig:
 
 
 def _rig_text(rig: Rig, name: str) -> str:
-    """A rig file for people: in mm, with what each part is."""
+    """Format a rig file for people: in mm, with an explanation of each part."""
     parts = [RIG_HEAD.format(name=name)]
     for head, kind, points in ((CHUCKS, "chuck", rig.chucks), (SPHERES, "sphere", rig.spheres)):
         parts.append(head)
@@ -198,7 +220,7 @@ def _rig_text(rig: Rig, name: str) -> str:
 
 
 def state_of(path: Path) -> ProjectState:
-    """What a project has and what comes next; ``path`` is its truearm.toml. Raises InputError for one that is wrong."""
+    """Return what a project has and its next step; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
     sessions = tuple(map(_session, sessions_of(home / project.sessions)))
@@ -212,6 +234,8 @@ def _next(state: ProjectState) -> Step:
         return Step.DESCRIBE
     if not state.sessions:
         return Step.PLAN if state.plan is None else Step.RECORD
+    if any(not one.complete for one in state.sessions):
+        return Step.RECORD if any(one.written for one in state.sessions) else Step.RECOVER
     if not state.results or state.results[-1].path.stat().st_mtime < state.sessions[-1].path.stat().st_mtime:
         return Step.IDENTIFY
     return Step.CORRECT if state.results[-1].status == "converged" else Step.INSPECT
@@ -224,11 +248,13 @@ def _poses(plan: Path | None) -> int:
 
 
 def _session(path: Path) -> SessionState:
+    from truearm.files.write_lock import is_held
     from truearm.session.message_columns import has_footer
 
     size = path.stat().st_size
     with path.open("rb") as file:
-        return SessionState(path, size, has_footer(file, size))
+        complete = has_footer(file, size)
+    return SessionState(path, size, complete, not complete and is_held(path))
 
 
 def _result(path: Path) -> ResultState:

@@ -1,4 +1,4 @@
-"""What ``truearm record`` does with its options."""
+"""Carry out ``truearm record`` according to its options."""
 
 from __future__ import annotations
 
@@ -28,11 +28,12 @@ if TYPE_CHECKING:
     from truearm.record.status import RecordSummary
     from truearm.types import Plan, Rig
 
-# The converter's modulator runs at 125 MHz / 15 / 2; a sample is osr of its periods.
+# The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.
 MODULATOR_HZ = 125e6 / 15 / 2
 OSRS = tuple(1 << k for k in range(7, 15))  # 128 … 16384
 USUAL_OSR = 4096
-# Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait so long.
+# Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait that
+# long.
 _SWITCH_INTERVAL_S = 2e-4
 
 
@@ -57,7 +58,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Work:
-    """What is to be recorded, read and held against each other. ``rows``: the plan as ``/plan`` holds it."""
+    """What to record, read from files and checked for consistency. ``rows``: the plan as in ``/plan``."""
 
     out: Path
     robot: str | None
@@ -72,23 +73,23 @@ class Work:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording that ended: whether a file was kept, and what the live view complained of."""
+    """A recording that ended: whether a file was kept, and problems of the live view."""
 
     out: Path
     summary: RecordSummary
     kept: bool
     trouble: str
-    missing: str  # why it is not what was asked for, "" if it is
+    missing: str  # why the recording is incomplete, "" if it is complete
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
 
 
 def record_request(request: Request, output: TextIO) -> Recorded:
-    """Record until it ends; what the operator sees meanwhile goes to ``output``. Raises InputError, LinkError, IncompleteError."""
+    """Record until the end; the operator's display goes to ``output``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
     device = choose_box(request.device, output)
     try:
         summary, writer, view = _record(device, work, request, output)
-    except WriteError as exc:  # what came until then is in the file
+    except WriteError as exc:  # data received until then is in the file
         raise IncompleteError(*exc.args) from exc
     dwells = None
     if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
@@ -100,7 +101,7 @@ def record_request(request: Request, output: TextIO) -> Recorded:
 
 
 def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
-    """Which dwells of a recording give no observation, and what to do; "" if every pose gave one."""
+    """Return which dwells of a recording give no observation, and what to do; "" if every pose gave one."""
     if dwells is None or not (dwells.need_words or dwells.lost):
         return ""
     text = dwells.sentence
@@ -110,7 +111,7 @@ def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
-    """Why a recording that ended is not what was asked for; "" if it is."""
+    """Return why a recording that ended is incomplete; "" if it is complete."""
     reasons = []
     if summary.reason in ("link lost", "robot lost", "no readings"):
         reasons.append(summary.text)
@@ -124,7 +125,7 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
 
 
 def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, SessionWriter, View]:
-    """The summary, the closed file, and the view."""
+    """Return the summary, the closed file, and the view."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
     from truearm.record.recorder import Hooks, RecordOptions
@@ -164,7 +165,7 @@ def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[
             )
         except TruearmError as exc:
             if writer.kept:
-                raise IncompleteError(*exc.args, f"; what came until then is in {writer.path}") from exc
+                raise IncompleteError(*exc.args, f"; everything received until then is in {writer.path}") from exc
             raise
     return summary, writer, view
 
@@ -176,7 +177,7 @@ def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
 
 
 def nearest_osr(rate: float) -> int:
-    """The oversampling ratio whose rate is nearest to ``rate`` [Hz]. Raises InputError beyond the box's rates."""
+    """Return the oversampling ratio with the rate nearest to ``rate`` [Hz]. Raises InputError outside the box's rates."""
     slowest, fastest = MODULATOR_HZ / OSRS[-1], MODULATOR_HZ / OSRS[0]
     if not 0.9 * slowest <= rate <= 1.1 * fastest:
         raise InputError(Argument("rate"), f" {rate:g} Hz is not within the box's {slowest:.0f} to {fastest:.0f} Hz")
@@ -184,12 +185,12 @@ def nearest_osr(rate: float) -> int:
 
 
 def _work(request: Request) -> Work:
-    """What is to be recorded. Raises InputError for options and files that are wrong or do not fit each other."""
+    """Return what to record. Raises InputError for options and files that are invalid or inconsistent."""
     from truearm.files.disk import check_writable
 
     if (request.out is None) == (request.resume is None):
         raise InputError(
-            "give ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to go on with one"
+            "give ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to continue one"
         )
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out
@@ -206,7 +207,7 @@ def _work(request: Request) -> Work:
 
 
 def _with_files(work: Work, request: Request) -> Work:
-    """With plan, rig and what is mounted, each held against the rig."""
+    """Add plan, rig and what is mounted, each checked against the rig."""
     from truearm.errors import RigError
     from truearm.files.disk import read_bytes
     from truearm.files.plan_file import check_against_rig, read_plan
@@ -225,7 +226,7 @@ def _with_files(work: Work, request: Request) -> Work:
 
 
 def _going_on(work: Work, request: Request, before: Earlier) -> Work:
-    """With what the parts before say, where the options say nothing."""
+    """Add data from the previous parts where the options do not specify it."""
     from truearm.files.rig_file import parse_rig
 
     if request.rig is None and before.rig_toml is not None:
@@ -244,7 +245,7 @@ def _going_on(work: Work, request: Request, before: Earlier) -> Work:
 
 
 def _purpose(work: Work) -> Purpose:
-    """By the plan, else by what is mounted, else by the rig."""
+    """Return the purpose according to the plan, else to what is mounted, else to the rig."""
     moves = {row.get("move", Move.DWELL) for row in work.rows}
     if work.rows:
         ball_bar, line = Move.DWELL in moves, Move.LINE in moves
@@ -256,7 +257,7 @@ def _purpose(work: Work) -> Purpose:
 
 
 def plan_rows(plan: Plan) -> list[dict[str, Any]]:
-    """The messages of ``/plan``, one a row."""
+    """Return the messages of ``/plan``, one per row."""
     return [_plan_row(plan, pose) for pose in range(len(plan))]
 
 

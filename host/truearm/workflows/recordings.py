@@ -1,4 +1,4 @@
-"""What a session says of how it was recorded, for reports."""
+"""Facts about how a session was recorded, for reports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def recording_of(session: Session, result: SyncResult) -> Recording:
-    """The facts of one session."""
+    """Return the facts of one session."""
     idents = list(result.survey.idents.values())
     reports = result.clock_reports
     return Recording(
@@ -27,7 +27,8 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
         uid=", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents)),
         firmware=", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents)),
         sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in _sensors(ident.document))),
-        dwells=len(result.dwells),
+        dwells=len(result.dwells) - result.n_mountings,
+        mountings=result.n_mountings,
         rejected=tuple(sorted(result.reasons.items())),
         passes=len(result.passes),
         samples=result.samples_seen,
@@ -38,14 +39,14 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
 
 
 def _utc(nanoseconds: str) -> str:
-    """A time as text; "" for none."""
+    """Format a time as text; "" for none."""
     if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
         return ""
     return datetime.fromtimestamp(NS.to_si(int(nanoseconds)), UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
-    """The calibrated channels that a box names."""
+    """Return the calibrated channels named by a box."""
     found = []
     for stream in document.get("streams") or []:
         for channel in stream.get("channels") or [] if isinstance(stream, dict) else []:
@@ -63,6 +64,6 @@ def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
 
 
 def counted_dwells(recordings: Sequence[Recording], counts: Sequence[DwellCount]) -> list[Recording]:
-    """The recordings with the dwells that the identification left out, those whose pairing is in doubt too."""
+    """Return the recordings with the dwells left out of the identification, including those with doubtful pairing."""
     rejected = {one_line(count.session): tuple(sorted(count.rejected.items())) for count in counts}
     return [replace(one, rejected=rejected.get(one.name, one.rejected)) for one in recordings]

@@ -1,4 +1,4 @@
-"""The work of ``truearm recover``: a complete session from one that is damaged or was cut off."""
+"""Make a complete session from one that is damaged or was cut off (``truearm recover``)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,25 @@ from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
 from truearm.files.disk import check_writable, sha256, working_folder
+from truearm.files.write_lock import is_held
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session, open_session
 
 
-def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | None:
-    """Write what is whole of a session to ``out``; None where all is whole, and nothing was written.
+def recovered_name(session: Path) -> Path:
+    """Return the default path of a recovered session: ``session-recovered.mcap``."""
+    return session.parent / f"{session.stem}-recovered.mcap"
 
-    Raises InputError, SessionError where nothing can be saved, WriteError.
+
+def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | None:
+    """Write the intact parts of a session to ``out``; None if the session is intact, and then nothing is written.
+
+    Raises InputError, SessionError if nothing can be saved or the session is still being written, WriteError.
     """
     opened = open_session(session, allow_damaged=True)
+    if opened.truncated and is_held(session):
+        raise SessionError(f"{session}: is still being written; end the recording first")
     if is_whole(opened):
         return None
     check_writable(out, force, inputs=[session])
@@ -25,13 +33,13 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
 
 
 def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Recovered:
-    """Write beside ``out`` and rename: whoever finds it finds it whole."""
+    """Write next to ``out`` and rename, so that ``out`` is always complete."""
     try:
         with working_folder(out.parent) as folder:
             partial = folder / "session.mcap"
             found = recover_session(opened, partial, said)
             if not found.topics and not opened.metadata:
-                raise SessionError(f"{path}: holds nothing that could be saved")
+                raise SessionError(f"{path}: contains nothing that can be recovered")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
         raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc

@@ -1,8 +1,7 @@
-"""The work of ``truearm relabel``: what was mounted at each dwell of a session, settled by what is trusted."""
+"""Settle what was mounted at each dwell of a session, based on a trusted source (``truearm relabel``)."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -18,6 +17,8 @@ from truearm.files.labels_file import Decision, no_labels, read_labels, with_dec
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.strict_json import number_or_null
+from truearm.files.write_lock import is_held
+from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import attached_rig
@@ -29,12 +30,11 @@ if TYPE_CHECKING:
     from truearm.session.observations import Survey, SyncResult
 
 AT_ONCE = 1000  # dwells
-LEAST_DWELLS = 3  # fewer say nothing of one another
-STILL_WRITTEN_S = 5.0  # a recorder writes every second
+LEAST_DWELLS = 3  # fewer cannot support one another
 
 
 class Trust(StrEnum):
-    """What is believed where plan, operator and readings differ."""
+    """Which source decides if plan, operator and readings differ."""
 
     PLAN = "plan"
     TYPED = "typed"
@@ -43,7 +43,9 @@ class Trust(StrEnum):
 
 @dataclass(frozen=True)
 class Run:
-    """Neighbouring dwells of which the same is said, and the same found: numbers from 1 on. ``probability``: the least of ``found``."""
+    """Neighbouring dwells with the same statements and the same findings, numbered from 1. ``probability``: the least
+    of ``found``.
+    """
 
     part: Path
     first: int
@@ -54,12 +56,12 @@ class Run:
     probability: float
 
 
-Answer = Callable[[Run], Pairing | None]  # what was mounted, None: leave these dwells out
+Answer = Callable[[Run], Pairing | None]  # what was mounted; None: leave these dwells out
 
 
 @dataclass(frozen=True)
 class RelabelOptions:
-    """``trust`` None: ``ask`` is asked about every run of which plan, operator and readings do not say the same."""
+    """If ``trust`` is None, ``ask`` is called for every run for which plan, operator and readings differ."""
 
     robot: RobotChoice
     rig: Path | None = None
@@ -69,7 +71,7 @@ class RelabelOptions:
 
 @dataclass(frozen=True)
 class Part:
-    """One file of the session: all of its stops, and what is said of those ``good`` ones that may be dwells."""
+    """One file of the session: all of its stops, and the statements about the ``good`` ones, which may be dwells."""
 
     path: Path
     found: Survey
@@ -77,12 +79,13 @@ class Part:
     said: tuple[Said, ...]
 
     def dwell(self, k: int) -> Dwell:
-        """The k-th good one."""
+        """Return the k-th good dwell."""
         return self.found.dwells[self.good[k]]
 
 
 def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
-    """Settle what was mounted at the dwells of a session and its further parts, write it beside them, and return what is printed.
+    """Settle what was mounted at the dwells of a session and its further parts, save it next to them, and return the
+    output.
 
     Raises InputError, SessionError for a session that is incomplete or still being written.
     """
@@ -92,7 +95,8 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
     robot = (
         None if options.robot.robot is None else load_robot(options.robot.robot, options.robot.base, options.robot.tip)
     )
-    found = None if robot is None else _evidence(robot, rig, readings, said)
+    with step(f"weighing what was mounted at {len(said)} dwells"):
+        found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:
         raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
     chosen = [
@@ -121,7 +125,7 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
 
 
 def undo(session: Path) -> dict[str, Any]:
-    """Take back the last decision about a session and its further parts. Raises InputError where there is none."""
+    """Undo the last decision about a session and its further parts. Raises InputError if there is none."""
     paths = session_parts(session)
     before = {path: labels for path in paths if (labels := read_labels(path)) is not None}
     if not before:
@@ -135,7 +139,7 @@ def undo(session: Path) -> dict[str, Any]:
 
 
 def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig, Readings]:
-    """The files, the one rig of all, and the readings of all good stops."""
+    """Return the files, their common rig, and the readings of all good stops."""
     from truearm.session.observations import survey
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import ident_of
@@ -158,7 +162,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
         readings.append(of_part)
     assert rig is not None
     if not any(part.good for part in parts):
-        raise SessionError(f"{paths[0]}: the robot never stood still for long enough; see truearm inspect {paths[0]}")
+        raise SessionError(f"{paths[0]}: the robot never stood still long enough; see truearm inspect {paths[0]}")
     some = [one for one in readings if len(one.q)]
     if len({one.q.shape[1] for one in some}) > 1:
         raise SessionError(f"{paths[0]}: its parts are of robots with different numbers of joints")
@@ -166,15 +170,15 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
 
 
 def _refuse_unfinished(path: Path) -> None:
-    if time.time() - path.stat().st_mtime < STILL_WRITTEN_S:
+    if is_held(path):
         raise SessionError(f"{path}: is still being written; end the recording first")
-    raise SessionError(f"{path}: ends in the middle; make a complete session of it with truearm recover {path}")
+    raise SessionError(f"{path}: is incomplete; make a complete session of it with truearm recover {path}")
 
 
 def _of_survey(rig: Rig, found: Survey) -> tuple[tuple[int, ...], tuple[Said, ...], Readings]:
-    """The stops that may be dwells of the plan, what is said of each, and what the sensor showed.
+    """Return the stops that may be dwells of the plan, the statements about each, and the sensor readings.
 
-    Every one is measured as if one bar had been mounted all the time: what the sensor shows does not depend on it.
+    Every stop is measured as if one bar had been mounted all the time: the sensor readings do not depend on it.
     """
     from truearm.session.dwells import DwellRules
     from truearm.session.observations import observations
@@ -190,7 +194,7 @@ def _of_survey(rig: Rig, found: Survey) -> tuple[tuple[int, ...], tuple[Said, ..
 
 
 def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
-    """What the sensor showed at measured dwells, in their bars' own extension."""
+    """Return the sensor readings at measured dwells, as extensions of their bars."""
     extension = np.full(len(dwells), np.nan)
     for i, dwell in enumerate(dwells):
         if not dwell.reason:
@@ -219,7 +223,7 @@ def _check_joints(robot: Robot, readings: Readings) -> None:
 def _chosen(
     parts: Sequence[Part], said: Sequence[Said], found: Mountings | None, options: RelabelOptions
 ) -> list[Pairing | None]:
-    """The pairing of each dwell, None to leave it out."""
+    """Return the pairing of each dwell, None to leave it out."""
     sure: list[Pairing | None] = [None] * len(said) if found is None else found.sure()
     match options.trust:
         case Trust.PLAN:
@@ -242,7 +246,7 @@ def _asked(
     ask: Answer | None,
 ) -> list[Pairing | None]:
     if ask is None:
-        raise InputError("nobody can be asked here; give ", Argument("trust"))
+        raise InputError("there is no terminal to ask questions on; give ", Argument("trust"))
     chosen: list[Pairing | None] = []
     numbers = [(part, k) for part in parts for k in range(len(part.good))]
     runs: dict[int, Run] = {}
@@ -298,9 +302,10 @@ def _row(part: Part, k: int, label: DwellLabel, readings: Readings, at: int) -> 
 
 
 def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.bool_]:
-    """(n,) the rows of a session's table whose label the readings bear out, by the nominal robot; rows that are no dwells among them.
+    """Return the rows (n,) of a session's table with labels that the readings support, given the nominal robot.
 
-    Where all dwells fit what they are said to be of, no more is asked; else all evidence must be for a label, as ``relabel`` weighs it.
+    Rows that are not dwells are included. If all dwells fit their labels, nothing else is checked. Otherwise all
+    evidence must support a label, weighed as in ``relabel``.
     """
     from truearm.workflows.identify import default_free
 

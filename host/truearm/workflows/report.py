@@ -1,4 +1,4 @@
-"""``truearm report``: a result's page with its certificate, made again from what was recorded."""
+"""``truearm report``: the page of a result with its certificate, recomputed from the recordings."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
 
-SAME = 1e-3  # of a parameter's σ: arithmetic of another machine, not another fit
+SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """A result, what it was made from and with, the page to write, and what the certificate says of robot and operator."""
+    """A result, its inputs, the page to write, and the certificate's details about robot and operator."""
 
     result: Path
     made_from: IdentifyFiles
@@ -37,11 +37,10 @@ class ReportFiles:
 
 
 def report_files(files: ReportFiles) -> Identification:
-    """Fit again as the result says that it was made, check that the same comes out, write the page.
+    """Repeat the fit as recorded in the result, check that the outcome is the same, and write the page.
 
-    Of the sessions and tables given those are read that the result was made from.
-    Raises InputError for a result that does not say how it was made, and for files that are not those it was made from or give
-    another result.
+    Of the given sessions and tables, only those used for the result are read. Raises InputError if the result does not
+    record how it was made, or if the files are not the original ones or give another result.
     """
     stored = read_result(files.result)
     options, hold_out = _options(files.result, stored.document)
@@ -89,7 +88,7 @@ def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str,
 
 
 def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, tuple[str, ...]]:
-    """How the result says that it was made. Raises InputError."""
+    """Return the options recorded in the result. Raises InputError."""
     made = document.get("made_with")
     if not isinstance(made, Mapping):
         raise InputError(f"{path}: does not say how it was made (an earlier truearm wrote it); identify again")
@@ -103,7 +102,7 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
         or not isinstance(hold_out, list)
         or not all(isinstance(one, str) for one in hold_out)
     ):
-        raise InputError(f"{path}: made_with is damaged, or of a later truearm")
+        raise InputError(f"{path}: made_with is damaged or comes from a later truearm")
     try:
         return IdentifyOptions(**given), tuple(hold_out)
     except (TypeError, InputError) as exc:
@@ -111,7 +110,7 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
 
 
 def _check_inputs(path: Path, document: Mapping[str, Any], given: set[str]) -> None:
-    """Raise InputError where a file that the result was made from is not among those given."""
+    """Raise InputError if a file used for the result is not among those given."""
     for entry in document.get("inputs", ()):
         if entry["sha256"] not in given:
             raise InputError(
@@ -120,7 +119,7 @@ def _check_inputs(path: Path, document: Mapping[str, Any], given: set[str]) -> N
 
 
 def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], found: Identification) -> None:
-    """Raise InputError where the fit is another than the stored one."""
+    """Raise InputError if the fit differs from the stored one."""
     e = found.estimate
     again = e.value[: len(value)]
     apart = np.abs(again - value[: len(again)]) > SAME * np.where(
@@ -130,5 +129,5 @@ def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], found:
     if (apart & seen).any() or len(e.value) != len(value):
         name = e.parameter_names[int(np.argmax(apart & seen))]
         raise InputError(
-            f"{path}: the files given make another result (first at {name}); give the rig and noise files that it was made with"
+            f"{path}: the files given lead to another result (first difference: {name}); give the rig and noise files that it was made with"
         )

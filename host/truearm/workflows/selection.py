@@ -1,4 +1,4 @@
-"""What the user chooses by text: the rows to hold out, the parameters to identify."""
+"""Parse the user's selections: the rows to hold out and the parameters to identify."""
 
 from __future__ import annotations
 
@@ -24,19 +24,18 @@ HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", 
 def held_out_rows(
     table: ObservationTable, wanted: Sequence[str], seed: int, fit_only: Sequence[str] = ()
 ) -> Mask | None:
-    """Mask (n,) of the rows that a user names to hold out, None where it names none.
+    """Return a mask (n,) of the rows to hold out, None if none are named.
 
-    ``wanted``: groups ("shell=s61", "place=front", or "front" alone where no other group has that name), or one
-    fraction such as "0.2": that share of the poses, drawn by ``seed`` alike from every group. ``fit_only``: groups beside which
-    all others are held out.
-    Raises InputError for an unknown or ambiguous group and where nothing would be left to fit.
+    ``wanted``: groups ("shell=s61", "place=front", or "front" alone if no other group has that name), or one fraction
+    such as "0.2": that share of the poses, drawn by ``seed`` equally from every group. ``fit_only``: groups to fit; all
+    others are held out. Raises InputError for an unknown or ambiguous group, or if nothing would be left to fit.
     """
     if fit_only:
         others: Mask = ~np.any([_group_rows(table, group, FIT_ONLY) for group in fit_only], axis=0)
         also = held_out_rows(table, wanted, seed)
         held = others if also is None else others | also
         if held.all():
-            raise InputError(FIT_ONLY, f" {fit_only[0]} leaves no row to fit beside those that are held out")
+            raise InputError(FIT_ONLY, f" {fit_only[0]} leaves no row to fit apart from those held out")
         return held if held.any() else None
     if not wanted:
         return None
@@ -50,7 +49,7 @@ def held_out_rows(
     if mask.all():
         raise InputError(HOLD_OUT, " names every row; nothing would be left to fit")
     if not mask.any():
-        raise InputError(HOLD_OUT, f" {wanted[0]} is not one row of {len(table)}; take a larger fraction")
+        raise InputError(HOLD_OUT, f" {wanted[0]} is less than one row of {len(table)}; take a larger fraction")
     return mask
 
 
@@ -68,7 +67,9 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
         return _bare_group_rows(table, group, argument)
     if column not in identifiers():
         fraction = ", or a fraction" if argument is HOLD_OUT else ""
-        raise InputError(argument, f" {group}: {column!r} is no group; use one of {', '.join(identifiers())}{fraction}")
+        raise InputError(
+            argument, f" {group}: {column!r} is not a group; use one of {', '.join(identifiers())}{fraction}"
+        )
     rows: Mask = table.column(column) == identifier
     if not identifier or not rows.any():
         known = [name for name in np.unique(table.column(column)) if name]
@@ -80,7 +81,7 @@ def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argumen
     found = [column for column in GROUPS if identifier and np.any(table.column(column) == identifier)]
     if len(found) > 1:
         raise InputError(
-            argument, f" {identifier} is a place and a shell; say place={identifier} or shell={identifier}"
+            argument, f" {identifier} is both a place and a shell; write place={identifier} or shell={identifier}"
         )
     if not found and _is_number(identifier) and argument is HOLD_OUT:
         raise InputError(
@@ -105,9 +106,11 @@ def _listed(what: str, known: Sequence[str]) -> str:
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
-    """Every pose gets its place in a random order of its own group, as a share of the group; the lowest are taken.
+    """Draw rows: every pose gets its position in a random order of its own group, as a share of the group; the lowest
+    are taken.
 
-    Rows of one pose (the same joint readings, several reflectors say) err together: they are held out together, or not.
+    Rows of one pose (the same joint readings, for example with several reflectors) have common errors, so they are held
+    out together or not at all.
     """
     rng = np.random.default_rng(seed)
     keys = np.stack([table.kind.astype("U64"), *(table.column(c).astype("U64") for c in drawn_from())], axis=1)
@@ -127,11 +130,12 @@ def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
 def free_parameters(
     names: Sequence[str], default: Mask, free: Sequence[str], freeze: Sequence[str], also: Sequence[str] = ()
 ) -> Mask:
-    """Mask (p,) of the parameters to identify: those that match a pattern of ``free`` (``default`` where there is none)
-    or of ``also``, and none of ``freeze``. Patterns are a shell's (``joint*.offset``), several in a text stand between
-    commas.
+    """Return a mask (p,) of the parameters to identify.
 
-    Raises InputError for a pattern that matches nothing and where no parameter is left.
+    These are the parameters that match a pattern of ``free`` (``default`` if there is none) or of ``also``, and none of
+    ``freeze``. Patterns use shell wildcards (``joint*.offset``); several patterns are separated by commas.
+
+    Raises InputError for a pattern that matches nothing, or if no parameter is left.
     """
     chosen = (matching(names, "free", free) if free else default) | matching(names, "also_free", also)
     mask: Mask = chosen & ~matching(names, "freeze", freeze)
@@ -141,7 +145,9 @@ def free_parameters(
 
 
 def matching(names: Sequence[str], argument: str, given: Sequence[str]) -> Mask:
-    """Mask (p,) of the names that match one of an argument's patterns. Raises InputError for one that matches nothing."""
+    """Return a mask (p,) of the names that match one of an argument's patterns. Raises InputError if a pattern matches
+    nothing.
+    """
     mask = np.zeros(len(names), dtype=bool)
     for pattern in (pattern.strip() for text in given for pattern in _parts(text, names)):
         matches = np.array([fnmatchcase(name, pattern) for name in names])
@@ -154,19 +160,19 @@ def matching(names: Sequence[str], argument: str, given: Sequence[str]) -> Mask:
 
 
 def _parts(text: str, names: Sequence[str]) -> list[str]:
-    """The patterns between commas; a joint of a URDF may have a comma in its name."""
+    """Split patterns at commas; a joint of a URDF may have a comma in its name."""
     return [text] if text in names else text.split(",")
 
 
 def _near(pattern: str, names: Sequence[str]) -> str:
-    """What may have been meant: names or kinds of parameters like the pattern, else some of both."""
+    """Return suggestions: names or kinds of parameters similar to the pattern, else some of both."""
     kinds = list(dict.fromkeys(f"*.{name.rpartition('.')[2]}" for name in names))
     close = difflib.get_close_matches(pattern[:80], [*names, *kinds], n=3)
     return f"names are like {', '.join(close or [*names[:2], *kinds])}"
 
 
 def parse_effect(text: str) -> Effect:
-    """The systematic error that a text such as ``chuck.c2@183`` names (``Effect``). Raises InputError."""
+    """Parse a systematic error such as ``chuck.c2@183`` (``Effect``). Raises InputError."""
     endings = {drift.ending: drift for drift in DriftWith}
     match = re.fullmatch(
         rf"([^@]+?)({'|'.join(map(re.escape, endings))})?(?:@([0-9]{{1,9}})(?::([0-9]{{1,9}}))?)?", text
@@ -176,15 +182,15 @@ def parse_effect(text: str) -> Effect:
     if match is None or first < 1 or (last is not None and last < first):
         raise InputError(
             ALLOW,
-            f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift or one of these with @FIRST or @FIRST:LAST behind it, rows from 1",
+            f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift or one of these followed by @FIRST or @FIRST:LAST, rows counted from 1",
         )
     return Effect(match[1], first - 1, last, endings.get(match[2]))
 
 
 def parse_rows(text: str) -> tuple[int, int]:
-    """Rows such as ``120:140``, counted from 0: the first, and the one after the last. Raises InputError."""
+    """Parse rows such as ``120:140``, counted from 0: the first, and the one after the last. Raises InputError."""
     match = re.fullmatch(r"([0-9]{1,9})(?::([0-9]{1,9}))?", text)
     first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
     if not 1 <= first <= last:
-        raise InputError(LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows from 1")
+        raise InputError(LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows counted from 1")
     return first - 1, last

@@ -1,6 +1,7 @@
-"""A session in several files: ``session.mcap``, ``session.2.mcap`` …, one for each time that it was recorded on (docs/decisions/0014).
+"""Sessions in several files: ``session.mcap``, ``session.2.mcap`` …, one for each continuation (docs/decisions/0014).
 
-What was recorded is never written to again. Each part is a session of its own, with its own clocks; what is made of one is made of all.
+A recorded file is never written again. Each part is a session with its own clocks; results are computed from all parts
+together.
 """
 
 from __future__ import annotations
@@ -20,41 +21,41 @@ if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
 SUFFIX = ".mcap"
-SETUP = "setup"  # the metadata record that says what a part belongs to, and how it was recorded
+SETUP = "setup"  # metadata record with the session that a part belongs to, and how it was recorded
 _PART = re.compile(r"(.+)\.([1-9][0-9]{0,5})")
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """What the parts before say: how to go on, and how far the session had come. ``out``: the next part's file."""
+    """Data from the previous parts: how to continue, and the progress so far. ``out``: file of the next part."""
 
     first: Path
     out: Path
     part: int
-    begun: str  # when, as the first part has it
+    begun: str  # when, according to the first part
     setup: Mapping[str, str]
     rows: list[dict[str, Any]] = field(default_factory=list)
     rig_toml: bytes | None = None
     mounted: dict[str, str] = field(default_factory=dict)
-    dwells: tuple[int | None, ...] = ()  # rows of the plan that were taken, None for a dwell beside it
-    lines: tuple[int | None, ...] = ()  # rows of the plan that were driven, None without a plan
+    dwells: tuple[int | None, ...] = ()  # rows of the plan with a dwell; None for a dwell that is not in the plan
+    lines: tuple[int | None, ...] = ()  # rows of the plan that were driven; None without a plan
 
 
 def session_parts(path: Path) -> list[Path]:
-    """A session's file and those that go on from it, in order; of a later part that alone. Raises SessionError."""
+    """Return a session's file and its continuations in order; for a later part, only that part. Raises SessionError."""
     parts = [path.with_name(f"{path.stem}.{number}{SUFFIX}") for number in _numbers(path)]
     first = _opened(path) if parts else None
     return [path, *(part for part in parts if first is not None and _goes_on(_opened(part), first))]
 
 
 def _numbers(path: Path) -> list[int]:
-    """Of the files that by their names are further parts, in order."""
+    """Return the numbers of the files that are further parts by name, in order."""
     found = [int(m[2]) for p in path.parent.glob(f"*{SUFFIX}") if (m := _PART.fullmatch(p.stem)) and m[1] == path.stem]
     return sorted(number for number in found if number > 1)
 
 
 def _goes_on(part: Session, first: Session) -> bool:
-    """Whether a part is this session's: a part of an earlier one of that name, which was overwritten, is not."""
+    """Return whether a part belongs to this session and not to an overwritten one of the same name."""
     setup = part.metadata.get(SETUP, {})
     return setup.get("of") == first.path.name and setup.get("begun") in (None, _begun(first))
 
@@ -64,13 +65,15 @@ def _begun(first: Session) -> str:
 
 
 def first_stem(path: Path) -> str:
-    """The name of a session's first file without its suffix."""
+    """Return the name of a session's first file without its suffix."""
     found = _PART.fullmatch(path.stem)
     return found[1] if found and path.with_name(found[1] + SUFFIX).exists() else path.stem
 
 
 def with_parts(inputs: list[Path]) -> list[Path]:
-    """Inputs with the further parts of each session behind it; one that is given too stays where it stands. Raises SessionError."""
+    """Return inputs with the further parts of each session after it; parts also given keep their place. Raises
+    SessionError.
+    """
     found: list[Path] = []
     for path in inputs:
         parts = session_parts(path)[1:] if path.suffix.lower() == SUFFIX else []
@@ -79,15 +82,16 @@ def with_parts(inputs: list[Path]) -> list[Path]:
 
 
 def is_part(path: Path, inputs: list[Path]) -> bool:
-    """Whether a file goes on from another of the inputs, or another of them from it."""
+    """Return whether a file continues another of the inputs, or another of them continues it."""
     firsts = {other: other.with_name(f"{m[1]}{SUFFIX}") for other in inputs if (m := _PART.fullmatch(other.stem))}
     return firsts.get(path) in inputs or path in firsts.values()
 
 
 def earlier(path: Path) -> Earlier:
-    """What there is of the session that ``path``, one of its parts or the folder that holds nothing else, belongs to.
+    """Return the data of the session to which ``path`` belongs: one of its parts or the folder that contains nothing
+    else.
 
-    A part without its end (the recorder was killed) is read as far as it goes. Raises InputError, SessionError.
+    A part without its end (the recorder was killed) is read as far as possible. Raises InputError, SessionError.
     """
     first = _first(path)
     sessions = [_opened(part) for part in session_parts(first)]
@@ -142,7 +146,7 @@ def _first(path: Path) -> Path:
     if path.is_dir():
         firsts = [p for p in sorted(path.glob(f"*{SUFFIX}")) if _number(p) == 1]
         if len(firsts) != 1:
-            raise InputError(Argument("resume"), f" {path}: holds {len(firsts)} sessions; name the one to go on with")
+            raise InputError(Argument("resume"), f" {path}: holds {len(firsts)} sessions; name the one to continue")
         return firsts[0]
     if not path.exists():
         raise InputError(Argument("resume"), f" {path}: no such file; record a new session with ", Argument("out"))
@@ -153,7 +157,7 @@ def _first(path: Path) -> Path:
 
 
 def _number(path: Path) -> int:
-    """1 for a first part."""
+    """Return a part's number, 1 for a first part."""
     return 1 if first_stem(path) == path.stem else int(path.stem.rpartition(".")[2])
 
 
@@ -164,12 +168,12 @@ def _opened(path: Path) -> Session:
 
 
 def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
-    """A row of the plan, with as many joints as those before it."""
+    """Return a row of the plan, with as many joints as the previous ones."""
     from truearm.session.joint_readings import are_joints
 
     q = row.get("q")
     if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):
-        raise SessionError(Argument("resume"), f" {path}: its plan is damaged; give it anew with ", Argument("plan"))
+        raise SessionError(Argument("resume"), f" {path}: its plan is damaged; give it again with ", Argument("plan"))
     return row
 
 

@@ -1,8 +1,8 @@
-"""Which rig each observation belongs to: the one of all, or one a session and one for each name in the column ``rig``.
+"""Assign a rig to each observation: a common one, or one per session and one for each name in the column ``rig``.
 
-A session carries the rig that it was recorded with, so several sessions of one robot may have several rigs. Each then
-makes unknowns of its own (``monday.sphere.s1.x``), and only the robot's parameters are shared. A session is called as its
-file is, without the suffix: ``--rig monday=FILE`` stands in for the rig inside monday.mcap.
+A session contains the rig with which it was recorded, so several sessions of one robot may have several rigs. Each rig
+then has unknowns of its own (``monday.sphere.s1.x``), and only the robot's parameters are shared. A session is named
+after its file without the suffix: ``--rig monday=FILE`` replaces the rig inside monday.mcap.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from truearm.types import Rig
 from truearm.workflows.session_observations import attached_rig, is_session
 from truearm.workflows.session_parts import first_stem
 
-LONGEST = 64  # letters of a name, as a table's identifiers
-Assigned = tuple[str, Rig]  # name, "" for the one rig of all, and what it holds
+LONGEST = 64  # letters in a name, as for a table's identifiers
+Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
 
 
 def session_name(path: Path) -> str:
-    """What a session is called where rigs have names: its first file's name without the suffix, fit for a table's column."""
+    """Return a session's name for use with rigs: its first file's name without the suffix, valid in a table's column."""
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 
 def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
-    """Name and rig of every session among the inputs; ``given`` holds those that the user gave, by name.
+    """Return name and rig of every session among the inputs; ``given`` holds those given by the user, by name.
 
-    Without such a name, and where all sessions were recorded with one rig, that is the one rig of everything, as a rig
-    without a name is. Raises RigError for a session that has no rig, InputError for names that do not tell rigs apart.
+    If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
+    a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
     sessions = [path for path in inputs if is_session(path)]
     if "" in given:
@@ -53,11 +53,13 @@ def _recorded(path: Path) -> Rig | None:
 
 
 def _named_apart(own: Mapping[Path, Rig]) -> dict[Path, Assigned]:
-    """Each session's own rig under the session's name; sessions that were recorded with one rig share the first's."""
+    """Return each session's own rig under the session's name; sessions recorded with the same rig share the first
+    one's.
+    """
     named: dict[Path, Assigned] = {}
     for path, rig in own.items():
         same = next((name for name, other in named.values() if other == rig), session_name(path))
         if any(name == same and other != rig for name, other in named.values()):
-            raise InputError(f"{path}: another session is called {same} too, but has another rig; rename one of them")
+            raise InputError(f"{path}: another session is also named {same} but has another rig; rename one of them")
         named[path] = same, rig
     return named

@@ -1,4 +1,4 @@
-"""The work of ``truearm simulate``: a box and a robot in real time behind ports of this machine, or in virtual time into a session file."""
+"""Simulate a box and a robot, in real time on ports of this machine or in virtual time into a session file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, assert_never
 
+from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, InputError, LinkError
 from truearm.files.robot_file import RobotChoice
 from truearm.units import MM
@@ -27,27 +28,22 @@ from truearm.workflows.simulated_robot import (
     write_truth,
 )
 
-CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than the wall clock
+CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than real time
 RTDE_JOINTS = 6
 SESSION = "session.mcap"
-MARK = ".truearm-simulated"  # in a folder that simulate made and may write again
+MARK = ".truearm-simulated"  # in a folder that simulate created and may overwrite
 
-# what the robot may speak: scheme of its address, usual port, readings a second
+# protocols of the robot: scheme of the address, default port, readings per second
 PROTOCOLS = {"lines": ("tcp", 7008, 50.0), "rtde": ("rtde", 30004, 500.0)}
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-
     from truearm.model.robot import Robot
     from truearm.model.workspace import Branch
-    from truearm.record.status import Status
     from truearm.types import Plan, Rig
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.simbox import Fault, SimulatedBox
     from truearm_sim.world import World
-
-    Progress = Callable[[Status], None] | None
 
 
 class Level(StrEnum):
@@ -58,7 +54,7 @@ class Level(StrEnum):
 
 
 class Hardware(NamedTuple):
-    """What runs behind the box, and the longest step of its time [ns] (None: any)."""
+    """What runs as the box, and the longest step of its time [ns] (None: any)."""
 
     power_on: PowerOn
     longest_step_ns: int | None
@@ -69,11 +65,13 @@ PUMA = RobotChoice("puma560")
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """What is simulated, and where it listens.
+    """What to simulate, and where it listens.
 
-    ``model`` is the robot, ``branch`` where poses are drawn, by default the robot file's, ``truth`` what it is beside its design, written to ``truth_out``. ``protocol`` is one of PROTOCOLS, ``level`` a Level.
-    ``plan`` and ``rig`` are files that stand in for ``poses`` with each bar, or for ``lines``. ``faults`` are written SECONDS:KIND. A port
-    of 0 is any free one. ``fast``: nothing listens; all is recorded in virtual time, at the oversampling ratio ``osr``.
+    ``model``: the robot. ``branch``: where poses are drawn, by default the robot file's. ``truth``: how the robot
+    differs from its design, written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan`` and
+    ``rig`` are files that replace ``poses`` with each bar, or ``lines``. ``faults`` are written SECONDS:KIND. A port of
+    0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
+    ``fast``: nothing listens; everything is recorded in virtual time, at the oversampling ratio ``osr``.
     """
 
     folder: Path
@@ -94,15 +92,16 @@ class SimulateOptions:
     rig: Path | None = None
     robot_delay_s: float = 0.0
     trigger: int | None = None
+    warming: float | None = None
     seed: int = 1
     level: str = "vm"
     faults: tuple[str, ...] = ()
 
 
 def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
-    """Serve until the robot's program has ended and the recorder has gone; ``say`` gets a line at a time.
+    """Serve until the robot's program has ended and the recorder has gone; ``say`` is called with one line at a time.
 
-    Raises InputError, and LinkError where the ports cannot be had.
+    Raises InputError, and LinkError if the ports are not available.
     """
     from truearm_sim.ports import Port, Terminal
     from truearm_sim.rtde_server import RtdeServer
@@ -143,39 +142,34 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
         robot_end.close()
 
 
-def simulate_fast(
-    options: SimulateOptions, say: Say, progress: Callable[[float], AbstractContextManager[Progress]]
-) -> None:
-    """Record everything in virtual time, into session.mcap of the folder.
-
-    ``progress``: of so many seconds of robot time, what hears of the recording. Raises InputError.
-    """
+def simulate_fast(options: SimulateOptions, say: Say) -> None:
+    """Record everything in virtual time, into session.mcap in the folder. Raises InputError."""
     if options.protocol != "lines" or options.pty:
-        raise InputError(Argument("fast"), " has no ports; leave out ", Argument("protocol"), " and ", Argument("pty"))
+        raise InputError(
+            Argument("fast"), " opens no ports; leave out ", Argument("protocol"), " and ", Argument("pty")
+        )
     _, _, rate = _spoken(options.protocol)
     world, of_box, box = _lab(options, rate, say)
     started = time.perf_counter()
     try:
-        with progress(world.duration) as hears:
-            record_virtually(
-                options.folder,
-                world.controller.plan,
-                world,
-                box,
-                options.osr,
-                options.seed,
-                hears,
-                step_ns=of_box.longest_step_ns,
-            )
+        record_virtually(
+            options.folder,
+            world.controller.plan,
+            world,
+            box,
+            options.osr,
+            options.seed,
+            step_ns=of_box.longest_step_ns,
+        )
     finally:
         box.close()
     say(f"{_visits_of(world)}, recorded in {time.perf_counter() - started:.1f} s: {options.folder / SESSION}")
 
 
 def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[str]]) -> None:
-    """Serve a box whose sensors follow a carriage, until q is typed; ``typed`` hands over the lines since it was asked last.
+    """Serve a box with sensors on a movable carriage until q is typed; ``typed`` returns the lines since the last call.
 
-    A line is a position in mm. Raises InputError, and LinkError where the port cannot be had.
+    A line is a position in mm. Raises InputError, and LinkError if the port is not available.
     """
     from truearm_sim.ports import Port, Terminal
     from truearm_sim.serve import serve
@@ -197,7 +191,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
                 stage.move_to(MM.to_si(float(line.replace(",", "."))))
                 say(f"the carriage goes to {MM.text(MM.to_si(float(line.replace(',', '.'))), '.4f')}")
             except ValueError:
-                say(f"{line[:40]!r} is no position; type one from {span}, or q")
+                say(f"{line[:40]!r} is not a position; type one from {span}, or q")
         return False
 
     try:
@@ -218,18 +212,19 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
 
 
 def _spoken(protocol: str) -> tuple[str, int, float]:
-    """What the robot speaks: scheme, usual port, readings a second. Raises InputError."""
+    """Return the robot's protocol: scheme, default port, readings per second. Raises InputError."""
     if protocol not in PROTOCOLS:
         raise InputError(Argument("protocol"), f" {protocol!r} is not known; it is one of {', '.join(PROTOCOLS)}")
     return PROTOCOLS[protocol]
 
 
 def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardware, SimulatedBox]:
-    """The world, what runs behind its box, and the box; writes plan, rig and truth. Raises InputError."""
+    """Return the world, the hardware behind its box, and the box; writes plan, rig and truth. Raises InputError."""
     from truearm.files.disk import check_writable, own_folder
     from truearm.files.plan_file import write_plan
     from truearm.files.rig_file import write_rig
     from truearm_sim.simbox import SimulatedBox
+    from truearm_sim.thermal import Thermal
     from truearm_sim.world import RobotInput, Setup, World
 
     folder, seed, truth = options.folder, options.seed, options.truth
@@ -240,6 +235,9 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
         text = f" rtde: a controller of {RTDE_JOINTS} joints, {simulated.robot.chain.name} has {joints}"
         raise InputError(Argument("protocol"), text)
     plan, rig = visits(options, simulated)
+    thermal = None if options.warming is None else Thermal(drift=options.warming, gain_drift=LVDT_DRIFT)
+    if thermal is not None and options.rig is None:
+        rig = thermal.declared(rig)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
         check_writable(options.truth_out, options.force, inputs=read, ours=looks_like_truth)
@@ -254,6 +252,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
             robot_rate=rate,
             robot_delay_s=options.robot_delay_s,
             robot_input=None if options.trigger is None else RobotInput(options.trigger),
+            thermal=thermal,
         ),
     )
     own_folder(folder, MARK)
@@ -266,7 +265,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
 
 
 def _visits_of(world: World) -> str:
-    """The robot, what it visits, and how long that takes."""
+    """Return the robot, its visits, and their duration."""
     plan = world.controller.plan
     dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
     what = " and ".join([f"{dwells} poses"] * (dwells > 0) + [f"{driven} drives along lines"] * (driven > 0))
@@ -274,9 +273,9 @@ def _visits_of(world: World) -> str:
 
 
 def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, Rig]:
-    """What the robot visits and what stands around it: files where they are given, else drawn.
+    """Return what the robot visits and its surroundings, from files if given, else drawn at random.
 
-    Raises InputError, and PlanError for a plan that is another robot's, or where the robot has no branch to draw poses from.
+    Raises InputError, and PlanError if the plan is for another robot, or if the robot has no branch to draw poses from.
     """
     from truearm.files.plan_file import read_plan
     from truearm.files.rig_file import read_rig
@@ -288,7 +287,10 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
         raise InputError(Argument("rig"), " needs the ", Argument("plan"), " that was made for it")
     if lines and plan_file is not None:
         raise InputError(
-            Argument("lines"), " draws lines and ", Argument("plan"), " reads what the robot visits: give one of them"
+            Argument("lines"),
+            " draws lines itself and ",
+            Argument("plan"),
+            " reads the poses to visit: give one of them",
         )
     if rig_file is not None:
         rig = read_rig(rig_file)
@@ -311,13 +313,13 @@ def _drawn(options: SimulateOptions, robot: Robot, rig: Rig) -> Plan:
 
 
 def hardware(level: str, say: Say) -> Hardware:
-    """What runs behind the box; says what it is. Raises InputError, and LinkError where the emulator is missing."""
+    """Return what runs as the box, and report it. Raises InputError, and LinkError if the emulator is missing."""
     from truearm_sim import micropython, node
     from truearm_sim.chip import ChipBox
     from truearm_sim.vmbox import VmBox
 
     if level not in tuple(Level):
-        raise InputError(Argument("level"), f" {level!r}: there are {' and '.join(Level)}")
+        raise InputError(Argument("level"), f" {level!r}: choose {' and '.join(Level)}")
     match wanted := Level(level):
         case Level.VM:
             interpreter = find_interpreter()
@@ -332,7 +334,7 @@ def hardware(level: str, say: Say) -> Hardware:
 
 
 def find_interpreter() -> Interpreter | None:
-    """The MicroPython to run the firmware in. Raises InputError if the one that was named cannot be used."""
+    """Return the MicroPython in which to run the firmware. Raises InputError if the specified one cannot be used."""
     from truearm_sim import micropython
 
     try:
@@ -342,7 +344,7 @@ def find_interpreter() -> Interpreter | None:
 
 
 def parse_fault(text: str) -> Fault:
-    """A fault written SECONDS:KIND. Raises InputError."""
+    """Parse a fault written SECONDS:KIND. Raises InputError."""
     from truearm_sim.simbox import FAULTS, Fault
 
     seconds, _, kind = text.partition(":")

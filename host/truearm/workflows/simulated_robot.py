@@ -1,4 +1,4 @@
-"""The robot that ``truearm simulate`` and ``truearm demo`` put into the lab: a model as a user names it, and its hidden truth."""
+"""The simulated robot of ``truearm simulate`` and ``truearm demo``: a model named by the user, and its hidden truth."""
 
 from __future__ import annotations
 
@@ -28,12 +28,13 @@ TRUTH_FORMAT = "truearm-truth"
 
 @dataclass(frozen=True)
 class TruthOptions:
-    """What the true robot is beside its design, in SI units.
+    """How the true robot differs from its design, in SI units.
 
-    ``tolerance``: standard deviations of lengths [m] and angles [rad]; None: the simulator's, or what the robot file says was measured.
-    ``gear_error``: amplitude [rad] of a sine of each of the ``gear_periods`` [rad]. ``masses`` [kg] of the links, one a joint, None for
-    joints that do not sag, ``stiffness`` [N·m/rad] of each. ``repeatability`` [m] of the bars, None for the rig's. ``worn``: backlash,
-    slow settling, swinging links, noisy readings. ``seed`` draws the truth; None: what draws all else.
+    ``tolerance``: standard deviations of lengths [m] and angles [rad]; None: the simulator's, or those measured
+    according to the robot file. ``gear_error``: amplitude [rad] of a sine for each of the ``gear_periods`` [rad].
+    ``masses`` [kg] of the links, one per joint; None for joints that do not sag. ``stiffness`` [N·m/rad] of each joint.
+    ``repeatability`` [m] of the bars, None for the rig's. ``worn``: backlash, slow settling, swinging links, noisy
+    readings. ``seed``: random seed of the truth; None: that of everything else.
     """
 
     tolerance: tuple[float, float] | None = None
@@ -59,7 +60,10 @@ class SimulatedRobot:
 
 
 def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: Branch | None = None) -> SimulatedRobot:
-    """Return the robot, in the branch that is given, with its truth, drawn from the truth's own seed or this one. Raises InputError, and RobotError as ``load_robot`` does."""
+    """Return the robot, in the given branch, with its truth drawn from its own seed or this one.
+
+    Raises InputError, and RobotError as ``load_robot`` does.
+    """
     from truearm_sim.arm import WORN, Arm
     from truearm_sim.joint_errors import GearError, JointError, Sag
     from truearm_sim.true_robot import Tolerance, true_params
@@ -75,14 +79,14 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
         errors.append(GearError.drawn(truth.gear_error, truth.gear_periods, len(chain.joints), seed))
     if truth.masses is not None:
         if len(truth.masses) != len(chain.joints):
-            text = f": needs {len(chain.joints)} masses, one a joint of {chain.name}, has {len(truth.masses)}"
+            text = f": needs {len(chain.joints)} masses, one per joint of {chain.name}, has {len(truth.masses)}"
             raise InputError(Argument("masses_kg"), text)
         errors.append(Sag(chain, params, np.array(truth.masses), truth.stiffness))
     return SimulatedRobot(robot, params, replace(WORN if truth.worn else Arm(), errors=tuple(errors)))
 
 
 def with_repeatability(rig: Rig, truth: TruthOptions) -> Rig:
-    """Return the rig with the bars' repeatability that was asked for."""
+    """Return the rig with the requested repeatability of the bars."""
     if truth.repeatability is None:
         return rig
     bars = {name: replace(bar, sigma=truth.repeatability) for name, bar in rig.bars.items()}
@@ -90,9 +94,9 @@ def with_repeatability(rig: Rig, truth: TruthOptions) -> Rig:
 
 
 def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
-    """Raise PlanError for a plan that another robot was meant to drive, with what to do; ``name`` is the plan's file.
+    """Raise PlanError with advice for a plan made for another robot; ``name`` is the plan's file.
 
-    Where the plan does not name its robot the bars tell: another arm would tear most of them out of their travel.
+    If the plan does not name its robot, the bars show it: another arm would pull most of them beyond their travel.
     """
     from truearm.files.plan_file import check_against_rig, check_robot
 
@@ -121,7 +125,7 @@ def check_plan(plan: Plan, robot: Robot, rig: Rig, name: str) -> None:
 
 
 def looks_like_truth(head: bytes) -> bool:
-    """Whether a file that begins so is empty or a truth."""
+    """Return whether a file with this beginning is empty or a truth."""
     return not head.strip() or TRUTH_FORMAT.encode() in head[:100]
 
 
@@ -131,7 +135,10 @@ def write_truth(path: Path, world: World, robot: Robot, truth: TruthOptions, see
 
 
 def truth_document(world: World, robot: Robot, truth: TruthOptions, seed: int) -> dict[str, Any]:
-    """Return what a calibration of this world is judged by: true parameters beside the design, errors of the joints, clocks, bars."""
+    """Return the data for judging a calibration of this world.
+
+    These are the true parameters next to the design, and the errors of joints, clocks and bars.
+    """
     chain, arm, hidden = robot.chain, world.controller.arm, world.truth
     pairs = zip(chain.parameters, chain.params_nominal.tolist(), hidden.params.tolist(), strict=True)
     return {

@@ -1,4 +1,4 @@
-"""What temperature may have done to the lengths of a session whose bar has no thermometer."""
+"""Estimate the possible effect of temperature on the lengths of a session if the bar has no thermometer."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from truearm.box.readiness import FAR, LVDT_DRIFT, STEEL
 from truearm.units import DEGC, MM, PPM_PER_K
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
     from truearm.types import BallBar, Rig
 
-FAR = 2.0  # K: 12 µm of a steel bar of half a metre
-STEEL = 11.5e-6  # 1/K, where the rig declares no expansion
-LVDT = 1e-4  # 1/K, of an LVDT's gain (docs/hardware.md), where the rig declares no drift
-
 
 def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> str:
-    """Return a sentence on the possible error of the lengths, "" where there is nothing to say.
+    """Return a sentence on the possible error of the lengths, "" if no warning is needed.
 
-    The session was measured FAR from the box's temperature at which ``channel`` was calibrated, and rows lack the bar's temperature.
+    A warning is needed if the session was measured FAR from the box's temperature at which ``channel`` was calibrated,
+    and rows lack the bar's temperature.
     """
     table = result.table.select(result.table.kind == "ball_bar")
     noted = [
@@ -45,16 +43,18 @@ def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> 
         f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {channel} was calibrated, "
         f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, most), '.3f')} "
         f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
-        "put a thermometer on the bar (docs/hardware.md), or calibrate the box at this temperature"
+        "put a thermometer on the bar (docs/how-to/hardware.md), or calibrate the box at this temperature"
     )
 
 
 def coefficients(bar: BallBar) -> tuple[float, float]:
-    """Expansion of a bar and drift of its sensor's gain [1/K]: the rig's, or usual ones."""
-    return bar.expansion or STEEL, bar.gain_drift or LVDT
+    """Return the expansion of a bar and the drift of its sensor's gain [1/K] from the rig, or usual values."""
+    return bar.expansion or STEEL, bar.gain_drift or LVDT_DRIFT
 
 
 def possible_error(bar: BallBar, warmer: float) -> float:
-    """How far a length [m] may be off if the bar and its sensor are so many kelvins warmer: both at the end of the stroke."""
+    """Return the possible error of a length [m] if bar and sensor are warmer by these kelvins, at the end of the
+    stroke.
+    """
     expansion, drift = coefficients(bar)
     return abs(warmer) * (abs(expansion) * bar.zero + abs(drift) * 0.5 * bar.travel)

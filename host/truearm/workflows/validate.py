@@ -1,10 +1,11 @@
-"""The work of ``truearm validate``: errors of the robot as described and as identified, by region, and a verdict.
+"""Validate a calibration: errors of the robot as described and as identified, by region, and a verdict.
 
-The verdict holds the errors against what is to be expected: the noise that rig and table declare, and what the identification did
-not know better (``estimate.validation.consistency``). "Without" is the robot as described, once its base and tool are placed on these rows:
-how they are bolted on is no error that a calibration could take credit for. How large the calibration's own residuals were is no measure: a calibration
-that fits badly would be judged leniently for it. There are three answers. The errors are consistent with that; or they are smaller
-than without the calibration, but a part of them is unexplained; or they are not smaller.
+The verdict compares the errors with the expected ones: the noise declared by rig and table, and the uncertainty of the
+identification (``estimate.validation.consistency``). "Without" means the robot as described, after its base and tool
+have been fitted to these rows: how they are mounted is not an error that a calibration could take credit for. The
+calibration's own residuals are not used as a measure, because a calibration that fits badly would then be judged
+leniently. There are three verdicts. The errors are consistent with the expected ones; they are smaller than without the
+calibration, but partly unexplained; or they are not smaller.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
 
-LEAST_ROWS = 5  # of a region: fewer say little
+LEAST_ROWS = 5  # in a region: fewer are not meaningful
 BETTER = 3.0  # standard errors by which a mean square must differ from another to count as different
 
 
@@ -50,8 +51,8 @@ ByUnit = Mapping[str, Figures]
 class ValidationRegion:
     """Errors of the rows in one part of the space, or of one group, without (``before``) and with the calibration.
 
-    By SI unit. ``expected`` is the RMS that declared noise and the calibration's own uncertainty explain, NaN where that is
-    not known.
+    Errors are given by SI unit. ``expected`` is the RMS explained by declared noise and the calibration's own
+    uncertainty, NaN if unknown.
 
     Examples
     --------
@@ -72,13 +73,16 @@ class ValidationRegion:
 
 @dataclass(frozen=True)
 class Validation:
-    """How a calibration does on ``n`` other observations. Printing it shows errors in mm and deg, and the verdict.
+    """The performance of a calibration on ``n`` other observations.
 
-    ``before`` and ``after`` are errors without (base and tool placed on these rows) and with the calibration, by SI unit; ``expected`` is the RMS that declared
-    noise and the calibration's own uncertainty explain in those rows that do not depend on what it did not see, empty
-    where there are none. ``n_unseen`` rows depend on that. ``n_left_out`` rows are not judged, since they fit the unknowns
-    of the rig whatever they say; ``n_settled`` such unknowns were estimated on these rows. ``regions`` are groups and
-    parts of the space. ``document`` is what ``truearm validate --json`` prints.
+    Printing it shows errors in mm and deg, and the verdict.
+
+    ``before`` and ``after`` are errors by SI unit, without the calibration (base and tool fitted to these rows) and with
+    it. ``n_unseen`` rows depend on directions that the calibration did not observe. ``expected`` is the RMS explained
+    by declared noise and the calibration's own uncertainty in the other rows, empty if there are none. ``n_left_out``
+    rows are not judged, because they fit the unknowns of the rig whatever their values; ``n_settled`` such unknowns
+    were estimated on these rows. ``regions`` are groups and parts of the space. ``document`` is what
+    ``truearm validate --json`` prints.
 
     Examples
     --------
@@ -112,7 +116,10 @@ class Validation:
 
 
 def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig: bool = False) -> Validation:
-    """Read a result and the observations that judge it; ``keep_rig`` as of ``validated``. Raises InputError in one line."""
+    """Read a result and the observations for judging it; ``keep_rig`` as in ``validated``.
+
+    Raises InputError with a one-line message.
+    """
     calibration = read_calibration(result, robot)
     sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
     check_files(sources, robot)
@@ -123,10 +130,10 @@ def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig:
 def validated(
     calibration: Calibration, rig: Rigs, table: ObservationTable, inputs: Sequence[Input] = (), keep_rig: bool = False
 ) -> Validation:
-    """Numbers and verdict; ``inputs`` are the files that the rows were read from.
+    """Return numbers and verdict; ``inputs`` are the files from which the rows were read.
 
-    ``keep_rig``: unknowns of the rig that the identification found are held as it left them. Raises InputError where no row can
-    judge, and where nothing of the rig can be kept.
+    ``keep_rig``: unknowns of the rig are held at their identified values. Raises InputError if no row can judge, or if
+    nothing of the rig can be kept.
     """
     chain, stored = calibration.chain, calibration.stored
     kept = _identified_rig(calibration) if keep_rig else {}
@@ -142,11 +149,13 @@ def validated(
     before = _placed(calibration, rig, table, raw, kept, allowed)
     judging = before.judging & after.judging
     if not judging.any():
-        raise InputError("no row can judge: each fits unknowns of the rig whatever it says; measure more there")
+        raise InputError(
+            "no row can judge the calibration: unknowns of the rig fit each of them exactly; measure more rows there"
+        )
     covariance, unseen = (of(stored, after.identified) for of in (covariance_of, unseen_of))
     due = expected(after, covariance, unseen)
     elsewhere = moved(chain, stored.still, table.q)
-    if elsewhere.any():  # what their joints did not show then, these rows depend on
+    if elsewhere.any():  # these rows depend on what their joints did not show in the identification
         due = {si: of._replace(unseen=of.unseen | elsewhere) for si, of in due.items()}
         lost = np.array([[name == one for one in stored.lost] for name in after.identified], dtype=float)
         unseen = np.concatenate([unseen, lost], axis=1)
@@ -195,14 +204,15 @@ def validated(
 
 
 def _identified_rig(calibration: Calibration) -> dict[str, float]:
-    """What the identification found of the rig, by name."""
+    """Return the identified values of the rig, by name."""
     return {name: of.value for name, of in calibration.parameters.items() if of.of == "rig" and math.isfinite(of.value)}
 
 
 def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
-    """The systematic errors that the identification estimated in all rows: what a thing of the rig was off by stays so.
+    """Return the systematic errors that the identification estimated in all rows: a constant error of a rig part
+    persists.
 
-    A slip or a drift within that session says nothing of another one.
+    A slip or a drift within that session does not apply to another one.
     """
     made_with = calibration.stored.document.get("made_with")
     texts = made_with.get("allow") if isinstance(made_with, dict) else None
@@ -219,7 +229,10 @@ def _placed(
     kept: Mapping[str, float],
     allowed: Sequence[Effect],
 ) -> Judgement:
-    """The robot as described, once base and tool are placed on the rows; as it is where fewer rows could judge then."""
+    """Return the robot as described, with base and tool fitted to the rows.
+
+    It is left unchanged if too few rows could judge afterwards.
+    """
     chain, stored = calibration.chain, calibration.stored
     place = mounting(chain, calibration.nominal).either & stored.free[stored.of_robot]
     if not place.any():
@@ -238,20 +251,22 @@ class Errors(NamedTuple):
 
 
 def _unexplained(of: Errors, rows: Mask) -> float:
-    """RMS of what declared noise and covariance leave of the errors of some rows; NaN where what they explain is not known."""
+    """Return the RMS of the errors not explained by declared noise and covariance; NaN if the explained part is not
+    known.
+    """
     rows = rows & ~of.due.unseen
     left = of.after[rows] ** 2 - of.due.by_noise[rows] - of.due.by_parameters[rows]
     return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
 
 
 def _is_better(of: Errors) -> bool:
-    """Whether the errors are smaller with the calibration than without, beyond chance."""
+    """Return whether the errors are smaller with the calibration than without, beyond chance."""
     gain = of.before[of.rows] ** 2 - of.after[of.rows] ** 2
     return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
 
 
 def _worst_region(errors: Mapping[str, Errors], judging: Mask, regions: Sequence[tuple[str, Mask]]) -> str | None:
-    """The region whose errors exceed those expected most, where they do so by more than elsewhere, beyond chance."""
+    """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
     for of in errors.values():
         rows = judging & of.rows & ~of.due.unseen
@@ -268,13 +283,13 @@ def _worst_region(errors: Mapping[str, Errors], judging: Mask, regions: Sequence
 
 
 def _figures(errors: Mapping[str, Errors], rows: Mask) -> tuple[ByUnit, ByUnit]:
-    """Figures of some rows in each unit, without and with the calibration."""
+    """Return figures of some rows in each unit, without and with the calibration."""
     before = {si: Figures.of(of.before[rows & of.rows]) for si, of in errors.items()}
     return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
 
 
 def _figure_entries(before: ByUnit, after: ByUnit) -> dict[str, float | None]:
-    """Figures as shown; None where no row has such an error."""
+    """Return figures for display; None if no row has such an error."""
     out: dict[str, float | None] = {}
     for si in after:
         for name, found in (("before", before[si]), ("after", after[si])):
@@ -291,14 +306,14 @@ def _region_entry(region: ValidationRegion) -> dict[str, Any]:
 
 
 def _root_mean(square: Floats) -> float:
-    """NaN of no rows, and where one of them has no such square."""
+    """Return the root of a mean; NaN without rows or if one of them has no such square."""
     return float(np.sqrt(np.mean(square))) if square.size else math.nan
 
 
 def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
-    """What the rows should say if the robot is as identified: the RMS of each unit, empty where there are no such rows.
+    """Return the RMS expected in each unit if the robot is as identified, empty if there are no such rows.
 
-    And as shown, with its parts and what the rows say; None where there are none.
+    It is also returned for display, with its parts and the actual errors; None if there are no such rows.
     """
     rms: dict[str, float] = {}
     out: dict[str, float | None] = {}
@@ -317,7 +332,7 @@ def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str,
 
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
-    """RMS that the calibration had on rows that it was not fitted to, or else on those that it was, as shown."""
+    """Return the calibration's RMS, for display, on rows to which it was not fitted, or else on those to which it was."""
     held_out = document.get("held_out")
     value = held_out.get(key("rms", si)) if isinstance(held_out, dict) else document.get(key("rms_after", si))
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
@@ -326,7 +341,7 @@ def _reference(document: Mapping[str, Any], si: str) -> float | None:
 def _regions(
     calibration: Calibration, table: ObservationTable, errors: Mapping[str, Errors], judging: Mask
 ) -> tuple[ValidationRegion, ...]:
-    """Groups that the rows name, and four parts of the space where the end was."""
+    """Return the groups named by the rows, and four parts of the space by the position of the end."""
     squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}
     found = []
     for name, mine in _named_regions(calibration, table):
@@ -347,7 +362,9 @@ def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tu
 
 
 def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
-    """Near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its height."""
+    """Return near and far, low and high: halves by the distance of the end from the base frame's z axis, and by its
+    height.
+    """
     p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
     reach = np.hypot(p[:, 0], p[:, 1])
     far, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
@@ -363,7 +380,7 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
 
 
 def verdict(document: Mapping[str, Any]) -> str:
-    """What the numbers mean, in words."""
+    """Explain the numbers in words."""
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
     helped = [suffix for suffix, better in document["better"].items() if better]
     told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
@@ -402,7 +419,7 @@ def verdict(document: Mapping[str, Any]) -> str:
 
 
 class _Told(NamedTuple):
-    """What is expected of the rows in one unit, as shown."""
+    """What is expected of the rows in one unit, for display."""
 
     unit: Scale
     rms: float
@@ -427,7 +444,7 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 
 
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
-    """The document as a person reads it: a table a unit, and what it means."""
+    """Format the document for people: a table per unit, and its meaning."""
     lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     lines.append("Expected is, with the calibration, what declared noise and its own uncertainty explain.")
     if document["placed"]:

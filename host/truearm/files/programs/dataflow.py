@@ -7,13 +7,14 @@ the move can go to, and where one may be computed at run time the move says so. 
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, assert_never
 
 from truearm.errors import ProgramError
 from truearm.files.programs.environment import Environment, Key
+from truearm.files.programs.motions import UNDECLARED, Motion, goal_of
+from truearm.files.programs.operators import operator_of
 from truearm.files.programs.syntax import (
     Assign,
     Block,
@@ -45,36 +46,19 @@ from truearm.files.programs.tree_walks import (
     routines_in,
     statements_in,
 )
-from truearm.files.programs.values import Goal, Listed, Pose, Solved, Unknown, Value, Values, combined, joined
+from truearm.files.programs.values import Goal, Listed, Unknown, Value, Values, combined, joined
 
 MAX_CALLS = 20  # of routines within each other
 MAX_TURNS = 4  # of a loop before what still changes is not known
 STEPS, STEPS_EACH = 200_000, 8  # statements that are run at most, and more for each statement of the program
 CALL = 10  # statements that a call costs
 
-UNDECLARED = "name"  # the remedy of a name that the file does not declare, until it is known what for
 
 GLOBAL = 0
 TOOL = "tool in force"  # no name of a variable has a space
 _HERE: Key = (GLOBAL, "where the robot is")
 _ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
-MOST_STARTS = 64  # of a straight move that are told apart
-
-
-@dataclass(slots=True)
-class Motion:
-    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
-
-    ``legs``: each time that it was followed, what the robot may come from and what it may end at; ``straight``: along a line in space.
-    """
-
-    name: str
-    start: int
-    end: int
-    goals: dict[Goal, None] = field(default_factory=dict)
-    legs: list[tuple[Values, Values]] = field(default_factory=list)
-    straight: bool = False
-    problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
+MOST_STARTS = 64  # of a straight move that are distinguished
 
 
 class Language(Protocol):
@@ -96,7 +80,7 @@ class Language(Protocol):
         """What a literal is by itself."""
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
-        """The arguments of a built-in instruction that it may assign to."""
+        """The arguments that an instruction which the program does not define may assign to."""
 
 
 @dataclass
@@ -217,7 +201,7 @@ class Flow:
     def _step(self, statement: Statement) -> bool:
         self.steps -= 1
         if self.steps < 0:
-            raise ProgramError(f"{self.source.name}: its routines and loops are too involved to be followed; split it")
+            raise ProgramError(f"{self.source.name}: its routines and loops are too complex to follow; split it")
         match statement:
             case Do(what):
                 self.value(what)
@@ -332,7 +316,7 @@ class Flow:
             case Operation(sign, operands, start):
                 if sign in ("and", "or") and self._runs_routine(operands[1]):
                     return self._either(expression)
-                return combined(start, _operator(sign, start), [self.value(operand) for operand in operands])
+                return combined(start, operator_of(sign, start), [self.value(operand) for operand in operands])
             case _:
                 assert_never(expression)
 
@@ -352,19 +336,14 @@ class Flow:
                 self.environment.records.append(self.running[routine.name])
             return self.enter(routine, call, arguments, named)
         found = self.language.call(self, call, arguments, named)
-        if found is not None:
-            for argument in self.language.changed_by(call):
-                if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
-                    self._assign(argument, (Unknown(f"{call.function} changes it at run time", call.start),), "")
-            return found
-        self.uncertain(
-            call.function,
-            call.start,
-            call.end,
-            f"{call.function} is not defined in this file; it may move the robot",
-            "harmless",
-        )
-        return (Unknown(f"what {call.function} gives is known at run time only", call.start),)
+        if found is None:
+            why = f"{call.function} is not defined in this file; it may move the robot"
+            self.uncertain(call.function, call.start, call.end, why, "harmless")
+            found = (Unknown(f"what {call.function} gives is known at run time only", call.start),)
+        for argument in self.language.changed_by(call):
+            if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
+                self._assign(argument, (Unknown(f"{call.function} may change it at run time", 0),), "")
+        return found
 
     def enter(
         self, routine: Routine, call: Call | None, arguments: Sequence[Values], named: Mapping[str, Values]
@@ -433,8 +412,11 @@ class Flow:
             results = joined(results, values)
         after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
         self.environment.join([{key: v for key, v in way.items() if key[0] != here.scope} for way in ways])
+        shared = {one.name for one in routine.parameters if one.shared}
         if call is not None:  # an argument by reference may have been changed
             for name, place in places.items():
+                if name not in shared:
+                    continue
                 for way in after:
                     if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
                         self._assign(place, joined(self.value(place), way[name]), "")
@@ -500,64 +482,18 @@ class Flow:
             for frame in frames:
                 for k, (values, argument) in enumerate(targets, start=1):
                     for value in values:
-                        found = _goal(value, tool, frame, argument)
+                        found = goal_of(value, tool, frame, argument)
                         if isinstance(found, Goal):
                             motion.goals[found] = None
                         else:
                             motion.problems[found] = None
                         if k == len(targets):
                             ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
-        several = Unknown("it may be at too many places to be told apart", call.start)
+        several = Unknown("it may be at too many places to be distinguished", call.start)
         reached = tuple(ends) if len(ends) <= MOST_STARTS else (several,)
         motion.straight = straight
         motion.legs.append((self.environment.get(_HERE) or _ANYWHERE, tuple(ends)))
         self.environment.set(_HERE, joined(self.environment.get(_HERE), reached) if self.loose else reached)
-
-
-def _goal(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
-    """The goal, or why there is none."""
-    place = (argument.start, argument.end) if not isinstance(argument, Number | Text | Truth) else (-1, -1)
-    if isinstance(value, Unknown):
-        return value.why, "" if value.remedy == UNDECLARED else value.remedy
-    if isinstance(value, Taught):
-        return Goal(value, Pose(()), Pose(()), None, *place)
-    near = None
-    if isinstance(value, Solved):
-        near, tool = value.near, value.tool
-        value = value.pose
-    if not isinstance(value, Pose):
-        return "its target is no pose and no joint readings of plain numbers", ""
-    for what in (tool, frame):
-        if isinstance(what, Unknown):
-            return what.why, what.remedy
-    if not isinstance(tool, Pose) or not isinstance(frame, Pose):
-        return "its tool or work object is none that is known", ""
-    return Goal(value, tool, frame, near, *place)
-
-
-_ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-}
-
-
-def _operator(sign: str, at: int) -> Callable[..., Value]:
-    """What an operator makes of numbers; comparisons are left to the run."""
-
-    def result(*operands: Value) -> Value:
-        values = [one.value for one in operands if isinstance(one, Number)]
-        if len(values) == len(operands):
-            if len(values) == 1 and sign in "+-":
-                return Number(-values[0] if sign == "-" else values[0])
-            if len(values) == 2 and sign in _ARITHMETIC and not (sign == "/" and values[1] == 0.0):
-                return Number(_ARITHMETIC[sign](*values))
-        return next(
-            (one for one in operands if isinstance(one, Unknown)), Unknown(f"the result of {sign} is not followed", at)
-        )
-
-    return result
 
 
 def _upward(at: _Activation | None) -> Iterator[_Activation]:

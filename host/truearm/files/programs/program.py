@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple, assert_never
 from truearm.errors import ProgramError
 from truearm.files.disk import read_bytes
 from truearm.files.programs import rapid_meaning, urscript_meaning
-from truearm.files.programs.dataflow import Flow, Motion
+from truearm.files.programs.dataflow import Flow
+from truearm.files.programs.motions import Motion
 from truearm.files.programs.rapid import read_rapid
 from truearm.files.programs.syntax import Source
 from truearm.files.programs.urscript import read_urscript
@@ -88,10 +89,10 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     try:
         flow = _followed(source, language, surroundings)
     except RecursionError as exc:  # thousands of operators in one expression
-        raise ProgramError(f"{name}: an expression is nested too deeply to be followed") from exc
+        raise ProgramError(f"{name}: an expression is nested too deeply to follow") from exc
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
-        raise ProgramError(f"{name}: moves the robot nowhere; there is nothing to correct")
+        raise ProgramError(f"{name}: contains no move; there is nothing to correct")
     return Program(language, source, motions)
 
 
@@ -107,9 +108,9 @@ def _followed(source: Source, language: ProgramLanguage, surroundings: Surroundi
 
 
 def _check_text(source: Source, data: bytes) -> None:
-    """Refuse what is no text, and a text in two encodings: somebody has put parts together, and names may not agree."""
+    """Refuse what is not text, and a text in two encodings: somebody has put parts together, and names may not agree."""
     if (at := source.text.find("\0")) >= 0:
-        raise source.wrong(at, "holds a NUL byte, so it is no program in a one-byte encoding or UTF-8")
+        raise source.wrong(at, "holds a NUL byte, so it is not a program in a one-byte encoding or UTF-8")
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as exc:

@@ -1,82 +1,38 @@
 """RAPID, read: the grammar of ABB's technical reference manual (RAPID kernel, IRC5 and OmniCore).
 
-Words are the same in upper and lower case; names are kept in lower case. Statements end with a semicolon, line ends mean nothing. A module
-gives its data, its routines, and the types of what it declares.
+Words are the same in upper and lower case; names are kept in lower case, and may hold letters of ISO 8859-1. Statements end with a semicolon, line
+ends mean nothing. A module gives its data, its routines, and the types of what it declares.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import NamedTuple
 
+from truearm.files.programs.rapid_expressions import CLOSING, ENDS, TOKENS, ExpressionReader
 from truearm.files.programs.syntax import (
     END,
-    NUMBER,
     Assign,
     Block,
     Call,
     Do,
     Element,
     Expression,
-    Form,
     If,
     Items,
     Jump,
     Leave,
     Loop,
     Name,
-    Number,
-    Operation,
     Parameter,
-    Reader,
     Return,
     Routine,
     Source,
     Statement,
-    Taught,
-    Text,
     Truth,
 )
 
-_N = rf"\s*[+-]?{NUMBER}\s*"
-
-
-def _list(n: int) -> str:
-    return rf"\s*\[{_N}(?:,{_N}){{{n - 1}}}\]\s*"
-
-
-_TOKENS = re.compile(
-    rf"""(?:\s++|![^\r\n]*+|\xef\xbb\xbf|%%%[^%]*+%%%)*+
-    (?:(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
-    |(?P<number>0[xX][0-9A-Fa-f]+|0[bB][01]+|{NUMBER})|(?P<word>[A-Za-z]\w*)|(?P<string>"(?:[^"\r\n]|"")*")
-    |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|]))?""",
-    re.VERBOSE | re.ASCII,
-)
-_BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
-_BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
-_NOT, _MINUS = 3, 7
-PASSED = r"\?"  # what stands for \name?parameter: the parameter where it is given
-_ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
-_CLOSING = frozenset(
-    {*_ENDS.values(), "else", "elseif", "endif", "endfor", "endwhile", "endtest", "case", "default", "error", "undo", "backward"}
-)  # fmt: skip
-_NO_NAMES = _CLOSING | {
-    "module",
-    "endmodule",
-    "proc",
-    "func",
-    "trap",
-    "if",
-    "then",
-    "for",
-    "while",
-    "do",
-    "test",
-    "var",
-    "pers",
-    "const",
-}
+LATE_BOUND = "%"  # what stands for %expression%: the procedure of that name
 
 
 class Declared(NamedTuple):
@@ -99,28 +55,15 @@ class Module(NamedTuple):
 
 def read_rapid(source: Source) -> tuple[Module, ...]:
     """The modules of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source, _TOKENS)
+    reader = _Reader(source, TOKENS)
     found = [reader.module()]
     while reader.kind != END:
         found.append(reader.module())
     return tuple(found)
 
 
-class _Reader(Reader):
+class _Reader(ExpressionReader):
     """The grammar by recursive descent."""
-
-    def is_word(self, *words: str) -> bool:
-        return self.kind == "word" and self.text.lower() in words
-
-    def take(self, text: str) -> None:
-        if self.text.lower() != text:
-            raise self.unexpected(text.upper() if text.isalpha() else quoted_sign(text))
-        self.step()
-
-    def word(self, wanted: str) -> str:
-        if self.kind != "word" or self.text.lower() in _NO_NAMES:
-            raise self.unexpected(wanted)
-        return self.once(self.step().lower())
 
     def module(self) -> Module:
         data: list[Declared] = []
@@ -146,7 +89,7 @@ class _Reader(Reader):
             self.step()
         if self.is_word("var", "pers", "const"):
             data.append(self.datum())
-        elif self.is_word(*_ENDS):
+        elif self.is_word(*ENDS):
             routines.append(self.routine())
         elif self.is_word("record"):
             self.step()
@@ -201,7 +144,7 @@ class _Reader(Reader):
                 self.step()
                 self.bracketed(")")
             handlers.append(self.block())
-        self.take(_ENDS[kind])
+        self.take(ENDS[kind])
         return Routine(name, parameters, tuple(body), "beside" if kind == "trap" else "routine", start, tuple(handlers))
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -232,7 +175,7 @@ class _Reader(Reader):
         """Statements up to the word that closes them, which is left."""
         self.deeper()
         found: list[Statement] = []
-        while not (self.kind == END or self.is_word(*_CLOSING)):
+        while not (self.kind == END or self.is_word(*CLOSING)):
             found += self.statement()
         self.depth -= 1
         return tuple(found)
@@ -247,11 +190,14 @@ class _Reader(Reader):
             self.expression()
             self.take("%")
             arguments, named = self.arguments(";")
-            return [Do(Call("%", arguments, named, start, self.last))]
+            return [Do(Call(LATE_BOUND, arguments, named, start, self.last))]
         if self.following == ":":
             self.step()
             self.step()
             return [Jump(start)]
+        if self.text.lower() == "<smt>":  # where an editor has no statement yet
+            self.step()
+            return []
         return [self.simple()]
 
     def counted_loop(self) -> list[Statement]:
@@ -319,7 +265,7 @@ class _Reader(Reader):
             self.take(":=")
             value = self.expression()
             if not isinstance(left, Name | Element):
-                raise self.source.wrong(start, "what stands left of := is no variable")
+                raise self.source.wrong(start, "the left side of := is not a variable")
             found: Statement = Assign(left, value)
             self.take(";")
             return found
@@ -370,121 +316,6 @@ class _Reader(Reader):
         self.take("endtest")
         return [If(tuple(conditions), tuple(blocks), whole)]
 
-    def arguments(self, closing: str) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
-        r"""Arguments in order, and those after a \\, up to a sign that is taken. A switch is True."""
-        values: list[Expression] = []
-        named: list[tuple[str, Expression]] = []
-        self.deeper()
-        while self.text != closing:
-            if self.text == "\\":
-                self.step()
-                name = self.word("an argument's name")
-                value: Expression = Truth(True)
-                if self.text == ":=":
-                    self.step()
-                    value = self.expression()
-                elif self.text == "?":  # as the routine's own optional parameter, or not at all
-                    self.step()
-                    at = self.start
-                    value = Call(PASSED, (Name(self.word("a parameter"), at),), (), at, self.end)
-                named.append((name, value))
-            else:
-                values.append(self.expression())
-            if self.text == ",":
-                self.step()
-            elif self.text not in (closing, "\\"):
-                raise self.unexpected(f"a comma or {closing}")
-        self.step()
-        self.depth -= 1
-        return tuple(values), tuple(named)
-
-    def expression(self, least: int = 0) -> Expression:
-        """An expression whose operators bind at least so strongly."""
-        start, text = self.start, self.text.lower()
-        if text == "not" or text in ("-", "+"):
-            self.deeper()
-            self.step()
-            inner = self.expression(_NOT if text == "not" else _MINUS)
-            self.depth -= 1
-            if isinstance(inner, Number):
-                left: Expression = Number(-inner.value if text == "-" else inner.value)
-            else:
-                left = Operation(text, (inner,), start, self.end)
-        else:
-            left = self.postfix()
-        while (binds := _BINDS.get(self.text.lower(), -1)) > least and self.kind in ("sign", "word"):
-            sign = self.step().lower()
-            left = Operation(sign, (left, self.expression(binds)), start, self.end)
-        return left
-
-    def postfix(self) -> Expression:
-        found = self.atom()
-        while self.kind == "sign" and self.text in "{.":
-            start = self.start
-            if self.step() == ".":
-                found = Element(found, self.word("a component"), start, self.end)
-                continue
-            for item in self.bracketed("}"):
-                counted = Operation("-", (item, Number(1.0)), start, self.end)  # counted from 1
-                found = Element(found, counted, start, self.end)
-        return found
-
-    def atom(self) -> Expression:
-        kind, text, start = self.kind, self.text, self.start
-        if kind == "word":
-            word = self.once(text.lower())
-            if word in ("true", "false"):
-                self.step()
-                return Truth(word == "true")
-            if word not in _NO_NAMES:
-                self.step()
-                if self.text == "(":
-                    self.step()
-                    arguments, named = self.arguments(")")
-                    return Call(word, arguments, named, start, self.end)
-                return Name(word, start)
-        elif kind == "number":
-            self.step()
-            plain = not text.lower().startswith(("0x", "0b"))
-            return Number(float(text) if plain else float(int(text, 0)))
-        elif kind == "robtarget":
-            self.step()
-            return Taught(Form.ROBTARGET, text, start)
-        elif kind == "jointtarget":
-            self.step()
-            return Taught(Form.JOINTTARGET, text, start)
-        elif kind == "string":
-            self.step()
-            return Text(text[1:-1])
-        elif text == "[":
-            self.step()
-            return Items(self.bracketed("]"), False, start, self.end)
-        elif text == "(":
-            self.deeper()
-            self.step()
-            found = self.expression()
-            self.take(")")
-            self.depth -= 1
-            return found
-        raise self.unexpected("an expression")
-
-    def bracketed(self, closing: str) -> tuple[Expression, ...]:
-        """Expressions between commas up to a closing bracket, which is taken."""
-        self.deeper()
-        items: list[Expression] = []
-        while self.text != closing:
-            if closing == "}" and self.text == "*":
-                self.step()
-            else:
-                items.append(self.expression())
-            if self.text == ",":
-                self.step()
-            elif self.text != closing:
-                raise self.unexpected(f"a comma or {closing}")
-        self.step()
-        self.depth -= 1
-        return tuple(items)
-
 
 _STATEMENTS: dict[str, Callable[[_Reader], list[Statement]]] = {
     "if": _Reader.choice,
@@ -497,8 +328,3 @@ _STATEMENTS: dict[str, Callable[[_Reader], list[Statement]]] = {
     **dict.fromkeys(("raise", "retry", "trynext"), _Reader.raised),
     "connect": _Reader.connected,
 }
-
-
-def quoted_sign(text: str) -> str:
-    """A sign as it is shown."""
-    return f"'{text}'"

@@ -68,6 +68,9 @@ class Form(StrEnum):
     ROBTARGET = "robtarget"  # x, y, z [mm], quaternion with the scalar first, configuration, external axes
     JOINTS = "joints"  # readings [rad]
     JOINTTARGET = "jointtarget"  # readings [deg], external axes
+    COMPUTED = (
+        "computed joints"  # readings [rad] that an expression gives, so that the text is ours; ``start`` is the move
+    )
 
 
 class Taught(NamedTuple):
@@ -234,7 +237,7 @@ Token = tuple[str, str, int]  # kind, the name of the group of the language's pa
 def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
     """The tokens of a text one after the other, by a pattern whose named groups are the kinds.
 
-    It begins with what is passed over, and matches nothing else where there is no token. The last ones have kind END. Raises ProgramError with the line of what is no token.
+    It begins with what is skipped, and matches nothing else where there is no token. The last ones have kind END. Raises ProgramError with the line of what is not a token.
     """
     at, text = 0, source.text
     for match in pattern.finditer(text):
@@ -242,8 +245,8 @@ def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
         if kind is None:
             at = match.end()
             break
-        found = match[kind]
-        yield kind, found, match.end() - len(found)
+        start, end = match.span(kind)
+        yield kind, text[start:end], start
     if at != len(text):
         raise source.wrong(at, f"{quoted(text[at : at + 12])} is not known in this language")
     while True:

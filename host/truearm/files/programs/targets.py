@@ -13,7 +13,7 @@ from typing import NamedTuple, assert_never
 import numpy as np
 
 from truearm.errors import ProgramError
-from truearm.files.programs.dataflow import Motion
+from truearm.files.programs.motions import Motion
 from truearm.files.programs.program import Program, Refused, refused_at, uncollected
 from truearm.files.programs.syntax import Form, Taught
 from truearm.files.programs.values import (
@@ -51,11 +51,20 @@ class Line(NamedTuple):
     end: int
 
 
+class Revisit(NamedTuple):
+    """A further way to a pose (by its index): with another qnear, or from elsewhere. The arm may come to it in another configuration, in which it needs another correction."""
+
+    pose: int
+    goal: Goal
+    origin: int | Taught | None
+    at: int  # of the move
+
+
 class Targets(NamedTuple):
     """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be.
 
     ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too. ``origins``: where the robot comes from when it first goes to each
-    pose, another pose by its index or joint readings, None where the program does not say.
+    pose, another pose by its index or joint readings, None where the program does not say; ``revisits``: the further ways to them.
     """
 
     poses: tuple[PoseTarget, ...]
@@ -64,6 +73,7 @@ class Targets(NamedTuple):
     lines: tuple[Line, ...]
     loose: tuple[int, ...]
     origins: tuple[int | Taught | None, ...]
+    revisits: tuple[Revisit, ...]
 
 
 Refuse = Callable[[Motion, str, str], None]
@@ -88,43 +98,73 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
         for goal in motion.goals:
             if isinstance(goal.target, Pose):
                 users.setdefault(goal, motion)
+            elif joint_moves and goal.target.form is Form.COMPUTED:
+                refuse(motion, "its joint readings are computed, not written as six plain numbers", "")
             elif joint_moves:
                 joints.setdefault(goal.target, motion.start)
     if len(users) + len(joints) > MAX_TARGETS:
         raise ProgramError(
-            f"{program.source.name}: has {len(users) + len(joints)} targets, the most is {MAX_TARGETS}; split it"
+            f"{program.source.name}: has {len(users) + len(joints)} targets, the maximum is {MAX_TARGETS}; split it"
         )
     poses, index = _assigned(program, users, split, refuse)
     literals = _literals_of(poses)
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
-    lines, loose, origins = _ways(program, dict(zip(users, index, strict=True)))
-    found = tuple(origins.get(i) for i in range(len(poses)))
-    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, found)
+    index_of = dict(zip(users, index, strict=True))
+    origins, revisits = _ways(program, poses, index_of)
+    lines, loose = _straight_ways(program, index_of)
+    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits)
+
+
+def _straight_ways(program: Program, index: Mapping[Goal, int | None]) -> tuple[tuple[Line, ...], tuple[int, ...]]:
+    """The straight moves from known places to poses that are corrected, and those that may begin elsewhere too."""
+    lines: dict[Line, None] = {}
+    loose: dict[int, None] = {}
+    for motion in program.motions:
+        if not motion.straight:
+            continue
+        for starts, ends in motion.legs:
+            places = [place for start in starts if (place := _origin(start, index)) is not None]
+            known = [to for end in ends if isinstance(end, Goal) and (to := index.get(end)) is not None]
+            lines |= dict.fromkeys(Line(motion.start, begin, to) for begin in places for to in known)
+            if not all(isinstance(one, Goal) for one in (*starts, *ends)):
+                loose[motion.start] = None
+    return tuple(lines), tuple(loose)
 
 
 def _ways(
-    program: Program, index: Mapping[Goal, int | None]
-) -> tuple[tuple[Line, ...], tuple[int, ...], dict[int, int | Taught]]:
-    """The straight moves from known places to poses that are corrected, those that may begin elsewhere too, and the origins of poses."""
-    lines: dict[Line, None] = {}
-    loose: dict[int, None] = {}
+    program: Program, poses: Sequence[PoseTarget], index: Mapping[Goal, int | None]
+) -> tuple[tuple[int | Taught | None, ...], tuple[Revisit, ...]]:
+    """Where the robot first comes from to each pose, and the further ways to it."""
     origins: dict[int, int | Taught] = {}
+    further: dict[tuple[object, ...], Revisit] = {}
     for motion in program.motions:
+        for goal in motion.goals:
+            to = index.get(goal)
+            if to is None or goal is (first := poses[to].goal):
+                continue
+            if _chooses(goal) != _chooses(first):
+                further.setdefault((to, _chooses(goal)), Revisit(to, goal, None, motion.start))
         for starts, ends in motion.legs:
             places = [place for start in starts if (place := _origin(start, index)) is not None]
-            reached = [index.get(end) if isinstance(end, Goal) else None for end in ends]
-            known = [to for to in reached if to is not None]
-            if places:
-                origins |= {
-                    to: next((one for one in places if one != to), places[0]) for to in known if to not in origins
-                }
-            if motion.straight:
-                lines |= dict.fromkeys(Line(motion.start, begin, to) for begin in places for to in known)
-                if not all(isinstance(one, Goal) for one in (*starts, *ends)):
-                    loose[motion.start] = None
-    return tuple(lines), tuple(loose), origins
+            for end in ends if places else ():
+                to = index.get(end) if isinstance(end, Goal) else None
+                if to is None or not isinstance(end, Goal):
+                    continue
+                origins.setdefault(to, next((one for one in places if one != to), places[0]))
+                if end.near is None:
+                    for place in places:
+                        if place not in (to, origins[to]):
+                            further.setdefault((to, _chooses(end), place), Revisit(to, end, place, motion.start))
+    return tuple(origins.get(i) for i in range(len(poses))), tuple(further.values())
+
+
+def _chooses(goal: Goal) -> tuple[float, ...] | bool:
+    """What of a goal chooses the arm's configuration besides where the robot comes from: joint readings, or whether the target's own data count."""
+    if goal.near is None:
+        return isinstance(goal.target, Pose) and goal.target.free
+    return goal.near.values if isinstance(goal.near, Taught) else goal.near
 
 
 def _origin(start: Value, index: Mapping[Goal, int | None]) -> int | Taught | None:
@@ -217,7 +257,7 @@ def _plain(form: Form) -> float:
     """What no length or angle of a literal exceeds that a robot reaches, in the units that it is written in."""
     metres, radians = UNITS["m"].largest, UNITS["rad"].largest
     match form:
-        case Form.POSE | Form.JOINTS:
+        case Form.POSE | Form.JOINTS | Form.COMPUTED:
             return min(metres, radians)
         case Form.ROBTARGET:
             return float(MM.of(metres))
@@ -238,13 +278,13 @@ def _absurd(literal: Taught) -> str | None:
                 return f"{far:g} is not a place that a robot reaches"
             norm = 1.0 if pose else sum(value * value for value in numbers[3:7]) ** 0.5
             if not abs(norm - 1.0) <= UNIT_QUATERNION:
-                return f"the orientation is no unit quaternion, its norm is {norm:.4g}"
+                return f"the orientation is not a unit quaternion, its norm is {norm:.4g}"
             return None
-        case Form.JOINTS | Form.JOINTTARGET as form:
-            largest = UNITS["rad"].largest if form is Form.JOINTS else float(DEG.of(UNITS["rad"].largest))
+        case Form.JOINTS | Form.COMPUTED | Form.JOINTTARGET as form:
+            largest = UNITS["rad"].largest if form is not Form.JOINTTARGET else float(DEG.of(UNITS["rad"].largest))
             far = _beyond(numbers[:6], largest)
-            unit = "rad" if form is Form.JOINTS else "deg"
-            return None if far is None else f"{far:g} {unit} is no reading of a joint"
+            unit = "deg" if form is Form.JOINTTARGET else "rad"
+            return None if far is None else f"{far:g} {unit} is not a reading of a joint"
         case _:
             assert_never(literal.form)
 
@@ -313,23 +353,23 @@ def _literals_of(targets: Sequence[PoseTarget]) -> dict[int, Taught]:
     return found
 
 
-def nears_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
-    """(n, j) joint readings [rad] near those of each target, NaN where the program says none."""
-    out = np.full((len(targets), n_joints), np.nan)
-    taught = [(i, one.goal.near) for i, one in enumerate(targets) if isinstance(one.goal.near, Taught)]
+def nears_of(goals: Sequence[Goal], n_joints: int) -> Floats:
+    """(n, j) joint readings [rad] near those of each goal, NaN where the program says none."""
+    out = np.full((len(goals), n_joints), np.nan)
+    taught = [(i, one.near) for i, one in enumerate(goals) if isinstance(one.near, Taught)]
     if taught and n_joints == 6:
         out[[i for i, _ in taught]] = values_of([near for _, near in taught])
-    for i, one in enumerate(targets):
-        near = one.goal.near
+    for i, one in enumerate(goals):
+        near = one.near
         if near is not None and not isinstance(near, Taught) and len(near) == n_joints:
             out[i] = near
     return out
 
 
-def quarters_of(targets: Sequence[PoseTarget], n_joints: int) -> Floats:
+def quarters_of(goals: Sequence[Goal], n_joints: int) -> Floats:
     """(n, j) the quarter turns of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
-    out = np.full((len(targets), n_joints), np.nan)
-    poses = [(i, one.goal.target) for i, one in enumerate(targets)]
+    out = np.full((len(goals), n_joints), np.nan)
+    poses = [(i, one.target) for i, one in enumerate(goals)]
     known = [(i, pose.like) for i, pose in poses if isinstance(pose, Pose) and not pose.free and pose.like is not None]
     if known and n_joints == 6:
         rows = np.array([i for i, _ in known])

@@ -1,6 +1,6 @@
 """URScript, read: the grammar of Universal Robots' script manual (5.x), with what PolyScope adds to the programs that it writes.
 
-A line is a statement unless a bracket is open. ``$ 3 "MoveJ"`` marks a step of PolyScope's tree and is passed over, as comments are.
+A line is a statement unless a bracket is open. ``$ 3 "MoveJ"`` marks a step of PolyScope's tree and is skipped, as comments are.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ _TOKENS = re.compile(
 _BINDS = {"or": 1, "xor": 1, "and": 2, "==": 4, "!=": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "%": 6}
 _NOT, _MINUS = 3, 7
+_PLAIN, _AFTER_OPERAND = frozenset({"number", "pose", "joints"}), frozenset({",", ")", "]"})  # most arguments
 _TRUTHS = frozenset({"True", "False", "true", "false"})
 _CLOSING = frozenset({"end", "else", "elif"})
 _LEAVES = {"break": Leave("break"), "continue": Leave("continue"), "halt": Leave("halt")}
@@ -56,7 +57,7 @@ def read_urscript(source: Source) -> Block:
     reader = _Reader(source)
     block = reader.block()
     if reader.kind != END:
-        raise reader.wrong(f"{reader.text} closes nothing")
+        raise reader.wrong(f"{reader.text} has no opening counterpart")
     return block
 
 
@@ -118,7 +119,7 @@ class _Reader(Reader):
                 return Do(Truth(False))  # a name is declared; it has no value yet
             return Do(left)
         if not isinstance(left, Name | Element):
-            raise self.wrong("what stands left of = is no variable")
+            raise self.wrong("the left side of = is not a variable")
         self.step()
         value = self.expression()
         return Assign(left, value, "global" if scope == "global" else "local" if scope else "")
@@ -179,6 +180,8 @@ class _Reader(Reader):
 
     def expression(self, least: int = 0) -> Expression:
         """An expression whose operators bind at least so strongly; within brackets it goes on in the next line."""
+        if self.kind in _PLAIN and self._next[1] in _AFTER_OPERAND:
+            return self.atom()
         start, text = self.start, self.text
         if text == "not":
             left = self.operation(text, (self.operand(_NOT),), start)
@@ -220,7 +223,7 @@ class _Reader(Reader):
                 continue
             items = self.bracketed("]")
             if len(items) not in (1, 2):
-                raise self.source.wrong(start, "an index has one number, or two")
+                raise self.source.wrong(start, "an index has one or two numbers")
             for item in items:
                 found = Element(found, item, start, self.end)
         return found
@@ -251,7 +254,7 @@ class _Reader(Reader):
             self.step()
             items = self.bracketed(")")
             if len(items) != 1:
-                raise self.source.wrong(start, "one expression belongs between the brackets")
+                raise self.source.wrong(start, "exactly one expression is needed between the brackets")
             return items[0]
         raise self.unexpected("an expression")
 
@@ -280,17 +283,19 @@ class _Reader(Reader):
         named: list[tuple[str, Expression]] = []
         self.spaces()
         while self.text != ")":
-            if self.following == "=" and self.kind == "word":
+            if self.kind == "word" and self.following == "=":
                 name = self.once(self.step())
                 self.step()
                 self.spaces()
                 named.append((name, self.expression()))
             else:
                 values.append(self.expression())
-            self.spaces()
+            if self.kind == "newline":
+                self.spaces()
             if self.text == ",":
                 self.step()
-                self.spaces()
+                if self.kind == "newline":
+                    self.spaces()
             elif self.text != ")":
                 raise self.unexpected("a comma or )")
         self.open -= 1

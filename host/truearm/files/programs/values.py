@@ -138,7 +138,7 @@ def fixed_six(six: Sequence[float]) -> Pose:
 
 
 def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
-    """The pose at x, y, z [mm] with a quaternion, scalar first; None where they are none, or the quaternion is no unit one."""
+    """The pose at x, y, z [mm] with a quaternion, scalar first; None where they are none, or the quaternion is not a unit one."""
     if (len(xyz), len(quaternion)) != (3, 4) or not all(map(math.isfinite, xyz)):
         return None
     if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_QUATERNION:
@@ -234,7 +234,7 @@ def literals_in(pose: Pose) -> Iterator[Taught]:
 def readings_of(taught: Taught) -> tuple[float, ...]:
     """The joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
     values = taught.values[:6]
-    return values if taught.form is Form.JOINTS else tuple(float(DEG.to_si(value)) for value in values)
+    return values if taught.form is not Form.JOINTTARGET else tuple(float(DEG.to_si(value)) for value in values)
 
 
 def _matrix(xyz: Sequence[float], turn: Rotation) -> Floats:

@@ -1,9 +1,10 @@
-"""Joint readings that were taken down elsewhere, added to a session: a new file is written, the old one is left as it is.
+"""Add joint readings recorded elsewhere to a session: a new file is written, the old one is left unchanged.
 
-Nobody saw such readings arrive. Their place on the host's clock is worked out from the controller's time alone, by what the
-user says of it: it is UTC, and the session's two anchors tell UTC from the host's clock; or it was zero so many seconds after the
-session began. That place becomes the message's time. Whoever reads the session knows it by ``"arrival": false`` in each line and by the metadata ``joints-added``;
-an error of it is an error of time for every reading alike, to which dwells are blind up to their settling time and motion is not.
+The arrival of such readings was not observed. Their host times are computed from the controller's time alone, which the
+user describes in one of two ways. Either it is UTC, and the session's two anchors relate UTC to the host's clock; or it
+was zero a given number of seconds after the session began. The host time becomes the message's time. Readers of the
+session recognise these readings by ``"arrival": false`` in each line and by the metadata ``joints-added``. An error of
+the host time is common to all readings. Dwells are insensitive to it up to their settling time; motion is not.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ from truearm.units import NS
 TOPIC = "/robot/joints"
 ANCHORS = ("session", "session-end")
 MAX_NS = 2**63
-MAX_RATE = 1e-3  # a host's clock that is further off against UTC was set in between: then the first anchor counts alone
+MAX_RATE = 1e-3  # if host clock and UTC differ by more, the clock was set in between: only the first anchor is used
 
 
 class Anchors:
-    """The clock of a session that was recorded already, for its copy: the old anchors, and no time of its own."""
+    """The clock of a copied session: the old anchors, and no time of its own."""
 
     def __init__(self, session: Session) -> None:
         self.kind = session.metadata.get("session", {}).get("clock", "monotonic")
@@ -43,12 +44,12 @@ class Anchors:
         return self.first[1]
 
     def utc_anchor(self) -> Anchor:
-        """The first anchor, from the second call on the last one, as the writer writes them."""
+        """Return the first anchor at the first call and the last one afterwards, as the writer writes them."""
         anchor, self._next = self._next, self.last
         return anchor
 
     def host_ns(self, utc_ns: int) -> int:
-        """The host's clock at a UTC time; between the anchors on the straight line through them."""
+        """Return the host time at a UTC time, by linear interpolation between the anchors."""
         (utc, host), (utc_end, host_end) = self.first, self.last
         span, host_span = utc_end - utc, host_end - host
         since = utc_ns - utc
@@ -65,12 +66,12 @@ def add_readings(
     said: Mapping[str, str],
     replace: bool = False,
 ) -> int:
-    """Write ``out``: all that is in ``session``, and the readings; returns how many there were.
+    """Write ``out`` with everything in ``session`` and the readings; return the number of readings.
 
-    ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``said`` becomes metadata. With
-    ``replace`` the session's own readings are left out; without it there must be none.
+    ``zero_s``: when, after the session's begin, the controller's time was zero; None: it is UTC. ``said`` becomes
+    metadata. With ``replace`` the session's own readings are left out; without it there must be none.
 
-    Raises SessionError where there are some, or a file is damaged; InputError where no reading lies within the session.
+    Raises SessionError if there are some, or if a file is damaged; InputError if no reading lies within the session.
     """
     anchors = Anchors(session)
     begin_ns, end_ns = _span(session, replace)
@@ -111,7 +112,7 @@ def _outside(t: float | None, zero_s: float | None) -> InputError:
 
 
 def _span(session: Session, replace: bool) -> tuple[int, int]:
-    """First and last host time of the session's messages. Raises SessionError if there are readings among them already."""
+    """Return the first and last host time of the session's messages. Raises SessionError if they include readings."""
     begin_ns, end_ns = MAX_NS, -1
     for message in session.messages():
         if message.topic == TOPIC and not replace:
@@ -121,12 +122,12 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
             )
         begin_ns, end_ns = min(begin_ns, message.t_host_ns), max(end_ns, message.t_host_ns)
     if end_ns < 0:
-        raise SessionError(f"{session.path}: holds no message")
+        raise SessionError(f"{session.path}: contains no messages")
     return begin_ns, end_ns
 
 
 def _copy_head(session: Session, writer: SessionWriter) -> None:
-    """Attachments and metadata that are not the writer's own."""
+    """Copy attachments and metadata, except the writer's own."""
     for name, data in session.attachments.items():
         writer.attach(name, media_type(name), data)
     for name, entries in session.metadata.items():

@@ -1,12 +1,12 @@
-"""Joint states in ROS 2 bags (MCAP or sqlite3) as lines of a session.
+"""Read joint states in ROS 2 bags (MCAP or sqlite3) as lines of a session.
 
-The messages are decoded by the package rosbags. The files around them are not read by it: its readers take from a file how much to
-allocate and to decompress, and keep as many chunks as overlap. MCAP is walked by our own reader of sessions, sqlite3 by Python's
-with limits; neither holds more than a chunk or a message.
+The package rosbags decodes the messages. Its readers are not used for the files around them, because they allocate and
+decompress as much as a file asks for, and keep all overlapping chunks. MCAP files are read by truearm's own session
+reader, sqlite3 files by Python's module with limits; neither holds more than a chunk or a message.
 
-``t`` is the stamp in the message's header, which the driver gives on its own clock (UTC as a rule), ``q`` the position, ``qd`` the velocity and
-``effort`` the effort, as far as they are there, in the order of ``joints``: a driver publishes joints in any order (Universal Robots' begins with the
-elbow). What is commanded is not in a joint state.
+``t`` is the stamp in the message's header, set by the driver on its own clock (usually UTC), ``q`` the position, ``qd``
+the velocity and ``effort`` the effort, as far as present, in the order of ``joints``: a driver publishes joints in any
+order (Universal Robots' begins with the elbow). A joint state does not contain commanded values.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
-    """The joint states on a topic in the order in which the bag has them, of the ``joints`` in this order.
+    """Yield the joint states on a topic in the order of the bag, with the given ``joints`` in this order.
 
-    Raises InputError where there is no such bag, topic or joint, or rosbags is not installed; SessionError where a file is damaged.
+    Raises InputError if there is no such bag, topic or joint, or rosbags is not installed; SessionError if a file is
+    damaged.
     """
     if options.columns:
-        raise InputError(Argument("columns"), ": names the columns of a table; a bag has none")
+        raise InputError(Argument("columns"), ": applies to tables; a bag has no columns")
     found = 0
     decoder = _decoder()
     for file in bag_files(path):
@@ -50,12 +51,12 @@ def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
             yield _reading(file, found, decoder, data, options.joints)
     if not found:
         raise InputError(
-            f"{path}: has no message on {options.topic}; name the topic of the joint states with ", Argument("topic")
+            f"{path}: has no messages on {options.topic}; name the topic of the joint states with ", Argument("topic")
         )
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag in their order: name_0.mcap, name_1.mcap …. Raises InputError."""
+    """Return the files of a bag in order: name_0.mcap, name_1.mcap …. Raises InputError."""
     if not path.is_dir():
         if not path.exists():
             raise InputError(f"{path}: no such file")
@@ -72,21 +73,21 @@ def bag_files(path: Path) -> list[Path]:
             if packed
             else "there is no .mcap and no .db3"
         )
-        raise InputError(f"{path}: is no bag that can be read; {why}")
+        raise InputError(f"{path}: is not a readable bag; {why}")
     if len({file.suffix.lower() for file in files}) > 1 or len(files) > MAX_FILES:
         raise InputError(f"{path}: holds files of several bags; name one file")
     return files
 
 
 def _numbered(path: Path) -> list[str | int]:
-    """A name's text and numbers by turns: name_10 comes after name_9."""
+    """Split a name into text and numbers for sorting: name_10 comes after name_9."""
     parts: list[str | int] = list(re.split(r"(\d{1,18})", path.name))
     parts[1::2] = [int(part) for part in parts[1::2]]
     return parts
 
 
 def _messages(path: Path, topic: str, allow_damaged: bool) -> Iterator[bytes]:
-    """The data of the messages on a topic of one file. Raises InputError."""
+    """Yield the data of the messages on a topic of one file. Raises InputError."""
     if path.suffix.lower() == ".db3":
         yield from _sqlite_messages(path, topic)
         return
@@ -95,7 +96,7 @@ def _messages(path: Path, topic: str, allow_damaged: bool) -> Iterator[bytes]:
 
 
 def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
-    """As ``_messages``, ordered by when they were received."""
+    """Yield as ``_messages``, ordered by time of reception."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a regular file; give a bag")
     try:
@@ -114,16 +115,16 @@ def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
         )
         for (data,) in connection.execute(query, (topic, MESSAGE_TYPE)):
             yield data if isinstance(data, bytes) else b""
-    except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter where an error's own text is damaged
+    except (sqlite3.Error, UnicodeDecodeError) as exc:  # the latter if an error's own text is damaged
         raise SessionError(
-            f"{path}: is no bag, or damaged ({quoted(str(exc))}); record it again, or mend it with ros2 bag reindex"
+            f"{path}: is not a bag or is damaged ({quoted(str(exc))}); record it again, or repair it with ros2 bag reindex"
         ) from exc
     finally:
         connection.close()
 
 
 def _check_plain(path: Path, connection: sqlite3.Connection, table: str) -> None:
-    """No view and no computed columns: a few bytes of them could stand for any number of rows of any size."""
+    """Reject views and computed columns: a few bytes of them could produce any number of rows of any size."""
     (kinds,) = connection.execute(
         "SELECT group_concat(type) FROM sqlite_master WHERE name = ?", (table,)
     ).fetchone() or [None]
@@ -134,16 +135,16 @@ def _check_plain(path: Path, connection: sqlite3.Connection, table: str) -> None
 
 
 def _decoder() -> Typestore:
-    """What decodes messages. Raises InputError if rosbags is not installed."""
+    """Return the decoder of messages. Raises InputError if rosbags is not installed."""
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as exc:
         raise InputError("bags need the package rosbags: pip install 'truearm[ros]'") from exc
-    return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all of them
+    return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all releases
 
 
 def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: Sequence[str]) -> Reading:
-    """The reading of a message. Raises InputError."""
+    """Return the reading of a message. Raises InputError."""
     from rosbags.serde import SerdeError
 
     where = f"{path} message {number}"
@@ -152,29 +153,29 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
     try:
         state: Any = decoder.deserialize_cdr(data, MESSAGE_TYPE)
     except SerdeError as exc:
-        raise SessionError(f"{where}: is no {MESSAGE_TYPE}, or damaged") from exc
+        raise SessionError(f"{where}: is not a {MESSAGE_TYPE} or is damaged") from exc
     names = list(state.name)
     if not joints:
         raise InputError(
-            f"{path}: name the joints in their order from the base on, with ",
-            *(Argument("joints"), " or ", Argument("model"), f"; there is {_listed(names)}"),
+            f"{path}: name the joints in order from the base, with ",
+            *(Argument("joints"), " or ", Argument("model"), f"; the bag has {_listed(names)}"),
         )
     missing = [joint for joint in joints if joint not in names]
     if missing:
-        raise InputError(f"{where}: has no joint {missing[0]!r}; there is {_listed(names)}")
+        raise InputError(f"{where}: has no joint {missing[0]!r}; it has {_listed(names)}")
     places = [names.index(joint) for joint in joints]
     q, qd, effort = (_picked(values, len(names), places) for values in (state.position, state.velocity, state.effort))
     if q is None:
-        raise SessionError(f"{where}: has not a finite position for each of its {len(names)} joints")
+        raise SessionError(f"{where}: does not have a finite position for each of its {len(names)} joints")
     stamp = state.header.stamp
     t = stamp.sec + 1e-9 * stamp.nanosec
     if stamp.sec < 0 or stamp.nanosec >= 10**9:
-        raise SessionError(f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is none")
+        raise SessionError(f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time")
     return Reading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
 
 
 def _picked(values: Any, n: int, places: Sequence[int]) -> list[float] | None:
-    """The values at these places; None if there are not n of them, or they are no numbers."""
+    """Return the values at these positions; None if there are not n of them, or they are not numbers."""
     if len(values) != n:
         return None
     picked = [float(values[place]) for place in places]

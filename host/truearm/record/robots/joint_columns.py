@@ -1,7 +1,8 @@
-"""Joint readings in columns, live or in a file: the header says what each column is, and its unit stands in its name.
+"""Parse joint readings in columns, live or in a file; column titles in the header end in the unit.
 
-``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m, _mm) … the measured joints; optional are ``q1_cmd_rad`` …
-commanded, ``qd1_rad_s`` … velocities, ``seq`` a count of the readings, ``inputs`` digital inputs as a number. ``note`` and ``x_…`` are passed over.
+``t_s`` (or _ms, _us, _ns) is the controller's time, ``q1_rad`` (_deg, _m, _mm) … are the measured joints. Optional
+columns are ``q1_cmd_rad`` … commanded joints, ``qd1_rad_s`` … velocities, ``seq`` a count of the readings, and
+``inputs`` digital inputs as a number. ``note`` and ``x_…`` are skipped.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from truearm.schema import quoted
 from truearm.session.joint_readings import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
 
-# to divide by: 1e-9 is no exact number
+# to divide by: 1e-9 is not exact in binary
 PER_SECOND = {unit: round(SUFFIXES[unit].factor) for unit in ("s", "ms", "us", "ns")}
 MAX_COLUMNS = 200
 EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
@@ -25,15 +26,15 @@ _TIME = re.compile(r"t_(s|ms|us|ns)")
 _JOINT = re.compile(r"(q|qd)([1-9]\d?)(_cmd)?_(rad|deg|m|mm)(_s)?")
 _WHOLE = re.compile(r"[+-]?\d{1,18}", re.ASCII)
 
-Place = tuple[int, float]  # where a column stands, and the factor that makes its numbers SI
+Place = tuple[int, float]  # position of a column, and the factor to SI
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Where things stand in a row."""
+    """Positions of the columns in a row."""
 
     width: int
-    t: tuple[int, int]  # where it stands, and how many of its unit are a second
+    t: tuple[int, int]  # position, and how many units make a second
     q: tuple[Place, ...]
     q_cmd: tuple[Place, ...]
     qd: tuple[Place, ...]
@@ -41,7 +42,7 @@ class Columns:
     inputs: int | None
 
     def line(self, cells: Sequence[str], **more: object) -> bytes | None:
-        """The reading of a row as a line of a session, with ``more`` beside it; None if the row is none."""
+        """Return the reading in a row as a line of a session, with ``more`` added; None if the row is not a reading."""
         if len(cells) != self.width:
             return None
         try:
@@ -58,17 +59,20 @@ SEPARATORS = ",;\t"
 
 
 def separator_of(header: str) -> str:
-    """Return what separates the cells of a table with this header: a comma, a semicolon or a tab, whichever there is most of."""
+    """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab."""
     return max(SEPARATORS, key=header.count)
 
 
 def with_point(cell: str) -> str:
-    """Return a number's decimal comma as a point; of other cells nothing changes. For tables that no comma separates."""
+    """Replace the decimal comma of a number with a point and leave other cells unchanged.
+
+    For tables that are not separated by commas.
+    """
     return cell.replace(",", ".") if cell.count(",") == 1 and "." not in cell else cell
 
 
 def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
-    """The pairs (ours, theirs) of OURS=THEIRS,…; in both {} stands for a joint's number. Raises InputError."""
+    """Parse OURS=THEIRS,… into pairs (ours, theirs); {} in both stands for a joint's number. Raises InputError."""
     pairs = tuple(
         (ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in text.split(","))
     )
@@ -82,7 +86,8 @@ def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
 
 
 def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[str]:
-    """A table's titles in our words; what is not among the renames is passed over. Joints count from the lowest number that is there.
+    """Return a table's titles with our names; columns without a rename are skipped. Joints count from the lowest number
+    present.
 
     Raises InputError for a column that is not there.
     """
@@ -101,9 +106,9 @@ def renamed(titles: Sequence[str], renames: Sequence[tuple[str, str]]) -> list[s
 
 
 def read_columns(titles: Sequence[str]) -> Columns:
-    """The columns that a header names. Raises InputError."""
+    """Return the columns named by a header. Raises InputError."""
     if len(titles) > MAX_COLUMNS:
-        raise InputError(f"{len(titles)} columns; the most is {MAX_COLUMNS}")
+        raise InputError(f"{len(titles)} columns; the maximum is {MAX_COLUMNS}")
     single: dict[str, Place] = {}
     joints: dict[str, dict[int, Place]] = {"q": {}, "q_cmd": {}, "qd": {}}
     for position, title in enumerate(titles):
@@ -116,7 +121,7 @@ def read_columns(titles: Sequence[str]) -> Columns:
             raise InputError(f"column {quoted(title)}: {quantity}{number or ''} is given twice; keep one")
         known[key] = (position, scale)  # type: ignore[index]
     if "t" not in single:
-        raise InputError(f"no column t_s of the controller's time; expected is a header such as {EXAMPLE}")
+        raise InputError(f"no column t_s (the controller's time); expected a header such as {EXAMPLE}")
     q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
     places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
     t = (single["t"][0], int(single["t"][1]))
@@ -124,7 +129,7 @@ def read_columns(titles: Sequence[str]) -> Columns:
 
 
 def _quantity(title: str) -> tuple[str, int, float]:
-    """Quantity, number of the joint (0: it is of none) and factor of a column's title."""
+    """Return quantity, joint number (0: none) and factor of a column's title."""
     if title in ("seq", "inputs"):
         return title, 0, 1.0
     if found := _TIME.fullmatch(title):
@@ -132,17 +137,17 @@ def _quantity(title: str) -> tuple[str, int, float]:
     found = _JOINT.fullmatch(title)
     if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
         raise InputError(
-            f"column {quoted(title)} is not known; expected is a header such as {EXAMPLE}; x_... is passed over"
+            f"column {quoted(title)} is not known; expected a header such as {EXAMPLE}; columns x_... are ignored"
         )
     return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
 
 
 def _in_order(quantity: str, places: dict[int, Place], n: int) -> tuple[Place, ...]:
-    """The places of a quantity in joint order: of all n joints, or (unless it is q) of none."""
+    """Return the positions of a quantity in joint order, for all n joints or (except for q) for none."""
     if ((places or quantity == "q") and sorted(places) != list(range(1, n + 1))) or (
         quantity == "q" and not 1 <= n <= MAX_JOINTS
     ):
-        raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected is {EXAMPLE}")
+        raise InputError(f"columns of {quantity} are needed for joints 1, 2, ... without a gap; expected {EXAMPLE}")
     return tuple(places[number] for number in sorted(places))
 
 
@@ -151,7 +156,10 @@ def _scaled(cells: Sequence[str], place: Place) -> float:
 
 
 def _number(cell: str) -> float:
-    """A finite decimal number. float() would take "1_000", "nan" and digits of other scripts. Raises ValueError."""
+    """Return a finite decimal number. Raises ValueError.
+
+    float() would accept "1_000", "nan" and digits of other scripts.
+    """
     if len(cell) > 40 or not NUMBER.fullmatch(cell):
         raise ValueError(cell[:40])
     return float(cell)

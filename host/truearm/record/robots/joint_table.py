@@ -1,6 +1,6 @@
-"""A table (CSV) of joint readings, taken down by whatever the robot has for that, as lines of a session.
+"""Read a table (CSV) of joint readings, written by the robot or its logger, as lines of a session.
 
-Its header is what ``columns`` reads. Read row by row: a day at 500 Hz is 43 million of them.
+The header is parsed as in ``columns``. The table is read row by row: a day at 500 Hz is 43 million rows.
 """
 
 from __future__ import annotations
@@ -25,18 +25,20 @@ class Reading(NamedTuple):
     line: bytes
 
 
-NO_ARRIVAL = {"arrival": False}  # in every such line: nobody saw it arrive
+NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
 
 
 def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
-    """The readings of a table, in order of time. Raises TableError with file and row, InputError where joints are named."""
+    """Yield the readings of a table in order of time. Raises TableError with file and row, InputError if joints are
+    named.
+    """
     if options.joints:
         raise InputError(
             *(
                 Argument("joints"),
                 " and ",
                 Argument("model"),
-                " order the joints of a bag; a table's columns are in order",
+                " order the joints of a bag; a table's columns are already in order",
             )
         )
     return _readings(path, options.columns)
@@ -68,7 +70,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
             reading = None if line is None else parse_reading(line)
             if line is None or reading is None:
                 raise TableError(
-                    f"{path} row {number}: is no reading: {columns.width} cells are needed, numbers, t not negative"
+                    f"{path} row {number}: is not a reading: it needs {columns.width} numbers, with t not negative"
                 )
             if reading.t < last:
                 raise TableError(

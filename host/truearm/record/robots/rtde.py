@@ -1,15 +1,16 @@
-"""A Universal Robots controller as a joint source: RTDE on port 30004 (``rtde_packages``), its readings as lines.
+"""Universal Robots controllers as a joint source: RTDE on port 30004 (``rtde_packages``), with readings as lines.
 
 The stored line holds each number of a data package with all its digits: ``t`` (timestamp: seconds since the controller
-started), ``q`` (actual_q), and as far as the controller has them ``q_cmd`` (target_q), ``qd`` (actual_qd), ``current``
-(actual_current [A]), ``inputs`` (actual_digital_input_bits), ``robot_mode`` and ``runtime_state``. Measured and commanded joints are kept apart: ``target_q``
-never stands in for ``actual_q``.
+started), ``q`` (actual_q), and if the controller has them ``q_cmd`` (target_q), ``qd`` (actual_qd), ``current``
+(actual_current [A]), ``inputs`` (actual_digital_input_bits), ``robot_mode`` and ``runtime_state``. Measured and
+commanded joints are kept separate: ``target_q`` never replaces ``actual_q``.
 
-RTDE numbers nothing. A controller that is short of time leaves packages out, which shows in their timestamps, multiples of its
-cycle: ``seq`` is the timestamp since the first one in periods, so what was left out is a gap in ``seq``.
+RTDE has no sequence numbers. A controller that runs short of time skips packages. This shows in the timestamps, which
+are multiples of its cycle. ``seq`` is the time since the first timestamp in periods, so skipped packages are gaps in
+``seq``.
 
-Everything else that comes (text messages, packages of other types or of another length) is handed on as lines that are no
-readings; the recorder keeps them in ``/robot/console``. About 30 µs a package of all fields, 500 a second.
+Everything else (text messages, packages of other types or lengths) is passed on as lines that are not readings; the
+recorder keeps them in ``/robot/console``. A package with all fields takes about 30 µs, at 500 per second.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from truearm.session.joint_readings import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000
-MAX_UNASKED = 1 << 20  # bytes before the stream is started; a controller says a few words, if any
+MAX_UNASKED = 1 << 20  # bytes before the stream is started; a controller sends few messages, if any
 NEEDED = ("timestamp", "actual_q")
 WANTED = ("target_q", "actual_qd", "actual_current", "actual_digital_input_bits", "robot_mode", "runtime_state")
 KEYS = {
@@ -36,20 +37,22 @@ KEYS = {
     "robot_mode": "robot_mode",
     "runtime_state": "runtime_state",
 }
-FULL_RATE_HZ = {True: 500.0, False: 125.0}  # whether it is an e-Series or later: controller software from 5 on
+FULL_RATE_HZ = {True: 500.0, False: 125.0}  # key: e-Series or later, i.e. controller software 5 or later
 EXAMPLE = "rtde://192.168.0.2, with ?hz=125 for a lower rate"
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
-    """Return a link whose ``seq`` counts on from that of the ``last`` one. Raises as ``RtdeLink`` does."""
+    """Return a link that continues the ``seq`` of the ``last`` one. Raises as ``RtdeLink`` does."""
     return RtdeLink(url, clock, last.first_s if isinstance(last, RtdeLink) else None)
 
 
 class RtdeLink:
-    """Connects, agrees on the fields and starts the stream; ``read`` gives lines. See the module.
+    """Connects, negotiates the fields and starts the stream; ``read`` returns lines. See the module docstring.
 
-    ``first_s``: the timestamp that ``seq`` counts from, of an earlier connection, None for the first one that comes. ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate: 500 Hz, or 125 Hz before software 5.
-    Raises InputError for another url or a rate that does not divide the controller's, LinkError where no controller answers or it refuses.
+    ``first_s``: the timestamp from which ``seq`` counts, taken from an earlier connection; None: the first one
+    received. ``url``: ``rtde://host[:port][?hz=125]``. Without ``hz`` the controller's own rate is used: 500 Hz, or 125
+    Hz before software 5. Raises InputError for any other url or a rate that does not divide the controller's, LinkError
+    if no controller answers or it refuses.
     """
 
     def __init__(self, url: str, clock: Clock, first_s: float | None = None) -> None:
@@ -57,9 +60,9 @@ class RtdeLink:
         host, port, hz = _address(url)
         self._clock = clock
         self._packages = rtde.Packages()
-        self._pending: Arrivals = []  # lines that came while the set-up was under way
-        self._unasked = 0  # bytes of them
-        self._awaited: int | None = None  # the type of the answer that is waited for
+        self._pending: Arrivals = []  # lines received during the set-up
+        self._unasked = 0  # bytes in them
+        self._awaited: int | None = None  # the type of the awaited answer
         self._answers: list[bytes] = []
         self._recipe: rtde.Recipe | None = None
         self.first_s = first_s
@@ -79,12 +82,12 @@ class RtdeLink:
         return [line for t_host_ns, data in self._link.read(timeout_s) for line in self._lines(t_host_ns, data)]
 
     def write(self, data: bytes) -> int:
-        """As of every link; the protocol asks for nothing once the stream runs."""
+        """Do nothing: the protocol has no requests once the stream runs."""
         return self._link.write(data)
 
     @property
     def backlog(self) -> Backlog:
-        """What waits to be read."""
+        """Return the backlog."""
         return backlog_of(self._link)
 
     def close(self) -> None:
@@ -100,20 +103,20 @@ class RtdeLink:
             raise LinkError(f"{self.name}: the controller does not speak version 2 of RTDE; update its software")
         version = rtde.controller_version(self._ask(rtde.CONTROLLER, rtde.package(rtde.CONTROLLER)))
         if version is None:
-            raise LinkError(f"{self.name}: the controller does not say its version; is this a Universal Robots arm?")
+            raise LinkError(f"{self.name}: the controller does not report its version; is this a Universal Robots arm?")
         full_hz = FULL_RATE_HZ[version[0] >= 5]
         self._hz = hz or full_hz
         if full_hz % self._hz:  # packages would not be evenly spaced, and seq would count wrong
             raise InputError(f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz")
         self._recipe = self._agree()
         if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
-            raise LinkError(f"{self.name}: the controller refuses to start the data packages")
+            raise LinkError(f"{self.name}: the controller refuses to send data packages")
 
     def _agree(self) -> rtde.Recipe:
-        """The recipe of what the controller has of the fields that are wanted."""
+        """Return the recipe of the wanted fields that the controller has."""
         names: tuple[str, ...] = NEEDED + WANTED
         types = [""]
-        for _ in range(2):  # the second time without what was not found
+        for _ in range(2):  # the second time without the fields that were not found
             answer = self._ask(rtde.OUTPUTS, rtde.request_outputs(names, self._hz))
             recipe = rtde.recipe_of(names, answer)
             if recipe is not None:
@@ -128,7 +131,7 @@ class RtdeLink:
         )
 
     def _ask(self, kind: int, request: bytes) -> bytes:
-        """The payload of the answer to a request. Raises LinkError if there is none."""
+        """Return the payload of the answer to a request. Raises LinkError if there is none."""
         self._awaited = kind
         self._answers.clear()
         self._link.write(request)
@@ -157,7 +160,7 @@ class RtdeLink:
 
     def _stranger(self) -> ProtocolError:
         return ProtocolError(
-            f"{self.name}: sends what is no RTDE; is this port {PORT} of a Universal Robots controller?"
+            f"{self.name}: sends what is not RTDE; is this port {PORT} of a Universal Robots controller?"
         )
 
     # --- packages → lines
@@ -167,7 +170,7 @@ class RtdeLink:
         return [(t_host_ns, line + b"\n") for line in lines if line]
 
     def _line(self, kind: int, payload: bytes) -> bytes:
-        """The line of a package; b"" for the answer that is waited for."""
+        """Return the line of a package; b"" for the awaited answer."""
         if kind == rtde.DATA and self._recipe is not None:
             values = self._recipe.values(payload)
             if values is not None:
@@ -185,14 +188,14 @@ class RtdeLink:
         if not isinstance(t, float) or not isinstance(q, list):
             return json.dumps({"rtde": "data", "timestamp": t, "actual_q": q}).encode()
         seq = None
-        if 0.0 <= t < MAX_T_S:  # else it is no reading, and no beginning to count from
+        if 0.0 <= t < MAX_T_S:  # else it is not a reading and cannot start the count
             self.first_s = t if self.first_s is None or t < self.first_s else self.first_s
             seq = round((t - self.first_s) * self._hz)
         return format_reading(t, seq, q, **{KEYS[name]: values[name] for name in WANTED if name in values})
 
 
 def _address(url: str) -> tuple[str, int, float | None]:
-    """Host, port and rate of an address. Raises InputError."""
+    """Return host, port and rate of an address. Raises InputError."""
     try:
         parts = urlsplit(url)
         host, port, query = (
@@ -202,7 +205,7 @@ def _address(url: str) -> tuple[str, int, float | None]:
         )
         hz = float(query.pop("hz")) if "hz" in query else None
     except ValueError:
-        raise InputError(f"{url!r} is no address; write {EXAMPLE}") from None
+        raise InputError(f"{url!r} is not an address; write {EXAMPLE}") from None
     if parts.scheme != "rtde" or not host or parts.path or query or not (hz is None or 1.0 <= hz <= 500.0):
-        raise InputError(f"{url!r} is no address; write {EXAMPLE}")
+        raise InputError(f"{url!r} is not an address; write {EXAMPLE}")
     return host, port, hz

@@ -1,9 +1,9 @@
-"""The joint sources by name: live ones by the scheme of an address, files by their suffix.
+"""Joint sources by name: live ones by the scheme of an address, files by their suffix.
 
-Imports nothing slow, so that ``--help`` can list them; a source's module is imported when it is used. To add a live source,
-write a module here with ``connect(url, clock, last) -> Link`` and add its line to ``SOURCES``. ``last`` is the link of an
-earlier connection to the same address, None at the first one. To add a file format, write a module with
-``readings(path, options) -> Iterator[Reading]`` and add its line to ``FILES``.
+This module imports nothing slow, so that ``--help`` can list the sources; a source's module is imported when it is
+used. To add a live source, write a module here with ``connect(url, clock, last) -> Link`` and add its line to
+``SOURCES``. ``last`` is the link of an earlier connection to the same address, None for the first one. To add a file
+format, write a module with ``readings(path, options) -> Iterator[Reading]`` and add its line to ``FILES``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class SourceEntry(NamedTuple):
-    """A live source: its module in this package, what follows the scheme in an address, and what sends such readings."""
+    """A live source: its module in this package, the part of an address after the scheme, and what sends such readings."""
 
     module: str
     example: str
@@ -31,7 +31,7 @@ class SourceEntry(NamedTuple):
 
 
 class FileEntry(NamedTuple):
-    """A file of readings: its module in this package, its suffixes, whether a folder can be one, and what it is."""
+    """A file of readings: its module in this package, its suffixes, whether a folder can be one, and a description."""
 
     module: str
     suffixes: tuple[str, ...]
@@ -40,8 +40,11 @@ class FileEntry(NamedTuple):
 
 
 class FileOptions(NamedTuple):
-    """What the user says of a file: the topic and the names of the joints in their order, for files that hold several, and which columns
-    of a table are which of ours, ``("q{}_rad", "actual_q_{}")``."""
+    """The user's options for a file.
+
+    The topic and the names of the joints in order, for files that hold several, and how columns of a table are named,
+    as in ``("q{}_rad", "actual_q_{}")``.
+    """
 
     topic: str
     joints: Sequence[str] = ()
@@ -63,26 +66,26 @@ FILES: tuple[FileEntry, ...] = (
 
 
 def sources_help() -> str:
-    """Return an example of every live source's address with what it is for, as ``--help`` shows it."""
+    """Return an example address and a description of every live source, for ``--help``."""
     return ", ".join(f"{scheme}://{entry.example} ({entry.summary})" for scheme, entry in SOURCES.items())
 
 
 def files_help() -> str:
-    """Return what files of joint readings there are, as ``--help`` shows it."""
+    """Return a description of the supported files of joint readings, for ``--help``."""
     return " or ".join(entry.summary for entry in FILES)
 
 
 def open_source(url: str, clock: Clock) -> Reopening:
     """Open the live source at an address; after a loss it can be opened again.
 
-    Raises InputError for an address that no source has, LinkError where nobody answers.
+    Raises InputError for an address without a matching source, LinkError if nothing answers.
     """
     from truearm.record.reopening import Reopening
 
     scheme, separator, _ = url.partition("://")
     if not separator or scheme not in SOURCES:
         known = ", ".join(f"{name}://" for name in SOURCES)
-        raise InputError(f"{url!r} is no address of a robot; it begins with one of {known}")
+        raise InputError(f"{url!r} is not the address of a robot; an address begins with one of {known}")
     connect: Callable[[str, Clock, Link | None], Link] = _module(SOURCES[scheme].module).connect
     last: Link | None = None
 
@@ -95,9 +98,9 @@ def open_source(url: str, clock: Clock) -> Reopening:
 
 
 def readings_of_file(path: Path, options: FileOptions) -> Iterator[Reading]:
-    """Return the readings of a file by its suffix, in order; a file whose suffix is unknown is read as a table.
+    """Return the readings of a file by its suffix, in order; a file with an unknown suffix is read as a table.
 
-    Raises InputError where there is no such file, topic or joint, SessionError or TableError where a file is damaged.
+    Raises InputError if there is no such file, topic or joint, SessionError or TableError if a file is damaged.
     """
     entry = next((e for e in FILES if path.suffix.lower() in e.suffixes or (e.folder and path.is_dir())), TABLE)
     readings: Iterator[Reading] = _module(entry.module).readings(path, options)

@@ -1,4 +1,4 @@
-"""Lines of CSV or JSON over TCP or UDP: whatever can be made to print its joints.
+"""Lines of CSV or JSON over TCP or UDP, for any robot that can be programmed to print its joints.
 
 ::
 
@@ -7,13 +7,14 @@
     lines+tcp://192.168.0.2:7008?unit=deg&t=stamp&q=positions          JSON with names and units of its own
     lines+udp://0.0.0.0:7008?columns=t_ms,q1_deg,q2_deg                CSV without a header
 
-A line that begins with ``{`` is JSON, any other CSV. **CSV** begins with a header (``columns``), or the address brings one. **JSON** is as
-docs/session-format.md has it, or what the names and units of the address say, or of a line before the readings, such as
-``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``: ``q`` names a list, or is a list of the joints' names;
-``unit`` is one for all joints or one each (``deg,deg,mm``), the same for measured, commanded and velocity.
+A line that begins with ``{`` is JSON, any other line CSV. **CSV** begins with a header (``columns``), unless the address
+gives one. **JSON** follows docs/reference/session-format.md, or the names and units in the address or in a line before
+the readings, such as ``{"names": {"t": "stamp", "q": ["j1", "j2"]}, "unit": "deg", "t_unit": "ms"}``. ``q`` is the name
+of a list, or a list of the joints' names. ``unit`` is one for all joints or one for each (``deg,deg,mm``), the same for
+measured joints, commanded joints and velocities.
 
-A line that is already as the session has it is stored as it came. Any other is stored with its numbers in SI and, under ``line``, as it
-came. What is no reading goes on unchanged, to ``/robot/console``.
+A line that is already in the session format is stored as received. Any other line is stored with its numbers in SI and,
+under ``line``, in its original form. Lines that are not readings are passed on unchanged to ``/robot/console``.
 """
 
 from __future__ import annotations
@@ -34,15 +35,15 @@ from truearm.session.joint_readings import MAX_JOINTS, are_joints, format_readin
 from truearm.units import SUFFIXES
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
-MAX_TIME = 2**63  # of any unit: nanoseconds since 1970 are 2⁶¹
-OVERLONG = b"of a line that is too long: "  # before its pieces, so that none passes for a reading
+MAX_TIME = 2**63  # in any unit: nanoseconds since 1970 are 2⁶¹
+OVERLONG = b"of a line that is too long: "  # before its pieces, so that none is taken for a reading
 
 Name = str | tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Names:
-    """How a robot's JSON calls things, and in what units: factors to SI, one for all joints or one each; time is divided."""
+    """Names and units in a robot's JSON: factors to SI, one for all joints or one each; time is divided."""
 
     of: dict[str, Name] = field(default_factory=dict)  # quantity → key, or the keys of its joints
     scale: tuple[float, ...] = (1.0,)
@@ -50,11 +51,11 @@ class Names:
 
     @property
     def ours(self) -> bool:
-        """Whether the lines need no change."""
+        """Whether the lines need no conversion."""
         return self == Names()
 
     def line(self, text: str) -> bytes | None:
-        """The reading of a line as a line of a session; None if it is none."""
+        """Return the reading in a line as a line of a session; None if it is not a reading."""
         try:
             row = json.loads(text)
         except (ValueError, RecursionError):
@@ -76,7 +77,7 @@ class Names:
         return row.get(name) if isinstance(name, str) else _all_of(row, name)
 
     def _scaled(self, values: Any) -> list[float] | None:
-        """Joints in SI; None if they are none, or not as many as there are units."""
+        """Return joints in SI; None if they are invalid or their number differs from that of the units."""
         if not are_joints(values) or len(self.scale) not in (1, len(values)):
             return None
         scale = self.scale if len(self.scale) > 1 else self.scale * len(values)
@@ -88,16 +89,16 @@ def _all_of(row: dict[str, Any], names: tuple[str, ...]) -> list[Any] | None:
 
 
 def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
-    """``names`` with what a declaration says besides: ``names``, ``unit``, ``t_unit``. Raises InputError."""
+    """Return ``names`` extended by a declaration: ``names``, ``unit``, ``t_unit``. Raises InputError."""
     names = names or Names()
     of = said.get("names", {})
     if not isinstance(of, dict) or not set(of) <= set(QUANTITIES):
-        raise InputError(f"names are given to {', '.join(QUANTITIES)}, not to {quoted(str(of))}")
+        raise InputError(f"names apply to {', '.join(QUANTITIES)}, not to {quoted(str(of))}")
     units = str(said.get("unit", "")).split(",")
     if said.get("unit") is not None:
         if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
             raise InputError(
-                f"unit {quoted(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one each"
+                f"unit {quoted(str(said['unit']))} is not known; use rad, deg, m or mm, one for all joints or one per joint"
             )
         names = replace(names, scale=tuple(SUFFIXES[unit].scale for unit in units))
     if said.get("t_unit") is not None:
@@ -113,17 +114,17 @@ def _name(name: Any) -> Name:
         return name
     if isinstance(name, list) and 1 <= len(name) <= MAX_JOINTS and all(isinstance(part, str) for part in name):
         return tuple(name)
-    raise InputError(f"{quoted(str(name))} is no name; give the key of a list, or a list of the joints' keys")
+    raise InputError(f"{quoted(str(name))} is not a name; give the key of a list, or a list of the joints' keys")
 
 
 class Dialect:
-    """A robot's lines → a session's lines. ``of``: what the address says of them."""
+    """Converts a robot's lines to a session's lines. ``of``: what the address specifies about them."""
 
     def __init__(self, of: dict[str, str]) -> None:
         self._names, self._columns = _declared(of)
 
     def line(self, line: bytes) -> bytes:
-        """A session's line for a robot's; the line itself where it needs no change or is no reading.
+        """Return a session's line for a robot's; the line itself if it needs no conversion or is not a reading.
 
         Raises InputError for a header or a declaration that is not understood.
         """
@@ -131,7 +132,7 @@ class Dialect:
             found = self._line(line.decode().strip(), line)
         except UnicodeDecodeError:
             return line
-        return found if len(found) <= MAX_LINE else line  # the line within the line may have grown
+        return found if len(found) <= MAX_LINE else line  # the embedded original may have grown
 
     def _line(self, text: str, line: bytes) -> bytes:
         if text.startswith("{"):
@@ -152,7 +153,7 @@ class Dialect:
 
 
 def _declaration(text: str) -> dict[str, Any] | None:
-    """A line that says names and units, None if it is none."""
+    """Return the declaration of names and units in a line, None if there is none."""
     try:
         said = json.loads(text)
     except (ValueError, RecursionError):
@@ -161,7 +162,7 @@ def _declaration(text: str) -> dict[str, Any] | None:
 
 
 def _declared(of: dict[str, str]) -> tuple[Names, Columns | None]:
-    """What an address's query says. Raises InputError."""
+    """Return what an address's query specifies. Raises InputError."""
     rest = dict(of)
     columns = rest.pop("columns", None)
     said: dict[str, Any] = {name: rest.pop(name) for name in ("unit", "t_unit") if name in rest}
@@ -170,9 +171,10 @@ def _declared(of: dict[str, str]) -> tuple[Names, Columns | None]:
 
 
 class LinesLink:
-    """The lines of ``link`` in a session's form, by a dialect that learns of them what they are.
+    """The lines of ``link`` in a session's form, converted by a dialect that learns the format from them.
 
-    ``joined``: its first line may be the rest of one, and numbers without their first digits are numbers too: a row is passed over there.
+    ``joined``: the first line may be incomplete, and a number without its first digits is still a number, so a row is
+    skipped there.
     """
 
     def __init__(self, link: Link, clock: Clock, dialect: Dialect, joined: bool = False) -> None:
@@ -204,7 +206,7 @@ class LinesLink:
 
     @property
     def backlog(self) -> Backlog:
-        """What waits to be read."""
+        """Return the backlog."""
         return backlog_of(self._link)
 
     def close(self) -> None:
@@ -223,21 +225,21 @@ class LinesLink:
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
-    """Return a link for which the header of the ``last`` one still counts. Raises as ``open_lines`` does."""
+    """Return a link that still uses the header of the ``last`` one. Raises as ``open_lines`` does."""
     return open_lines(url, clock, last.dialect if isinstance(last, LinesLink) else None)
 
 
 def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesLink:
-    """The source behind ``lines+tcp://`` or ``lines+udp://``. ``dialect``: of an earlier connection, whose header still counts.
+    """Open the source behind ``lines+tcp://`` or ``lines+udp://``.
 
-    Raises InputError, LinkError.
+    ``dialect``: of an earlier connection, with a header that is still valid. Raises InputError, LinkError.
     """
     address, _, query = url.partition("?")
     try:
         pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
     except ValueError as exc:
-        raise InputError(f"{url!r}: what stands behind '?' is no list of NAME=VALUE") from exc
-    dialect = dialect or Dialect(dict(pairs))  # refused before anything is opened
+        raise InputError(f"{url!r}: the part after '?' must be a list of NAME=VALUE") from exc
+    dialect = dialect or Dialect(dict(pairs))  # checked before anything is opened
     plain = address.removeprefix("lines+")
     if plain.startswith("udp"):
         return LinesLink(UdpLink(plain, clock, name=url), clock, dialect)

@@ -1,4 +1,4 @@
-"""Datagrams as a link: each is a line, or several."""
+"""Datagrams as a link: each contains one or more lines."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import socket
 from truearm.errors import LinkError
 from truearm.record.links import Clock, SocketLink, host_and_port
 
-MAX_DATAGRAM = 8192  # bytes; of a longer one the rest is cut off, and what is left is no reading
+MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
 _POLL_S = 0.1
 
 
 class UdpLink(SocketLink):
-    """What is sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them).
+    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them).
 
-    The first sender is the robot; datagrams of others are passed over. Each is handed out with a line feed at its end. Nothing
-    says that a robot has gone: it is silent.
+    The first sender is taken as the robot; datagrams from others are skipped. Each is returned with a line feed at its
+    end. A robot that has gone is just silent; UDP does not report it.
     """
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
@@ -28,13 +28,13 @@ class UdpLink(SocketLink):
             opened.bind(address)
         except OSError as exc:
             raise LinkError(
-                f"{name or url}: cannot listen there ({exc.strerror or exc}); name an address of this machine"
+                f"{name or url}: cannot listen there ({exc.strerror or exc}); give an address of this machine"
             ) from exc
         self.port = int(opened.getsockname()[1])
         super().__init__(name or url, clock, opened)
 
     def write(self, data: bytes) -> int:
-        """Nothing is sent to such a robot."""
+        """Do nothing: such a robot receives no data."""
         return self._clock.now_ns()
 
     def _receive(self) -> bytes:

@@ -1,0 +1,128 @@
+"""Steps that take longer than two seconds, on the terminal: what is done, how far it is, and how long it will take."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Event, Lock, Thread
+from typing import TextIO
+
+from truearm.progress import listening
+from truearm.text import one_line
+
+QUIET_S = 2.0  # a step that is done sooner is not shown
+EVERY_S = 0.5
+LEAST_SHARE = 0.02  # from which on a remaining time is told
+CLEAR = "\x1b[2K\r"
+
+
+@dataclass(eq=False)
+class Step:
+    """A step that is under way."""
+
+    what: str
+    begun_s: float
+    ended: Callable[[Step], None]
+    share: float = 0.0
+
+    def advance(self, share: float) -> None:
+        """Hear which share of it is done, 0 to 1."""
+        self.share = share
+
+    def end(self) -> None:
+        """Hear that it ends."""
+        self.ended(self)
+
+
+class Shown:
+    """Listens to steps, and a thread shows the innermost one on a line that is cleared behind it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._steps: list[Step] = []
+        self._lock = Lock()
+        self._is_shown = False
+        self._ended = Event()
+        self._thread: Thread | None = None
+
+    def begin(self, what: str) -> Step:
+        """Hear that a step begins; the first one starts the thread."""
+        with self._lock:
+            self._steps.append(Step(one_line(what), time.monotonic(), self._end))
+            if self._thread is None:
+                self._thread = Thread(target=self._run, daemon=True, name="progress")
+                self._thread.start()
+            return self._steps[-1]
+
+    def _end(self, step: Step) -> None:
+        with self._lock:
+            if step in self._steps:
+                self._steps.remove(step)
+            self._clear()
+
+    def close(self) -> None:
+        """Clear the line and stop."""
+        self._ended.set()
+        with self._lock:
+            self._clear()
+
+    def _run(self) -> None:
+        while not self._ended.wait(EVERY_S):
+            self.show()
+
+    def show(self) -> None:
+        """Show the innermost step that is older than two seconds."""
+        with self._lock:
+            if self._ended.is_set():
+                return
+            now_s = time.monotonic()
+            text = next((said(one, now_s) for one in reversed(self._steps) if now_s - one.begun_s >= QUIET_S), "")
+            if text:
+                # the cursor goes back to the line's beginning: what is printed meanwhile does not hang on its end
+                self._write(f"\x1b[2K{text[: shutil.get_terminal_size().columns - 1]}\r")
+                self._is_shown = True
+
+    def _clear(self) -> None:
+        if self._is_shown:
+            self._write(CLEAR)
+            self._is_shown = False
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except (OSError, ValueError):  # the terminal is gone; the work goes on
+            self._ended.set()
+
+
+def said(one: Step, now_s: float) -> str:
+    """``reading monday.mcap: 42 %, 12 s, about 17 s left``."""
+    elapsed_s = now_s - one.begun_s
+    if one.share < LEAST_SHARE:
+        return f"{one.what}: {duration(elapsed_s)}"
+    left_s = elapsed_s * (1.0 - one.share) / one.share
+    return f"{one.what}: {100.0 * one.share:.0f} %, {duration(elapsed_s)}, about {duration(left_s)} left"
+
+
+def duration(seconds: float) -> str:
+    """``12 s``, ``3 min 20 s``."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+@contextmanager
+def shown_progress() -> Iterator[None]:
+    """Show the steps of what is done within on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    shown = Shown(sys.stderr)
+    try:
+        with listening(shown):
+            yield
+    finally:
+        shown.close()

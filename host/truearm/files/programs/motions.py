@@ -1,0 +1,47 @@
+"""A move of a program and what it goes to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from truearm.files.programs.syntax import Expression, Number, Taught, Text, Truth
+from truearm.files.programs.values import Goal, Pose, Solved, Unknown, Value, Values
+
+UNDECLARED = "name"  # the remedy of a name that the file does not declare, until it is known what for
+
+
+@dataclass(slots=True)
+class Motion:
+    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
+
+    ``legs``: each time that it was followed, what the robot may come from and what it may end at; ``straight``: along a line in space.
+    """
+
+    name: str
+    start: int
+    end: int
+    goals: dict[Goal, None] = field(default_factory=dict)
+    legs: list[tuple[Values, Values]] = field(default_factory=list)
+    straight: bool = False
+    problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
+
+
+def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
+    """The goal, or why there is none."""
+    place = (argument.start, argument.end) if not isinstance(argument, Number | Text | Truth) else (-1, -1)
+    if isinstance(value, Unknown):
+        return value.why, "" if value.remedy == UNDECLARED else value.remedy
+    if isinstance(value, Taught):
+        return Goal(value, Pose(()), Pose(()), None, *place)
+    near = None
+    if isinstance(value, Solved):
+        near, tool = value.near, value.tool
+        value = value.pose
+    if not isinstance(value, Pose):
+        return "its target is neither a pose nor joint readings of plain numbers", ""
+    for what in (tool, frame):
+        if isinstance(what, Unknown):
+            return what.why, what.remedy
+    if not isinstance(tool, Pose) or not isinstance(frame, Pose):
+        return "its tool or work object is none that is known", ""
+    return Goal(value, tool, frame, near, *place)

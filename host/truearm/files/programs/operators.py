@@ -1,0 +1,33 @@
+"""What the operators of a program make of numbers."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+
+from truearm.files.programs.syntax import Number
+from truearm.files.programs.values import Unknown, Value
+
+_ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+
+
+def operator_of(sign: str, at: int) -> Callable[..., Value]:
+    """What an operator makes of numbers; comparisons are left to the run."""
+
+    def result(*operands: Value) -> Value:
+        values = [one.value for one in operands if isinstance(one, Number)]
+        if len(values) == len(operands):
+            if len(values) == 1 and sign in "+-":
+                return Number(-values[0] if sign == "-" else values[0])
+            if len(values) == 2 and sign in _ARITHMETIC and not (sign == "/" and values[1] == 0.0):
+                return Number(_ARITHMETIC[sign](*values))
+        return next(
+            (one for one in operands if isinstance(one, Unknown)), Unknown(f"the result of {sign} is not followed", at)
+        )
+
+    return result

@@ -1,0 +1,200 @@
+"""RAPID's words and expressions, read: what ``rapid`` makes statements and modules of."""
+
+from __future__ import annotations
+
+import re
+
+from truearm.files.programs.syntax import (
+    NUMBER,
+    Call,
+    Element,
+    Expression,
+    Form,
+    Items,
+    Name,
+    Number,
+    Operation,
+    Reader,
+    Taught,
+    Text,
+    Truth,
+)
+
+_N = rf"\s*[+-]?{NUMBER}\s*"
+
+
+def _list(n: int) -> str:
+    return rf"\s*\[{_N}(?:,{_N}){{{n - 1}}}\]\s*"
+
+
+TOKENS = re.compile(
+    rf"""(?:\s++|![^\r\n]*+|\xef\xbb\xbf|%%%[^%]*+%%%)*+
+    (?:(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
+    |(?P<number>0[xX][0-9A-Fa-f]+|0[oO][0-7]+|0[bB][01]+|{NUMBER})|(?P<word>[A-Za-z\x80-\xff][\w\x80-\xff]*+)|(?P<string>"(?:[^"\r\n]|"")*")
+    |(?P<sign>(?i:<smt>)|:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|]))?""",
+    re.VERBOSE | re.ASCII,
+)
+_BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
+_BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
+_NOT, _MINUS = 3, 7
+PASSED = r"\?"  # what stands for \name?parameter: the parameter where it is given
+ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
+CLOSING = frozenset(
+    {*ENDS.values(), "else", "elseif", "endif", "endfor", "endwhile", "endtest", "case", "default", "error", "undo", "backward"}
+)  # fmt: skip
+NO_NAMES = CLOSING | {
+    "module",
+    "endmodule",
+    "proc",
+    "func",
+    "trap",
+    "if",
+    "then",
+    "for",
+    "while",
+    "do",
+    "test",
+    "var",
+    "pers",
+    "const",
+}
+
+
+class ExpressionReader(Reader):
+    """Expressions by recursive descent."""
+
+    def is_word(self, *words: str) -> bool:
+        return self.kind == "word" and self.text.lower() in words
+
+    def take(self, text: str) -> None:
+        if self.text.lower() != text:
+            raise self.unexpected(text.upper() if text.isalpha() else quoted_sign(text))
+        self.step()
+
+    def word(self, wanted: str) -> str:
+        if self.kind != "word" or self.text.lower() in NO_NAMES:
+            raise self.unexpected(wanted)
+        return self.once(self.step().lower())
+
+    def arguments(self, closing: str) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
+        r"""Arguments in order, and those after a \\, up to a sign that is taken. A switch is True."""
+        values: list[Expression] = []
+        named: list[tuple[str, Expression]] = []
+        self.deeper()
+        while self.text != closing:
+            if self.text == "\\":
+                self.step()
+                name = self.word("an argument's name")
+                value: Expression = Truth(True)
+                if self.text == ":=":
+                    self.step()
+                    value = self.expression()
+                elif self.text == "?":  # as the routine's own optional parameter, or not at all
+                    self.step()
+                    at = self.start
+                    value = Call(PASSED, (Name(self.word("a parameter"), at),), (), at, self.end)
+                named.append((name, value))
+            else:
+                if self.following == ":=" and self.kind == "word":  # required arguments stand in order, named or not
+                    self.step()
+                    self.step()
+                values.append(self.expression())
+            if self.text == ",":
+                self.step()
+            elif self.text not in (closing, "\\"):
+                raise self.unexpected(f"a comma or {closing}")
+        self.step()
+        self.depth -= 1
+        return tuple(values), tuple(named)
+
+    def expression(self, least: int = 0) -> Expression:
+        """An expression whose operators bind at least so strongly."""
+        start, text = self.start, self.text.lower()
+        if text == "not" or text in ("-", "+"):
+            self.deeper()
+            self.step()
+            inner = self.expression(_NOT if text == "not" else _MINUS)
+            self.depth -= 1
+            if isinstance(inner, Number):
+                left: Expression = Number(-inner.value if text == "-" else inner.value)
+            else:
+                left = Operation(text, (inner,), start, self.end)
+        else:
+            left = self.postfix()
+        while (binds := _BINDS.get(self.text.lower(), -1)) > least and self.kind in ("sign", "word"):
+            sign = self.step().lower()
+            left = Operation(sign, (left, self.expression(binds)), start, self.end)
+        return left
+
+    def postfix(self) -> Expression:
+        found = self.atom()
+        while self.kind == "sign" and self.text in "{.":
+            start = self.start
+            if self.step() == ".":
+                found = Element(found, self.word("a component"), start, self.end)
+                continue
+            for item in self.bracketed("}"):
+                counted = Operation("-", (item, Number(1.0)), start, self.end)  # counted from 1
+                found = Element(found, counted, start, self.end)
+        return found
+
+    def atom(self) -> Expression:
+        kind, text, start = self.kind, self.text, self.start
+        if kind == "word":
+            word = self.once(text.lower())
+            if word in ("true", "false"):
+                self.step()
+                return Truth(word == "true")
+            if word not in NO_NAMES:
+                self.step()
+                if self.text == "(":
+                    self.step()
+                    arguments, named = self.arguments(")")
+                    return Call(word, arguments, named, start, self.end)
+                return Name(word, start)
+        elif kind == "number":
+            self.step()
+            plain = not text.lower().startswith(("0x", "0o", "0b"))
+            return Number(float(text) if plain else float(int(text, 0)))
+        elif kind == "robtarget":
+            self.step()
+            return Taught(Form.ROBTARGET, text, start)
+        elif kind == "jointtarget":
+            self.step()
+            return Taught(Form.JOINTTARGET, text, start)
+        elif kind == "string":
+            self.step()
+            return Text(text[1:-1])
+        elif text == "[":
+            self.step()
+            return Items(self.bracketed("]"), False, start, self.end)
+        elif text == "(":
+            self.deeper()
+            self.step()
+            found = self.expression()
+            self.take(")")
+            self.depth -= 1
+            return found
+        raise self.unexpected("an expression")
+
+    def bracketed(self, closing: str) -> tuple[Expression, ...]:
+        """Expressions between commas up to a closing bracket, which is taken."""
+        self.deeper()
+        items: list[Expression] = []
+        while self.text != closing:
+            if closing == "}" and self.text == "*":
+                self.step()
+            else:
+                items.append(self.expression())
+            if self.text == ",":
+                self.step()
+            elif self.text != closing:
+                raise self.unexpected(f"a comma or {closing}")
+        self.step()
+        self.depth -= 1
+        return tuple(items)
+
+
+def quoted_sign(text: str) -> str:
+    """A sign as it is shown."""
+    return f"'{text}'"

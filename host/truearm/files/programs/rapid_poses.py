@@ -1,0 +1,150 @@
+"""Robtargets, tools and work objects of RAPID as poses, and what its functions make of them.
+
+A robtarget lies in the object frame of its work object: user frame · object frame · target; the tool's frame is that of its tooldata. ``Offs`` shifts a
+target along the work object's axes, ``RelTool`` along the tool's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from scipy.spatial.transform import Rotation
+
+from truearm.files.programs.motions import UNDECLARED
+from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
+from truearm.files.programs.values import (
+    Listed,
+    Pose,
+    Unknown,
+    Value,
+    Values,
+    first_unknown,
+    fixed_mm,
+    numbers_of,
+    shifted,
+    taught_pose,
+    times,
+    turned,
+)
+from truearm.units import MM
+
+NO_AXIS = 8.9e9  # 9E9 stands for an external axis that there is not
+
+
+def target_of(value: Value, at: int) -> Value:
+    if isinstance(value, Unknown | Pose):
+        return value
+    if isinstance(value, Taught):
+        return taught_pose(value) if value.form is Form.ROBTARGET else value
+    if not isinstance(value, Listed):
+        return Unknown("its target is neither a robtarget nor a jointtarget", at)
+    pose = _frame((Listed(value.items[:2]),)) if len(value.items) == 4 else None
+    axes = numbers_of(value.items[3][0]) if pose is not None and len(value.items[3]) == 1 else None
+    if pose is not None and (axes is None or min(axes) < NO_AXIS):
+        return _unknown_in(value) or Unknown("its external axes may move the robot's base", at)
+    return _unknown_in(value) or pose or Unknown("its target is not of plain numbers in one piece", at)
+
+
+def tool_of(value: Value, at: int) -> Value:
+    """The frame of a tooldata."""
+    if isinstance(value, Pose):
+        return value
+    if isinstance(value, Unknown):
+        return value._replace(remedy="tools") if value.remedy == UNDECLARED else value
+    if not isinstance(value, Listed) or len(value.items) != 3:
+        return Unknown("its tool is not a tooldata", at)
+    if value.items[0] != (Truth(True),):
+        return Unknown("its tool is not held by the robot", at)
+    pose = _frame(value.items[1])
+    return pose or _unknown_in(value) or Unknown("its tool has no frame of plain numbers", at)
+
+
+def object_of(value: Value, at: int) -> Value:
+    """The frame of a wobjdata: user frame and object frame."""
+    if isinstance(value, Pose):
+        return value
+    if isinstance(value, Unknown):
+        return value._replace(remedy="works") if value.remedy == UNDECLARED else value
+    if not isinstance(value, Listed) or len(value.items) != 5:
+        return Unknown("its work object is not a wobjdata", at)
+    in_hand, fixed_frame, unit, users, own = value.items
+    if in_hand != (Truth(False),):
+        return Unknown("its work object is held by the robot", at)
+    if fixed_frame != (Truth(True),) or unit != (Text(""),):
+        return Unknown("its work object is moved by a mechanical unit", at)
+    frames = [_frame(users), _frame(own)]
+    known = [frame for frame in frames if frame is not None]
+    return (
+        times(*known)
+        if len(known) == 2
+        else _unknown_in(value) or Unknown("its work object has no frames of plain numbers", at)
+    )
+
+
+def _frame(values: Values) -> Pose | None:
+    """A pose [[x, y, z], [q1, q2, q3, q4]] of plain numbers."""
+    if len(values) != 1 or not isinstance(values[0], Listed) or len(values[0].items) != 2:
+        return None
+    parts = [numbers_of(item[0]) if len(item) == 1 else None for item in values[0].items]
+    place, turn = parts
+    return fixed_mm(place, turn) if place and turn and (len(place), len(turn)) == (3, 4) else None
+
+
+def _unknown_in(value: Value) -> Unknown | None:
+    if isinstance(value, Unknown):
+        return value
+    if isinstance(value, Listed):
+        return next((found for item in value.items for one in item if (found := _unknown_in(one)) is not None), None)
+    return None
+
+
+def _numbers(given: Sequence[Value]) -> list[float] | None:
+    found = [one.value for one in given if isinstance(one, Number)]
+    return found if len(found) == len(given) and all(map(math.isfinite, found)) else None
+
+
+def offset(given: Sequence[Value], at: int) -> Value:
+    target, numbers = target_of(given[0], at), _numbers(given[1:])
+    if isinstance(target, Unknown):
+        return target
+    if numbers is None or not isinstance(target, Pose):
+        return next(
+            (one for one in given[1:] if isinstance(one, Unknown)), Unknown("the offsets of Offs are not known", at)
+        )
+    return times(shifted([float(MM.to_si(value)) for value in numbers]), target)
+
+
+def offset_along_tool(given: Sequence[Value], at: int) -> Value:
+    """Rotations are about x first, then the new y, then the new z."""
+    target, numbers = target_of(given[0], at), _numbers(given[1:])
+    if isinstance(target, Unknown):
+        return target
+    if numbers is None or not isinstance(target, Pose):
+        return next(
+            (one for one in given[1:] if isinstance(one, Unknown)),
+            Unknown("the arguments of RelTool are not known", at),
+        )
+    turn = Rotation.from_euler("XYZ", numbers[3:], degrees=True)
+    return times(target, shifted([float(MM.to_si(value)) for value in numbers[:3]]), turned(turn))
+
+
+def oriented(given: Sequence[Value], at: int) -> Value:
+    """A quaternion, scalar first, of turns about z, the new y, the new x [deg]."""
+    numbers = _numbers(given)
+    if numbers is None:
+        return first_unknown(given) or Unknown("the angles of OrientZYX are not known", at)
+    x, y, z, w = Rotation.from_euler("ZYX", numbers, degrees=True).as_quat().tolist()
+    return Listed(tuple((Number(value),) for value in (w, x, y, z)))
+
+
+def items_of(of: Value) -> tuple[Values, ...] | None:
+    """The items of a list or of a literal, as lists again."""
+    if isinstance(of, Listed):
+        return of.items
+    if not isinstance(of, Taught):
+        return None
+    ends = (3, 7, 11, 17) if of.form is Form.ROBTARGET else (6, 12)
+    values = of.values
+    parts = [values[start:end] for start, end in zip((0, *ends), ends, strict=False)]
+    return tuple((Listed(tuple((Number(value),) for value in part)),) for part in parts)

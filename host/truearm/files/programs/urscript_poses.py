@@ -1,0 +1,151 @@
+"""Poses and lists of URScript, and what its functions make of them.
+
+``pose_trans(A, B)`` is A·B; ``pose_add(A, B)`` adds positions and multiplies rotations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from truearm.files.programs.syntax import Number, Taught
+from truearm.files.programs.values import (
+    Listed,
+    Pose,
+    Solved,
+    Unknown,
+    Value,
+    Values,
+    first_unknown,
+    fixed_six,
+    inverse,
+    matrices_of,
+    numbers_of,
+    shifted,
+    times,
+    turned,
+)
+from truearm.types import Floats
+from truearm.units import DEG
+
+SIX = 6
+
+
+def as_pose(value: Value, at: int) -> Pose | Unknown:
+    if isinstance(value, Pose | Unknown):
+        return value
+    if isinstance(value, Solved):
+        return value.pose
+    numbers = numbers_of(value)
+    if numbers is not None and len(numbers) == SIX and np.isfinite(numbers).all():
+        return fixed_six(numbers)
+    return unknown_in(value) or Unknown("it is not a pose of six numbers", at)
+
+
+def unknown_in(value: Value) -> Unknown | None:
+    inner = value.items if isinstance(value, Listed) else ()
+    return next((one for item in inner for one in item if isinstance(one, Unknown)), None)
+
+
+def items_of(of: Value) -> tuple[Values, ...] | None:
+    if isinstance(of, Listed):
+        return of.items
+    if (
+        isinstance(of, Pose)
+        and len(of.factors) == 1
+        and not of.factors[0].inverse
+        and isinstance(of.factors[0].pose, Taught)
+    ):
+        of = of.factors[0].pose
+    return tuple((Number(value),) for value in of.values) if isinstance(of, Taught) else None
+
+
+def list_made(arguments: Sequence[Values], named: Mapping[str, Values], at: int) -> Values:
+    given = [*arguments, *named.values()]
+    if (
+        len(given) < 2
+        or len(given[0]) != 1
+        or not isinstance(given[0][0], Number)
+        or not 0 <= given[0][0].value <= 1000
+    ):
+        return (Unknown("the list that make_list gives is not followed", at),)
+    return (Listed((given[1],) * int(given[0][0].value)),)
+
+
+def _poses(given: Sequence[Value], n: int, at: int) -> list[Pose] | Unknown:
+    if len(given) != n:
+        return Unknown(f"{len(given)} arguments are given where {n} belong", at)
+    found = [as_pose(value, at) for value in given]
+    unknown = first_unknown(found)
+    return unknown or [pose for pose in found if isinstance(pose, Pose)]
+
+
+def _trans(given: Sequence[Value], at: int) -> Value:
+    poses = _poses(given, 2, at)
+    return poses if isinstance(poses, Unknown) else times(*poses)
+
+
+def _add(given: Sequence[Value], at: int) -> Value:
+    """A's position plus B's, and rotation R_A·R_B: a shift, A, and a turn."""
+    poses = _poses(given, 2, at)
+    return poses if isinstance(poses, Unknown) else _moved(poses[0], poses[1], 1, at)
+
+
+def _sub(given: Sequence[Value], at: int) -> Value:
+    poses = _poses(given, 2, at)
+    return poses if isinstance(poses, Unknown) else _moved(poses[0], poses[1], -1, at)
+
+
+def _moved(a: Pose, b: Pose, sense: int, at: int) -> Value:
+    numbers = b.factors[0].pose if len(b.factors) == 1 and not b.factors[0].inverse else None
+    if isinstance(numbers, Taught):
+        matrix = matrices_of([numbers])[0]
+    elif numbers is not None:
+        matrix = np.array(numbers.rows).reshape(4, 4)
+    else:
+        return Unknown("what is added to a pose is a product itself; that is not followed", at)
+    turn = Rotation.from_matrix(matrix[:3, :3])
+    return times(shifted(sense * matrix[:3, 3]), a, turned(turn if sense > 0 else turn.inv()))
+
+
+def _inv(given: Sequence[Value], at: int) -> Value:
+    poses = _poses(given, 1, at)
+    return poses if isinstance(poses, Unknown) else inverse(poses[0])
+
+
+def _degrees(given: Sequence[Value], at: int) -> Value:
+    return (
+        Number(float(DEG.to_si(given[0].value)))
+        if isinstance(given[0], Number)
+        else Unknown("an angle is not known", at)
+    )
+
+
+def _rotvec(given: Sequence[Value], at: int) -> Value:
+    """Roll, pitch and yaw about fixed x, y, z as a rotation vector."""
+    return _three(given, at, lambda rpy: Rotation.from_euler("xyz", rpy).as_rotvec())
+
+
+def _rpy(given: Sequence[Value], at: int) -> Value:
+    return _three(given, at, lambda turn: Rotation.from_rotvec(turn).as_euler("xyz"))
+
+
+def _three(given: Sequence[Value], at: int, function: Callable[[Floats], Floats]) -> Value:
+    """What a function makes of a list of three numbers."""
+    numbers = numbers_of(given[0]) if len(given) == 1 else None
+    if numbers is None or len(numbers) != 3 or not np.isfinite(numbers).all():
+        return first_unknown(given) or unknown_in(given[0]) or Unknown("it is not a list of three known numbers", at)
+    return Listed(tuple((Number(value),) for value in function(np.array(numbers)).tolist()))
+
+
+PURE = {
+    "rpy2rotvec": _rotvec,
+    "rotvec2rpy": _rpy,
+    "pose_trans": _trans,
+    "pose_add": _add,
+    "pose_sub": _sub,
+    "pose_inv": _inv,
+    "d2r": _degrees,
+}

@@ -1,0 +1,145 @@
+"""What an identification found beside the parameters, as tables and sentences: residuals of each kind and rig, χ², rows to
+distrust, how well the parameters are seen, what to measure next, and how far the tool may be off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from truearm.kinds.registry import NAMES
+from truearm.report.page_parts import table_of
+from truearm.report.page_text import ABSENT, escape, figures, number, size
+from truearm.report.residual_rows import Summary, row_name
+from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
+from truearm.text import counted
+from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError
+from truearm.units import shown, symbol, title, tolerances
+
+MAX_ROWS = 40  # suspects that are named
+MAX_NAMES = 12
+
+
+def residual_table(found: Sequence[Summary]) -> str:
+    """A table a unit: RMS and largest residual of each kind, and of each rig where there are several; what a residual is."""
+    tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
+    words = " ".join(residual_words(kind) for kind in NAMES if any(s.kind == kind for s in found))
+    return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
+
+
+def _residuals_in(si: str, found: Sequence[Summary]) -> str:
+    several = any(s.rig for s in found)
+    titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
+    titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
+    rows = [
+        [
+            escape(kind_name(s.kind)),
+            *[escape(s.rig) or ABSENT] * several,
+            str(s.fitted),
+            *(figures(shown(value, si)) for value in (s.before, s.after, s.largest)),
+            str(s.held_out),
+            figures(shown(s.validation, si)),
+        ]
+        for s in found
+    ]
+    return table_of(titles, rows, f"residuals {symbol(si)}")
+
+
+def chi2_words(e: Estimate) -> str:
+    """χ² against its band, in a sentence; "" where there is none."""
+    low, high = e.chi2_band
+    if not math.isfinite(e.chi2_reduced):
+        return ""
+    text = f"χ² per degree of freedom is {figures(e.chi2_reduced)}"
+    if not math.isfinite(low + high):
+        return text + "."
+    text += f"; if the declared σ and the model are right it lies between {figures(low)} and {figures(high)} (95 %). "
+    if e.chi2_reduced > high:
+        return (
+            text + "It lies above: the robot errs in ways that these parameters do not model, or the σ are too small."
+        )
+    if e.chi2_reduced < low:
+        return text + "It lies below: the declared σ are larger than the noise really is."
+    return text + "It does."
+
+
+def suspect_table(e: Estimate, table: ObservationTable) -> str:
+    """The fitted rows that disagree with all others, the farthest first."""
+    rows = np.flatnonzero(e.suspect)
+    if not rows.size:
+        return "<p>No fitted row disagrees with all others beyond chance (one clean row in a million would).</p>"
+    rows = rows[np.argsort(-e.distance[rows], kind="stable")]
+    left_out = int(np.sum(e.weight[rows] == 0.0))
+    units = Figures.by_unit(e.residual, rows)
+    verb = "disagrees" if rows.size == 1 else "disagree"
+    words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million would"
+    words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
+    cells = [
+        [
+            escape(row_name(table.source[row])),
+            escape(kind_name(str(table.kind[row]))),
+            number(float(e.distance[row]), 1),
+            *(figures(shown(float(e.residual[si][row]), si)) for si in units),
+            figures(float(e.weight[row]), 2),
+        ]
+        for row in rows[:MAX_ROWS]
+    ]
+    sizes = [title("residual", si) for si in units]
+    titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
+    more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
+    return f"<p>{words}</p>" + table_of(titles, cells, "rows that disagree") + more
+
+
+def observability_table(e: Estimate) -> str:
+    """The four indices of the suggested free set; "" where they were not computed."""
+    if e.observability is None or not e.suggested_free.any():
+        return ""
+    names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
+    values = e.observability._asdict()
+    rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
+    length, angle, gain = tolerances("weak")
+    text = (
+        f"How well the observations alone see {counted(len(names), 'parameter')} that they distinguish. A step is {length}, "
+        f"{angle} or {gain}; larger is better, and figures of one robot compare one set of poses with another."
+    )
+    table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")
+    return f"<p>{escape(text, 600)}</p>{table}" + _suggested(e, names)
+
+
+def _suggested(e: Estimate, names: Sequence[str]) -> str:
+    """The set that can be distinguished, where more was free."""
+    if len(names) == int(e.free[: e.n_robot_parameters].sum()):
+        return ""
+    listed = escape(", ".join(names), 4000)
+    return f"<details><summary>the {len(names)} parameters that can be distinguished</summary><p>{listed}</p></details>"
+
+
+def addition_list(additions: Sequence[Addition]) -> str:
+    """What more to measure, the most useful first; "" where all is seen."""
+    if not additions:
+        return ""
+    items = []
+    for a in additions:
+        names = ", ".join(a.parameters[:MAX_NAMES])
+        more = f" and {len(a.parameters) - MAX_NAMES} others" if len(a.parameters) > MAX_NAMES else ""
+        words = (
+            f"{a.text[0].upper()}{a.text[1:]} to tell {counted(len(a.parameters), 'more parameter')}: {names}{more}."
+        )
+        items.append(f"<li>{escape(words, 900)}</li>")
+    return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
+
+
+def predicted_words(predicted: PredictedError) -> str:
+    """How far the tool may be off, in a sentence of plain text."""
+    where = (
+        "relative to all poses together, as the base's own place is not measured"
+        if predicted.relative
+        else "in the base frame"
+    )
+    return (
+        f"By the covariance of the parameters the measured point of the tool errs by {size(predicted.rms, 'm')} RMS "
+        f"over {counted(predicted.n, 'pose')}, {where}; most at {row_name(predicted.source)}, by {size(predicted.largest, 'm')}. "
+        "That is what noise and priors leave if the model is right; errors that the parameters do not model come on top."
+    )

@@ -1,0 +1,81 @@
+"""What the results of an identification are called where people read of them: kinds of observation, observability indices, errors that remain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from truearm.kinds.registry import NAMES, kinds
+from truearm.text import with_article
+from truearm.types import MeanError, PoseError, ResidualParts
+from truearm.units import MS, UNITS, number, symbol, tolerances
+
+PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
+
+# In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
+OBSERVABILITY = {
+    "o1": ("the average parameter: σ per residual that one step of it makes, geometric mean", "σ"),
+    "o2": ("the weakest combination of parameters over the strongest; 1 would be equally well", "1"),
+    "o3": ("the weakest combination: σ that one step of it makes in all residuals together", "σ"),
+    "o4": ("O2 times O3: weak where either is", "σ"),
+}
+
+
+def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
+    """What was found of the time between the joints and their readings; without a σ it was not seen."""
+    if value_s is None or sigma_s is None:
+        return (
+            f"{name}: how late the joint readings are is not seen; along a line driven one way it cannot be told from the "
+            "line's place. Drive lines there and back."
+        )
+    late = "late" if value_s >= 0.0 else "early"
+    return (
+        f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} ({MS.text(sigma_s, '.2g')}); the links' shortest "
+        "latencies are part of it."
+    )
+
+
+def unexplained_words(errors: Mapping[str, MeanError]) -> str:
+    """The mean error by SI unit of poses that were not fitted, where the declared noise explains less."""
+    parts = []
+    for si, error in errors.items():
+        low, high = (number(value, si) for value in (error.low, error.high))
+        parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
+    n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
+    of = f"{n} poses held out" if held_out else f"{n} poses, each predicted without its own rows"
+    return (
+        f"The declared noise does not explain the residuals. Expect errors of {' and '.join(parts)}, the mean of {of}."
+    )
+
+
+def parts_words(parts: Mapping[str, ResidualParts]) -> str:
+    """How much of the residuals the declared noise explains, by SI unit; nothing without residuals."""
+    declared, left = (
+        " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
+        for name in ("declared", "unexplained")
+    )
+    return f"Of the RMS after, declared noise explains {declared}; {left} is unexplained." if parts else ""
+
+
+def pose_error_words(error: PoseError) -> str:
+    """What the rows of one pose share, and that the sigmas hold it."""
+    return (
+        f"The rows of one pose err together, by {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
+        "The sigmas contain it: rows of one pose do not count as poses."
+    )
+
+
+def drawing() -> str:
+    """What a maker's drawing says of a parameter: the steps in which a parameter counts as hardly seen."""
+    return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
+
+
+def kind_name(kind: str) -> str:
+    """The name of a kind; a kind of a later version is its own name."""
+    return kinds()[kind].name if kind in NAMES else kind
+
+
+def residual_words(kind: str) -> str:
+    """What the residual of a kind is, a sentence that says it for each unit."""
+    of = kinds()[kind]
+    parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
+    return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."

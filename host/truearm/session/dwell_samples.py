@@ -1,0 +1,264 @@
+"""Reduce the ball-bar samples of each dwell to a mean length, or give the reason why it has none (hop 5).
+
+No dwell uses samples from across a gap. When the joints stand still, the arm beyond its encoders may still swing or
+creep, and the bar shows it. The dwell therefore begins where the samples, too, stay at the level of its second half
+(``settled_from()``), given the sensor's noise and its correlation. That noise is the median over the first LEARNT
+dwells. A single dwell may have up to four times that variance, but not more: otherwise a swing that never ends would
+pass for noise. A quarter of the declared repeatability is tolerated. An exponential tail of that size leaves less than
+half of it in the mean, and adds at most a hundredth to the variance.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.session.box_ident import Channel
+from truearm.session.device_clock import DeviceClock
+from truearm.session.dwells import Dwell, DwellRules, begun_at
+from truearm.session.joint_readings import JointStream
+from truearm.session.message_columns import Ints
+from truearm.session.sample_noise import (
+    LEAST_BLOCKS,
+    MeanOfSamples,
+    Settled,
+    block_means,
+    block_variance,
+    mean_of,
+    quick_noise,
+    rings,
+    settled_from,
+)
+from truearm.session.samples import ChannelBlocks, bar_length, extension, out_of_travel, railed
+from truearm.types import BallBar, Floats
+from truearm.units import MM, MS, NS, UM
+
+
+@dataclass
+class DwellSamples:
+    """The samples of one dwell as they arrive, in gap-free pieces of counts."""
+
+    dwell: int
+    start_ns: int
+    end_ns: int
+    channel: Channel | None = None
+    period_ns: int = 0
+    pieces: list[list[NDArray[Any]]] = field(default_factory=list)
+    begins_ns: list[int] = field(default_factory=list)  # host time of the first sample of each piece
+    bound_ns: float = 0.0
+    fault: bool = False
+
+    @property
+    def longest(self) -> NDArray[Any]:
+        """Return the counts (n,) of the longest gap-free piece."""
+        return self.longest_piece[1]
+
+    @property
+    def longest_piece(self) -> tuple[int, NDArray[Any]]:
+        """Return the host time [ns] of the first sample of the longest gap-free piece, and its counts (n,)."""
+        whole = [(t, np.concatenate(piece)) for t, piece in zip(self.begins_ns, self.pieces, strict=True) if piece]
+        return max(whole, key=lambda piece: len(piece[1]), default=(self.start_ns, np.empty(0, np.int32)))
+
+
+def collect_samples(
+    blocks: Iterable[ChannelBlocks],
+    clocks: Mapping[int, DeviceClock],
+    intervals: Sequence[tuple[int, int, int]],
+) -> Iterator[DwellSamples]:
+    """Return the samples of each interval (dwell, start_host_ns, end_host_ns).
+
+    The intervals must be ascending and must not overlap.
+    """
+    waiting = deque(DwellSamples(*interval) for interval in intervals)
+    for some in blocks:
+        clock = clocks.get(some.segment)
+        if clock is None or not len(some):
+            continue
+        times, bounds = some.times(clock)
+        ends = np.cumsum(some.n, dtype=np.int64)
+        while waiting and waiting[0].end_ns < times[0]:
+            yield waiting.popleft()
+        for taken in waiting:
+            if taken.start_ns > times[-1]:
+                break
+            _take(taken, some, times, bounds, ends)
+    yield from waiting
+
+
+def _take(taken: DwellSamples, some: ChannelBlocks, times: Ints, bounds: NDArray[np.float64], ends: Ints) -> None:
+    """Add the samples of blocks that fall into the interval, split at gaps."""
+    low, high = (int(i) for i in np.searchsorted(times, [taken.start_ns, taken.end_ns + 1]))
+    if low == high:
+        return
+    k0, k1 = (int(k) for k in np.searchsorted(ends, [low, high - 1], side="right"))
+    touched = slice(k0, k1 + 1)
+    gaps = (ends[touched] - some.n[touched])[some.gap[touched]].tolist()
+    cuts = [low, *(gap for gap in gaps if low < gap < high), high]
+    pieces = [some.counts[a:b, 0] for a, b in pairwise(cuts)]
+    begins = [int(times[a]) for a in cuts[:-1]]
+    if taken.pieces and low not in gaps:
+        taken.pieces[-1].append(pieces.pop(0))
+        begins.pop(0)
+    taken.pieces += [[piece] for piece in pieces]
+    taken.begins_ns += begins
+    taken.channel = some.channels[0]
+    taken.period_ns = int(some.period_ns[k1]) or some.stream.period_ns
+    taken.bound_ns = max(taken.bound_ns, float(np.max(bounds[touched])))
+    taken.fault |= bool(np.any(some.fault[touched]))
+
+
+# ----------------------------------------------------------------------------------------------- mean length of a dwell
+
+LEAST_SAMPLES = 8
+BLOCK_S = 0.025  # averaging interval: short compared with the period of an arm's swing (5 to 20 Hz)
+UNSETTLED = 0.25  # of the declared repeatability
+LEARNT = 50  # dwells
+OWN_NOISE = 4.0  # times the usual variance
+NOISY = 5.0  # times the median noise of all dwells
+DRIFT_SIGMAS = 6.0
+MICRON = 1e-6  # a ball-bar's spheres are not rounder: less noise, ringing or drift does not reject a dwell
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """Settings common to all dwells of a session. ``any_clock``: the session has exchanges; ``noise``: of the sensor."""
+
+    rules: DwellRules
+    joints: JointStream
+    any_clock: bool
+    noise: Noise
+
+
+class Noise(NamedTuple):
+    """Noise of the sensor at rest: variance [m²] of a block's mean, and sample standard deviation [m] by
+    ``quick_noise()``.
+
+    NaN: unknown.
+    """
+
+    block_var: float
+    quick: float
+
+
+def usual_noise(taken: Sequence[DwellSamples]) -> Noise:
+    """Return the median noise of the sensor over several dwells."""
+    found = []
+    for one in taken:
+        counts = one.longest
+        if one.channel is not None and counts.size >= 2 * LEAST_BLOCKS * (block := block_length(one)):
+            samples = extension(counts, one.channel)
+            found.append((block_variance(samples, block), quick_noise(samples)))
+    return Noise(*np.median(found, axis=0).tolist()) if found else Noise(float("nan"), float("nan"))
+
+
+def block_length(taken: DwellSamples) -> int:
+    """Return the number of samples in BLOCK_S."""
+    return max(1, round(BLOCK_S / (1e-9 * taken.period_ns)))
+
+
+def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) -> Dwell:
+    """Return the dwell with its mean length, or with the reason why it has none."""
+    rules = sensing.rules
+    begin_ns, counts = taken.longest_piece
+    if not counts.size or taken.channel is None:
+        return replace(dwell, reason="no samples" if sensing.any_clock else "no clock")
+    dwell = replace(dwell, clock_bound_ns=taken.bound_ns)
+    if taken.bound_ns > 1e9 * rules.guard_s:
+        return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
+    period_s = 1e-9 * taken.period_ns
+    if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
+        return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s whole")
+    if taken.fault:
+        return replace(dwell, reason="rail", detail="the converter's fault")
+    stretched = extension(counts, taken.channel)
+    length = bar_length(stretched, bar)
+    block = block_length(taken)
+    found = settled(length, block, bar.gain**2 * sensing.noise.block_var, max(UNSETTLED * bar.sigma, MICRON))
+    first = _first_sample(found, counts.size, block)
+    if period_s * (counts.size - first + 1) < rules.shortest_s:
+        reason, detail = _unusable(counts, stretched, bar)
+        quick = quick_noise(length)
+        if not reason and quick > max(NOISY * abs(bar.gain) * sensing.noise.quick, MICRON):
+            reason, detail = "noisy", _noise_words(quick, NOISY * abs(bar.gain) * sensing.noise.quick)
+        elif not reason:
+            reason, detail = _unsettled(found, round(rules.shortest_s / (block * period_s)))
+        return replace(dwell, reason=reason, detail=detail)
+    dwell = _with_mean(dwell, mean_of(length[first:]), bar)
+    if first:
+        late_s = 1e-9 * (begin_ns - dwell.start_host_ns) + period_s * first
+        dwell = begun_at(dwell, dwell.start_s + late_s, begin_ns + first * taken.period_ns, sensing.joints)
+    reason, detail = _unusable(counts[first:], stretched[first:], bar)
+    # A drift within the bar's declared repeatability is already covered by it.
+    if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
+        reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
+    return replace(dwell, reason=reason, detail=detail)
+
+
+def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
+    """Return where the lengths (n,) [m] come to rest, in blocks of the given length; None if there are too few samples.
+
+    ``usual_var`` [m²]: variance of a block's mean at rest, NaN if unknown.
+    """
+    means = block_means(length, block)
+    if means.size < LEAST_BLOCKS:
+        return None
+    own = block_variance(length, block)
+    variance = own if np.isnan(usual_var) else min(max(own, usual_var), OWN_NOISE * usual_var)
+    return settled_from(means, variance, floor)
+
+
+def without_noisy(dwells: Sequence[Dwell]) -> list[Dwell]:
+    """Return the dwells; those much noisier than most get that as their reason."""
+    noise = [dwell.noise for dwell in dwells if not dwell.reason]
+    limit = max(NOISY * float(np.median(noise)), MICRON) if noise else np.inf
+    return [
+        replace(d, reason="noisy", detail=_noise_words(d.noise, limit)) if not d.reason and d.noise > limit else d
+        for d in dwells
+    ]
+
+
+def _first_sample(found: Settled | None, n: int, block: int) -> int:
+    """Return the first of n samples at rest; leading samples outside any block belong to their neighbours."""
+    return n % block + int(found.first) * block if found is not None and found.first else 0
+
+
+def _with_mean(dwell: Dwell, of: MeanOfSamples, bar: BallBar) -> Dwell:
+    return replace(
+        dwell,
+        value=of.mean,
+        value_var=of.variance,
+        sigma=float(np.sqrt(of.variance + bar.sigma**2)),
+        noise=of.noise,
+        drift=of.drift,
+        drift_sigma=of.drift_sigma,
+        n_samples=of.n,
+        n_eff=of.n_eff,
+    )
+
+
+def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[str, str]:
+    """Return reason and detail if the samples cannot give a length, else ""."""
+    at_rail = int(np.count_nonzero(railed(counts)))
+    if at_rail:
+        return "rail", f"{at_rail} of {counts.size} samples"
+    if np.any(out_of_travel(stretched, bar)):
+        return "out of travel", f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.of(0.5 * bar.travel):.1f}"
+    return "", ""
+
+
+def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
+    """Describe the swing or creep that is still visible in the last blocks."""
+    if found is None:
+        return "gap", ""
+    off = float(np.max(np.abs(found.deviation[-last:])))
+    return "ringing" if rings(found) else "drift", f"{UM.text(off, '.0f')} off, {UM.of(found.bound):.0f} allowed"
+
+
+def _noise_words(noise: float, limit: float) -> str:
+    return f"{UM.text(noise, '.1f')}, {UM.of(limit):.1f} allowed"

@@ -1,0 +1,216 @@
+"""Estimate the variance of a mean of samples, where a signal comes to rest, and its long-term wander.
+
+**The mean of correlated samples.** The variance of the mean of n samples with autocovariance Γ(k) is σ²/n_eff with
+n_eff = n σ² / C and C = Γ(0) + 2 Σ Γ(k). Beyond the correlation length, an estimate of Γ is noise, so the sum stops at
+the first lag W that is at least five times the integrated correlation time τ(W) = C(W) / (2 Γ(0)) (Sokal, "Monte Carlo
+methods in statistical mechanics", 1997, §3). Using deviations from the estimated mean lowers each Γ(k) by C/n; this is
+corrected (Wolff, "Monte Carlo errors with less errors", Comput. Phys. Commun. 156, 2004, eq. 49).
+
+**Where rest begins in a stop.** The second half of a stop defines rest: its level, and how far the mean of k blocks
+deviates from that by noise alone. Stretches of 1, 2, 4 … blocks are checked against that level, short ones for ringing
+and long ones for creep. Rest begins after the last stretch that deviates. The bounds are such that noise alone
+truncates a fraction FALSE_ALARM of all stops that rest from their beginning, whatever their number of stretches
+(Bonferroni), if a block's mean is Gaussian. The bounds are never below ``floor``, the deviation that the caller
+tolerates.
+
+Nothing here depends on the kind of signal: the sensor's samples and the joint readings are treated alike.
+
+**The Allan deviation.** The overlapping Allan deviation shows how far the mean of samples wanders with increasing
+averaging time.
+
+σ²(τ) is half the mean square of the difference of two neighbouring means over τ. White noise falls as 1/√τ. Where it
+stops falling is the floor below which a longer rest does not improve a mean. Degrees of freedom are those of white
+noise (Riley, Handbook of Frequency Stability Analysis, NIST SP 1065, 2008, §5.4.1), so the intervals are valid down to
+the floor and too narrow beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.types import Floats
+
+SOKAL = 5.0
+LEAST_LAGS = 8  # alternating noise (of a high-passed converter) has a small τ after one lag
+
+
+class MeanOfSamples(NamedTuple):
+    """Statistics of a mean.
+
+    ``variance``: of the mean; ``noise``: standard deviation of one sample; ``n_eff``: number of independent samples;
+    ``drift``: end-to-end change of the least-squares line; ``drift_sigma``: its standard deviation.
+    """
+
+    mean: float
+    variance: float
+    noise: float
+    n: int
+    n_eff: float
+    drift: float
+    drift_sigma: float
+
+
+def mean_of(samples: Floats) -> MeanOfSamples:
+    """Return the mean of n ≥ 8 evenly spaced samples (n,) in any unit."""
+    n = samples.size
+    mean = float(np.mean(samples))
+    deviation = samples - mean
+    place = np.linspace(-0.5, 0.5, n)
+    drift = float(place @ deviation / (place @ place))
+    # Noise about the line: a drift is neither noise nor correlation and is judged separately.
+    about_line = deviation - drift * place
+    variance, noise = mean_variance(about_line, fitted=2)
+    n_eff = noise**2 / variance if variance > 0.0 else float(n)
+    drift_sigma = float(np.sqrt(12.0 * variance))  # a slope's variance is σ²/Σx², Σx² = n/12
+    return MeanOfSamples(mean, variance, noise, n, n_eff, drift, drift_sigma)
+
+
+def mean_variance(deviation: Floats, fitted: int = 1) -> tuple[float, float]:
+    """Return the variance of the mean of n samples and the standard deviation of one, from their deviations (n,).
+
+    ``fitted``: 1 for deviations from the mean, 2 from the least-squares line, which lowers each Γ(k) by the same amount
+    again.
+    """
+    n = deviation.size
+    padded = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(deviation, padded)
+    gamma = np.fft.irfft(spectrum * spectrum.conj(), padded)[: n // 2] / (n - np.arange(n // 2))
+    if gamma[0] <= 0.0:
+        return 0.0, 0.0
+    tau = np.cumsum(gamma) / gamma[0] - 0.5  # τ(W), 1/2 for white noise
+    lags = np.arange(tau.size)
+    enough = np.flatnonzero(lags >= np.maximum(LEAST_LAGS, SOKAL * tau))
+    window = int(enough[0]) if enough.size else tau.size - 1
+    total = 2.0 * gamma[0] * max(float(tau[window]), 0.0)
+    bias = fitted * total / n
+    gamma0 = float(gamma[0]) + bias
+    total = max(total + (2 * window + 1) * bias, gamma0 / n)
+    return total / n, float(np.sqrt(gamma0))
+
+
+FALSE_ALARM = 1e-4  # five dwells, for seven channels in 7200 dwells
+LEAST_BLOCKS = 4
+
+
+class Settled(NamedTuple):
+    """Where one or several signals come to rest.
+
+    ``first`` (…): index of the first block at rest, or the number of blocks if none is. ``level`` (…): mean of the
+    second half. ``deviation`` (…, b): block means minus the level. ``bound`` (…): allowed deviation of one block.
+    """
+
+    first: NDArray[np.intp]
+    level: Floats
+    deviation: Floats
+    bound: Floats
+
+
+def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float) -> Settled:
+    """Return where the means (…, b) of consecutive blocks come to rest; each has the variance ``block_var`` (…) by
+    noise.
+    """
+    b = means.shape[-1]
+    half = b // 2
+    level = np.mean(means[..., half:], axis=-1)
+    deviation = means - level[..., None]
+    level_var = np.asarray(block_var) / (b - half)
+    sums = np.concatenate([np.zeros((*means.shape[:-1], 1)), np.cumsum(deviation, axis=-1)], axis=-1)
+    widths = [1 << k for k in range(max(1, half).bit_length())]
+    sigmas = _sigmas(b * len(widths))
+    first = np.zeros(means.shape[:-1], dtype=np.intp)
+    for width in widths:
+        stretch = (sums[..., width:] - sums[..., :-width]) / width
+        bound = np.maximum(floor, sigmas * np.sqrt(block_var / width + level_var))
+        off = np.abs(stretch) > bound[..., None]
+        last = off.shape[-1] - np.argmax(off[..., ::-1], axis=-1)
+        first = np.maximum(first, np.where(np.any(off, axis=-1), last, 0))
+    return Settled(first, level, deviation, np.maximum(floor, sigmas * np.sqrt(block_var + level_var)))
+
+
+@cache
+def _sigmas(stretches: int) -> float:
+    """Return the deviation, in standard deviations, that one of so many stretches exceeds with probability FALSE_ALARM."""
+    return -NormalDist().inv_cdf(FALSE_ALARM / (2.0 * stretches))
+
+
+def block_means(samples: Floats, length: int) -> Floats:
+    """Return the means (n // length,) of consecutive blocks of samples (n,); the first n % length samples are not used."""
+    count = samples.size // length
+    return np.asarray(samples[samples.size - count * length :].reshape(count, length).mean(axis=1))
+
+
+def block_variance(samples: Floats, length: int) -> float:
+    """Return the variance of the mean of a block of this length, from the second half of the samples (n,) about its
+    line.
+
+    This is the larger of two values, derived from the correlation for a mean of many blocks and from the spread of the
+    blocks. If neighbouring noise cancels, long means are far quieter than short ones.
+    """
+    tail = samples[samples.size // 2 :]
+    place = np.linspace(-0.5, 0.5, tail.size)
+    about_line = tail - np.mean(tail) - float(place @ tail / (place @ place)) * place
+    of_mean, _ = mean_variance(about_line, fitted=2)
+    means = block_means(about_line, length)
+    spread = float(np.var(means, ddof=1)) if means.size > 1 else 0.0
+    return max(of_mean * tail.size / length, spread)
+
+
+def quick_noise(samples: Floats) -> float:
+    """Return the standard deviation of white samples (n,), n > 2, from their second differences.
+
+    A swing of an arm hardly changes these.
+    """
+    return float(np.sqrt(np.mean(np.square(np.diff(samples, n=2))) / 6.0))
+
+
+def rings(found: Settled) -> bool:
+    """Return whether deviations from the level change sides, as in a swing.
+
+    If they stay on one side, it is a creep or a drift.
+    """
+    side = np.sign(found.deviation[np.abs(found.deviation) > found.bound])
+    return int(np.count_nonzero(np.diff(side))) >= 2
+
+
+LEAST_FREEDOM = 5.0
+
+
+class Allan(NamedTuple):
+    """Averaging times (k,) [s], deviations (k,) [unit of the samples], and degrees of freedom (k,)."""
+
+    tau_s: Floats
+    deviation: Floats
+    freedom: Floats
+
+
+def allan(pieces: Sequence[Floats], period_s: float) -> Allan:
+    """Return the Allan deviation of several gap-free pieces of evenly spaced samples (n,).
+
+    The averaging times are 1, 2, 4 … samples, at most a third of a piece.
+    """
+    longest = max((piece.size for piece in pieces), default=0)
+    rows = []
+    for k in range(longest.bit_length()):
+        m = 1 << k
+        found = [_variance(piece, m) for piece in pieces if piece.size >= 3 * m]
+        freedom = sum(f for _, f in found)
+        if freedom >= LEAST_FREEDOM:
+            rows.append((m * period_s, np.sqrt(sum(v * f for v, f in found) / freedom), freedom))
+    return Allan(*np.array(rows).reshape(-1, 3).T)
+
+
+def _variance(samples: Floats, m: int) -> tuple[float, float]:
+    """Return the variance of means of m samples, and its degrees of freedom if the noise is white."""
+    n = samples.size
+    sums = np.concatenate([[0.0], np.cumsum(samples - np.mean(samples))])
+    means = (sums[m:] - sums[:-m]) / m
+    variance = 0.5 * float(np.mean(np.square(means[m:] - means[:-m])))
+    points = n + 1  # of the phase; the samples are its differences
+    freedom = (1.5 * (points - 1) / m - 2.0 * (points - 2) / points) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    return variance, max(float(freedom), 1.0)

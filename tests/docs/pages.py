@@ -1,0 +1,77 @@
+"""What a page of the documentation has to run: its blocks of commands and of Python, in order, with what they print.
+
+- ``sh``: every line is run, `truearm` in this process; a ``text`` block right behind it holds lines that are printed, in this order. `…` stands
+  for anything.
+- ``python``: run, all of a page in one module.
+- a block of any language with ``title="NAME"``: written to that file first.
+- ``<!-- test: skip, REASON -->`` before a block: it is not run. ``<!-- test: soak -->``: only by ``make soak``.
+- ``<!-- test: setup`` (or ``setup soak``) … ``-->``: lines that are run and not shown; ``copy PATH [NAME]`` brings a file
+  of the repository, ``tree PATH`` a folder.
+- ``<!-- test: page skip, REASON -->``: no block of the page is run.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "decisions" not in p.parts)]
+_PART = re.compile(
+    r"^<!-- test: (?P<mark>.*?)-->$|^(?P<indent> *)```(?P<language>\w+)(?P<info>[^\n]*)\n(?P<body>.*?)^(?P=indent)```$",
+    re.MULTILINE | re.DOTALL,
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block to run; ``shown`` are the lines that the page says are printed, ``file`` the name to write it to."""
+
+    language: str
+    body: str
+    line: int
+    shown: tuple[str, ...] = ()
+    file: str | None = None
+    soak: bool = False
+
+
+def blocks(text: str) -> list[Block]:
+    """What a page has to run. ValueError for a mark that means nothing."""
+    found: list[Block] = []
+    mark, end = "", 0
+    for part in _PART.finditer(text):
+        line = text.count("\n", 0, part.start()) + 1
+        if part["mark"] is not None:
+            mark = part["mark"].strip()
+            if mark.startswith("page skip, "):
+                return []
+            if mark.startswith(("setup\n", "setup soak\n")):
+                first, _, body = mark.partition("\n")
+                found.append(Block("setup", body, line, soak=first == "setup soak"))
+                mark = ""
+            elif not (mark == "soak" or mark.startswith("skip, ")):
+                raise ValueError(f"line {line}: {mark}")
+            continue
+        body = re.sub(rf"^{part['indent']}", "", part["body"], flags=re.MULTILINE)
+        title = re.search(r'title="([^"]+)"', part["info"])
+        if mark.startswith("skip"):
+            pass
+        elif title:
+            found.append(Block("file", body, line, file=title[1]))
+        elif part["language"] in ("sh", "python"):
+            found.append(Block(part["language"], body, line, soak=mark == "soak"))
+        elif part["language"] == "text" and found and not text[end : part.start()].strip():
+            found[-1] = replace(found[-1], shown=tuple(body.splitlines()))
+        mark, end = "", part.end()
+    return found
+
+
+def unprinted(shown: tuple[str, ...], printed: str) -> str | None:
+    """The first shown line that is not printed behind those before it."""
+    lines = iter(printed.splitlines())
+    for wanted in shown:
+        pattern = re.compile(".*".join(re.escape(piece) for piece in wanted.strip().split("…")))
+        if wanted.strip() and not any(pattern.fullmatch(line.strip()) for line in lines):
+            return wanted
+    return None

@@ -1,0 +1,111 @@
+"""Every command and every block of Python in the documentation runs as it stands there, page by page."""
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.docs.pages import PAGES, ROOT, Block, blocks, unprinted
+from truearm.cli.main import main
+
+RUN = [(page, found) for page in PAGES if (found := blocks(page.read_text(encoding="utf-8")))]
+
+
+def cases():
+    for page, found in RUN:
+        name = str(page.relative_to(ROOT))
+        yield pytest.param([b for b in found if not b.soak], id=name)
+        if any(b.soak for b in found):
+            yield pytest.param(found, marks=pytest.mark.soak, id=f"{name}-soak")
+
+
+@pytest.mark.parametrize("found", list(cases()))
+def test_page(found, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, object] = {"__name__": "__main__"}
+    for block in found:
+        printed = run(block, names, monkeypatch, capfd)
+        assert unprinted(block.shown, printed) is None, f"line {block.line}:\n{printed}"
+
+
+def run(block: Block, names, monkeypatch, capfd) -> str:
+    match block.language:
+        case "file":
+            Path(block.file).parent.mkdir(parents=True, exist_ok=True)
+            Path(block.file).write_text(block.body, encoding="utf-8")
+        case "python":
+            exec(compile(block.body, f"line {block.line}", "exec"), names)
+        case _:
+            for line in block.body.replace("\\\n", " ").splitlines():
+                command(shlex.split(line, comments=True), block, monkeypatch)
+    out, err = capfd.readouterr()
+    return err + out
+
+
+def command(words: list[str], block: Block, monkeypatch) -> None:
+    match words:
+        case []:
+            pass
+        case ["truearm", *arguments]:
+            assert main(arguments) == 0, f"line {block.line}: {' '.join(words)}"
+        case ["cd", folder]:
+            monkeypatch.chdir(folder)
+        case ["copy", source, *name] if block.language == "setup":
+            shutil.copy(ROOT / source, Path(*name) if name else Path())
+        case ["tree", folder] if block.language == "setup":
+            shutil.copytree(ROOT / folder, folder)
+        case _:
+            raise AssertionError(f"line {block.line}: what is {words[0]}? Mark the block: <!-- test: skip, REASON -->")
+
+
+def test_the_tutorials_and_guides_are_run():
+    """A page of these folders runs something, or says on the page why not."""
+    run_pages = {page for page, _ in RUN}
+    for page in PAGES:
+        if page.parent.name in ("tutorials", "how-to") and "```sh" in page.read_text(encoding="utf-8"):
+            assert page in run_pages or "<!-- test: " in page.read_text(encoding="utf-8"), page
+
+
+PAGE = """
+<!-- test: setup
+copy tests/data/README
+-->
+```csv title="a.csv"
+x
+```
+```sh
+truearm a
+```
+
+```text
+one … three
+```
+<!-- test: skip, needs a box -->
+```sh
+truearm b
+```
+<!-- test: soak -->
+```sh
+truearm c
+```
+"""
+
+
+def test_blocks_of_a_page():
+    setup, file, first, slow = blocks(PAGE)
+    assert (setup.language, setup.body.strip()) == ("setup", "copy tests/data/README")
+    assert (file.file, file.body) == ("a.csv", "x\n")
+    assert (first.body, first.shown, first.soak) == ("truearm a\n", ("one … three",), False)
+    assert (slow.body, slow.soak) == ("truearm c\n", True)
+    assert blocks("<!-- test: page skip, a list -->\n" + PAGE) == []
+    with pytest.raises(ValueError, match="line 1: sometimes"):
+        blocks("<!-- test: sometimes -->")
+
+
+def test_what_is_shown_must_be_printed_in_this_order():
+    assert unprinted(("a … c", "d"), "a b c\nd\n") is None
+    assert unprinted(("d", "a … c"), "a b c\nd\n") == "a … c"
+    assert unprinted(("ab",), "abc") == "ab"

@@ -1,0 +1,34 @@
+"""What ``truearm box monitor`` shows of temperatures: thermometers by their names, and how far the calibration's is."""
+
+import dataclasses
+from types import SimpleNamespace
+
+from record_live import box
+
+from truearm.box.control import Sent
+from truearm.box.monitor import Watch, rows_of
+from truearm_wire.messages import HEARTBEAT, TEMPERATURE
+
+LINK = SimpleNamespace(lost_frames=0)
+CALIBRATED = {"unit": "m", "poly": [[0, 0], [4, -2]], "serial": "", "date": "2026-01-01", "temperature_mdegc": 21_000}
+
+
+def beaten(watch, mdegc=26_000):
+    watch.take(Sent(0, HEARTBEAT, None, {"temperature_mdegc": mdegc, "loop_max_us": 1000}))
+    return dict(rows_of(watch, 1.0, LINK))
+
+
+def test_thermometers_are_shown_by_their_names():
+    watch = Watch(dataclasses.replace(box(calibration=CALIBRATED), thermometers=("bar", "sensor")))
+    watch.take(Sent(0, TEMPERATURE, None, {"thermometer": 1, "temperature_mdegc": 24_062}))
+    rows = beaten(watch)
+    assert rows["thermometers"] == "bar not read yet, sensor 24.06 °C"
+    assert "temperature" not in rows  # lengths are corrected
+
+
+def test_a_box_far_from_its_calibration_is_said_where_no_thermometer_is_on_the_bar():
+    rows = beaten(Watch(box(calibration=CALIBRATED)))
+    assert rows["temperature"].startswith("the box is 5.0 °C warmer than when lvdt was calibrated")
+    assert "thermometers" not in rows
+    assert "temperature" not in beaten(Watch(box(calibration=CALIBRATED)), 22_900)
+    assert "temperature" not in beaten(Watch(box()))

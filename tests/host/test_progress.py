@@ -1,0 +1,91 @@
+"""Steps of long work, and how a terminal shows them."""
+
+import io
+import re
+
+import pytest
+
+from truearm.cli import progress as shown
+from truearm.progress import listening, step, steps_of
+
+
+class Heard(list):
+    """A listener that keeps what it hears."""
+
+    def begin(self, what):
+        self.append(what)
+        return self
+
+    def advance(self, share):
+        self.append(share)
+
+    def end(self):
+        self.append("end")
+
+
+def test_nobody_listens():
+    with step("fitting") as advance:
+        advance(0.5)
+    assert list(steps_of("ab", "reading")) == ["a", "b"]
+
+
+def test_a_listener_hears_of_steps_and_shares():
+    heard = Heard()
+    with listening(heard), step("outer"):
+        assert list(steps_of([1, 2, 3, 4], "inner")) == [1, 2, 3, 4]
+    assert heard == ["outer", "inner", 0.0, 0.25, 0.5, 0.75, "end", "end"]
+    assert list(steps_of([1], "nobody hears this")) == [1]
+    assert len(heard) == 8
+
+
+def test_a_step_that_fails_ends():
+    heard = Heard()
+    with pytest.raises(ZeroDivisionError), listening(heard), step("dividing"):
+        _ = 1 // 0
+    assert heard == ["dividing", "end"]
+
+
+@pytest.mark.parametrize(
+    ("share", "after_s", "text"),
+    [
+        (0.0, 12.2, "reading a.mcap: 12 s"),
+        (0.25, 30.0, "reading a.mcap: 25 %, 30 s, about 1 min 30 s left"),
+        (1.0, 200.0, "reading a.mcap: 100 %, 3 min 20 s, about 0 s left"),
+    ],
+)
+def test_what_is_said(share, after_s, text):
+    assert shown.said(shown.Step("reading a.mcap", 5.0, lambda _: None, share), 5.0 + after_s) == text
+
+
+def test_the_innermost_step_that_is_long_is_shown_and_cleared(monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(shown.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(shown, "EVERY_S", 3600.0)  # the thread sleeps; the test looks
+    stream = io.StringIO()
+    listener = shown.Shown(stream)
+    with listening(listener), step("planning\x1b[2J"):
+        now_s[0] = 1.9
+        listener.show()
+        assert stream.getvalue() == ""
+        with step("choosing poses") as advance:
+            now_s[0] = 3.0
+            listener.show()  # the inner step is young
+            now_s[0] = 5.9
+            advance(0.5)
+            listener.show()
+        assert stream.getvalue().endswith(shown.CLEAR)
+    listener.close()
+    lines = [line for line in re.split(r"\r|\x1b\[2K", stream.getvalue()) if line]
+    assert lines == ["planning\\x1b[2J: 3 s", "choosing poses: 50 %, 4 s, about 4 s left"]
+
+
+def test_a_terminal_that_goes_away_stops_nothing():
+    class Gone(io.StringIO):
+        def write(self, text):
+            raise OSError
+
+    listener = shown.Shown(Gone())
+    with listening(listener), step("working"):
+        listener._steps[0].begun_s -= 10.0
+        listener.show()
+    listener.close()
