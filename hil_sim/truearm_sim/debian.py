@@ -12,7 +12,8 @@ import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +24,9 @@ ACQUIRE = re.compile(
     r"Acquire::(?:https?|tor\+https?|mirror)::|Acquire::(?:Check-Valid-Until|Check-Date|Force\w+|Retries) ", re.I
 )
 PROGRAMS = ("apt-get", "apt-config", "dpkg", "dpkg-deb")
+# A mirror that is being renewed gives lists that do not match their signed index. Seconds until each further attempt.
+PAUSES = (5.0, 20.0, 60.0)
+RENEWED = re.compile(r"unexpected size|Hash Sum mismatch|Mirror sync")
 
 
 class DebianError(Exception):
@@ -121,11 +125,18 @@ def os_release(path: Path = Path("/etc/os-release")) -> dict[str, str]:
 # ---- a private apt
 
 
-def private_apt(folder: Path, suite: str, architectures: Iterable[str], types: str = "deb") -> dict[str, str]:
+def private_apt(
+    folder: Path,
+    suite: str,
+    architectures: Iterable[str],
+    types: str = "deb",
+    pauses: Sequence[float] = PAUSES,
+) -> dict[str, str]:
     """Lay out apt's private directory for ``suite`` in ``folder`` and read the package lists.
 
     Returns the environment in which apt's programs use it; packages are downloaded to ``folder``/cache/archives.
-    ``types`` is "deb", or "deb deb-src" where sources are wanted.
+    ``types`` is "deb", or "deb deb-src" where sources are wanted. Where the mirror is being renewed, the lists are asked
+    for again after each of ``pauses`` (s).
 
     Raises:
         DebianError: this machine has no apt or no Debian source, or the lists do not come or do not verify.
@@ -138,6 +149,14 @@ def private_apt(folder: Path, suite: str, architectures: Iterable[str], types: s
         raise DebianError("no Debian package source under /etc/apt")
     _write_apt(folder, [source_stanza(source, suite, types) for source in sources], architectures)
     environ = {**os.environ, "APT_CONFIG": str(folder / "apt.conf"), "LC_ALL": "C"}
+    for pause in pauses:
+        try:
+            run(["apt-get", "-qq", "update"], environ)
+            return environ
+        except DebianError as error:
+            if not RENEWED.search(str(error)):
+                raise
+            time.sleep(pause)
     run(["apt-get", "-qq", "update"], environ)
     return environ
 
@@ -167,6 +186,7 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
         'APT::Install-Recommends "false";',
         'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
         'Acquire::Languages "none";',
+        'Acquire::Retries "3";',
         'APT::Update::Error-Mode "any";',  # else an unreachable source is only a warning
     ]
     (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")

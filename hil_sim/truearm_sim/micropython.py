@@ -22,7 +22,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,7 +31,8 @@ from .debian import DebianError
 
 VARIABLE = "TRUEARM_MICROPYTHON"
 MINIMUM = (1, 25)
-SUITE = "trixie"  # Debian 13, the first release with MicroPython ≥ 1.25
+# Debian 13, the first release with MicroPython ≥ 1.25. The next stands in for an architecture whose lists do not come.
+SUITES = ("trixie", "forky")
 # 32 bit first. Debian's name of the machine's architecture → architectures whose programs it can usually run.
 ARCHITECTURES = {"amd64": ("i386", "amd64"), "arm64": ("armhf", "arm64")}
 BY_HAND = f"install MicroPython (unix port, {MINIMUM[0]}.{MINIMUM[1]} or newer) and set ${VARIABLE} to it"
@@ -143,20 +144,37 @@ def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
 
 
 def _download(apt: Path, say: Callable[[str], None]) -> list[Path]:
-    """The packages of MicroPython and all that it depends on, for each architecture, downloaded into ``apt``."""
+    """The packages of MicroPython and all that it depends on, for each architecture, downloaded below ``apt``."""
     native = debian.native_architecture()
-    architectures = ARCHITECTURES.get(native, (native,))
-    say(f"MicroPython: reading the package lists of Debian {SUITE} ({', '.join(architectures)})")
-    environ = debian.private_apt(apt, SUITE, architectures)
-    for architecture in architectures:
-        say(f"MicroPython: downloading micropython for {architecture}")
+    packages = []
+    for architecture in ARCHITECTURES.get(native, (native,)):
         try:
-            debian.run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+            packages += _packages_for(architecture, SUITES, apt, say)
         except DebianError as error:
             if architecture == native:
                 raise
             say(f"MicroPython: not for {architecture}: {error}")  # a mirror may hold the native architecture alone
-    return sorted((apt / "cache" / "archives").glob("*.deb"))
+    return packages
+
+
+def _packages_for(architecture: str, suites: Sequence[str], apt: Path, say: Callable[[str], None]) -> list[Path]:
+    """The packages for one architecture from the first of ``suites`` that has them: mirrors are renewed in pieces.
+
+    Raises:
+        DebianError: none has them; the text is the last one's.
+    """
+    suite, *later = suites
+    folder = apt / f"{architecture}-{suite}"
+    say(f"MicroPython: downloading it for {architecture} from Debian {suite}")
+    try:
+        environ = debian.private_apt(folder, suite, (architecture,), pauses=() if later else debian.PAUSES)
+        debian.run(["apt-get", "-qq", "-y", "--download-only", "install", f"micropython:{architecture}"], environ)
+    except DebianError as error:
+        if not later:
+            raise
+        say(f"MicroPython: not from {suite}: {error}")
+        return _packages_for(architecture, later, apt, say)
+    return sorted((folder / "cache" / "archives").glob("*.deb"))
 
 
 def _unpack(packages: list[Path], tree: Path) -> None:

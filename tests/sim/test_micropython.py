@@ -181,6 +181,50 @@ def test_without_apt_the_error_says_what_to_do(monkeypatch, capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+# An apt whose mirror has stale i386 lists of trixie, as one had for a day: every other list and package comes.
+STALE_APT = """\
+. "$0.state"
+while read -r line; do case $line in APT::Architectures*) listed=$line;; Dir::Cache*) cache=${line#* \\"};; esac; done < "$APT_CONFIG"
+cache=${cache%%\\"*}
+suite=$(sed -n 's/^Suites: //p' "${APT_CONFIG%/*}/sources/0.sources")
+case "$*" in
+  *update) [ $((updates += 1)) -le 9 ] && echo "updates=$updates" > "$0.state"
+    case "$suite $listed" in trixie*i386*)
+      echo "E: Failed to fetch Packages.xz  File has unexpected size (1 != 2). Mirror sync in progress?" >&2; exit 100;; esac;;
+  *install*) touch "$cache/archives/micropython_${suite}_${*##*:}.deb";;
+esac
+"""
+
+
+def test_an_architecture_whose_lists_are_stale_comes_from_the_next_release(monkeypatch, tmp_path):
+    fake(tmp_path / "bin", STALE_APT, "apt-get")
+    (tmp_path / "bin" / "apt-get.state").write_text("updates=0\n")
+    fake(tmp_path / "bin", "echo amd64", "dpkg")
+    fake(tmp_path / "bin", "true", "apt-config")
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
+    monkeypatch.setattr(debian, "machine_sources", lambda etc, suites: [Source("http://deb.example/debian", None)])
+    said = []
+    found = micropython._download(tmp_path / "apt", said.append)
+    assert [path.name for path in found] == ["micropython_forky_i386.deb", "micropython_trixie_amd64.deb"]
+    assert any("not from trixie" in line and "Mirror sync" in line for line in said)
+
+
+def test_lists_of_a_mirror_that_is_being_renewed_are_asked_for_again(monkeypatch, tmp_path):
+    fake(tmp_path / "bin", STALE_APT, "apt-get")
+    state = tmp_path / "bin" / "apt-get.state"
+    state.write_text("updates=0\n")
+    fake(tmp_path / "bin", "echo amd64", "dpkg")
+    fake(tmp_path / "bin", "true", "apt-config")
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"), prepend=":")
+    monkeypatch.setattr(debian, "machine_sources", lambda etc, suites: [Source("http://deb.example/debian", None)])
+    waited = []
+    monkeypatch.setattr(debian.time, "sleep", waited.append)
+    with pytest.raises(debian.DebianError, match="unexpected size"):
+        debian.private_apt(tmp_path / "apt", "trixie", ("i386",))
+    assert waited == list(debian.PAUSES)
+    assert state.read_text() == f"updates={1 + len(waited)}\n"
+
+
 def test_the_interpreter_found_here_is_a_micropython():
     found = find()
     assert found is not None, "no MicroPython: make micropython"
