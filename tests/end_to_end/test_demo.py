@@ -68,6 +68,6 @@ def test_without_micropython_the_demo_says_so_and_works(tmp_path, monkeypatch, c
     monkeypatch.setattr(micropython, "find", lambda: None)
     assert main(["demo", "--out", str(tmp_path), "--poses", "90", "--rate", "250"]) == 0
     stdout = capsys.readouterr().out
-    assert "No MicroPython here: the firmware runs in CPython instead" in stdout
+    assert "MicroPython not found: the firmware runs in CPython instead" in stdout
     assert "0 lost" in stdout
     assert "rank 36 of 54" in stdout

@@ -1,4 +1,4 @@
-"""``truearm add-joints``: joint readings that were recorded elsewhere, into a copy of a session."""
+"""``truearm add-joints``: add joint readings that another program recorded to a copy of a session."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def add_joints(
     session: SessionArgument,
     source: Annotated[Path, typer.Argument(metavar="FILE", help=f"Joint readings: {files_help()}.")],
     out: Annotated[Path, out_file("a session (.mcap)")],
-    topic: Annotated[str, typer.Option(metavar="NAME", help="Of the joint states in a bag.")] = "/joint_states",
+    topic: Annotated[str, typer.Option(metavar="NAME", help="Topic of the joint states in a bag.")] = "/joint_states",
     joints: Annotated[
         str | None,
         typer.Option(
-            metavar="LIST", help="Names of a bag's joints from the base on: a,b,c. Default: those of --model."
+            metavar="LIST", help="Names of a bag's joints, from the base on: a,b,c. Default: those of --model."
         ),
     ] = None,
     robot: OptionalRobotOption = None,
@@ -40,24 +40,28 @@ def add_joints(
         str | None,
         typer.Option(
             metavar="OURS=THEIRS,…",
-            help="What a table's columns are in our words, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. "
-            "Others are skipped.",
+            help="Names of a table's columns, {} for a joint's number: t_s=timestamp,q{}_rad=actual_q_{}. "
+            "Other columns are skipped.",
         ),
     ] = None,
     zero: Annotated[
         float | None,
         typer.Option(
-            metavar="S", help="When the controller's time was 0, after the session's begin; default: it is UTC."
+            metavar="S",
+            help="Seconds from the start of the session to the controller's time 0. Default: its time is UTC.",
         ),
     ] = None,
-    replace: Annotated[bool, typer.Option("--replace", help="Leave out the readings that the session has.")] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace the joint readings that the session has.")
+    ] = False,
     allow_damaged: AllowDamagedOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
-    Nobody saw them arrive: their place in the session is worked out from the controller's time, and the file says so.
+    truearm did not see these readings arrive. It computes their place in the session from the controller's time and notes
+    this in the file.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``truearm box``: find a sensor box, flash it, ask it, test it, set it up, calibrate its sensors, watch it."""
+"""``truearm box``: find, flash, test, configure, calibrate and monitor a sensor box."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it run
 
 app = command_group(
     "box",
-    "A sensor box: find, flash, ask, test, set up, calibrate and watch it.",
+    "Find, flash, test, configure, calibrate and monitor a sensor box.",
     "Example: truearm box test --box /dev/ttyACM0",
 )
 
@@ -30,15 +30,15 @@ app = command_group(
 def list_boxes(
     device: Annotated[
         list[str] | None,
-        typer.Option("--box", metavar="DEVICE", help="Ask there too, socket://127.0.0.1:7007 say; repeatable."),
+        typer.Option("--box", metavar="DEVICE", help="Ask this port too, such as socket://127.0.0.1:7007; repeatable."),
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="Ask every serial port, not only those of a Pico.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the boxes that are plugged in.
 
-    Serial ports with the USB identity of a Pico are asked what they are (a box that is being recorded is in use and says so), and
-    boot drives are named. Other serial devices may not like to be asked: --all or --box does.
+    truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use. Boot drives
+    are listed too. Other serial devices are asked only with --all or --box, because the question may disturb them.
 
     Example: truearm box list
     """
@@ -59,7 +59,7 @@ def list_boxes(
 
 
 def _asked(port: Any) -> dict[str, Any]:
-    """A port, and what answers there."""
+    """Return a port and what answers there, as JSON."""
     row = {"device": port.device, "usb": port.usb, "serial": port.serial, "product": port.product, "box": None}
     try:
         with conversation(port.device, retries=_LIST_RETRIES) as box:
@@ -74,7 +74,7 @@ def _asked(port: Any) -> dict[str, Any]:
 
 @app.command(cls=ProjectCommand)
 def info(device: BoxOption, as_json: JsonOption = False) -> None:
-    """Print what a box says of itself: firmware, streams, channels, calibrations, faults.
+    """Print the description that a box gives of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --box /dev/ttyACM0
     """
@@ -90,9 +90,9 @@ def info(device: BoxOption, as_json: JsonOption = False) -> None:
 
 @app.command("test", cls=ProjectCommand)
 def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
-    """Have a box test itself, and print each result with what to do about it.
+    """Run the self-test of a box, and print each result with what to do about it.
 
-    Exit code 1 if something failed. A warning is something that was not measured or is near its limit.
+    The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
 
     Example: truearm box test --box /dev/ttyACM0
     """
@@ -118,7 +118,7 @@ def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption =
 
 @app.command(cls=ProjectCommand)
 def reset(device: BoxOption, stop: StopOption = False) -> None:
-    """Restart a box. It forgets the traceback that it kept.
+    """Restart a box. This clears its stored traceback.
 
     Example: truearm box reset --box /dev/ttyACM0
     """

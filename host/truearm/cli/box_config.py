@@ -1,4 +1,4 @@
-"""``truearm box config``: what a box is told, out to a file and back."""
+"""``truearm box config``: read and change the configuration of a box."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truearm.errors import ConfigError
 
 config = command_group(
     "config",
-    "What a box is told: rates, channels, calibrations, its magnetostrictive sensor.",
+    "Read and change a box's configuration: rates, channels, calibrations, magnetostrictive sensor.",
     "Example: truearm box config get --box /dev/ttyACM0 --out box.toml",
 )
 
@@ -26,7 +26,7 @@ def get(
     force: ForceOption = False,
     stop: StopOption = False,
 ) -> None:
-    """Print a box's configuration as TOML, in units for people.
+    """Print a box's configuration as TOML.
 
     Example: truearm box config get --box /dev/ttyACM0 --out box.toml
     """
@@ -47,7 +47,7 @@ def get(
 @config.command("set")
 def put(
     changes: Annotated[
-        list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file as get writes it, or single values.")
+        list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file that get wrote, or single values.")
     ],
     device: BoxOption,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
@@ -55,8 +55,8 @@ def put(
 ) -> None:
     """Change a box's configuration; print what changes.
 
-    What is not given stays as it is. The box stores it at once and keeps it when power fails in the middle: then it has the old
-    one or the new one.
+    Values that you do not give stay unchanged. The box stores the new configuration at once. If the power fails meanwhile, it
+    keeps either the old or the new one.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``truearm box flash``: the firmware onto a box, by its boot drive or as files, and then its answer."""
+"""``truearm box flash``: write the firmware to a box, and check that it answers."""
 
 from __future__ import annotations
 
@@ -13,27 +13,33 @@ from truearm.cli.output import print_lines
 
 def flash(
     image: Annotated[
-        Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image; default: the one of this version.")
+        Path | None, typer.Argument(metavar="IMAGE.uf2", help="The image. Default: the one of this version.")
     ] = None,
     device: OptionalBoxOption = None,
     drive: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Where the boot drive is or will be mounted; default: found.")
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Folder of the boot drive, now or once it is mounted. Default: found automatically."
+        ),
     ] = None,
     stock: Annotated[
         bool,
-        typer.Option("--stock", help="Copy the firmware's files to a MicroPython >= 1.25 instead (with mpremote)."),
+        typer.Option(
+            "--stock", help="Copy the firmware's files to a board with MicroPython >= 1.25 instead (needs mpremote)."
+        ),
     ] = False,
     timeout: Annotated[
-        float, typer.Option(metavar="S", min=0, max=600, help="How long to wait for drive and box.")
+        float, typer.Option(metavar="S", min=0, max=600, help="How long to wait for the drive and the box.")
     ] = 30,
     stop: StopOption = False,
     no_check: Annotated[bool, typer.Option("--no-check", help="Do not wait for the box to answer.")] = False,
 ) -> None:
     """Flash a box, then check that it answers.
 
-    The image is checked first; the wheel has its own, and make uf2 builds one. A box that runs is asked to enter its boot loader (--box); a new Pico is plugged in with
-    BOOTSEL held, and its drive is found or named (--drive). With --stock there is no image: the firmware's files are copied to a
-    board that runs MicroPython. What a box stores, its configuration and calibrations, outlives all of this.
+    truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
+    box is asked to enter its boot loader. Plug in a new Pico with BOOTSEL held; its drive is found, or given with --drive. With
+    --stock no image is needed: the firmware's files are copied to a board that runs MicroPython. The stored configuration and
+    calibrations of a box are kept.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""``truearm box gauge``: a sensor's calibration against reference readings, into the box."""
+"""``truearm box gauge``: calibrate a sensor against a reference, and store the calibration in the box."""
 
 from __future__ import annotations
 
@@ -12,21 +12,28 @@ from truearm.units import UM
 
 
 def gauge(
-    channel: Annotated[str, typer.Argument(metavar="CHANNEL", help="lvdt, transverse_a, magnetostrictive …")],
+    channel: Annotated[
+        str, typer.Argument(metavar="CHANNEL", help="Channel to calibrate: lvdt, transverse_a, magnetostrictive …")
+    ],
     device: BoxOption,
     references: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="The references in order (.csv with a column reference_mm, _um or _in)."),
     ] = None,
-    unit: Annotated[str, typer.Option(metavar="UNIT", help="Of what is typed: mm, um or in.")] = "mm",
-    seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=600, help="Samples at each place.")] = 2.0,
+    unit: Annotated[str, typer.Option(metavar="UNIT", help="Unit of what you type: mm, um or in.")] = "mm",
+    seconds: Annotated[
+        float, typer.Option(metavar="S", min=0.1, max=600, help="How long to sample at each place.")
+    ] = 2.0,
     order: Annotated[
-        int | None, typer.Option(metavar="N", min=1, max=7, help="Of the polynomial; default: by the left-out error.")
+        int | None,
+        typer.Option(metavar="N", min=1, max=7, help="Order of the polynomial. Default: chosen by cross-validation."),
     ] = None,
-    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Of the sensor; default: as before.")] = None,
-    out: Annotated[Path | None, out_file("the page (.html); default: gauge-CHANNEL.html")] = None,
+    serial: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Serial number of the sensor. Default: unchanged.")
+    ] = None,
+    out: Annotated[Path | None, out_file("the report (.html; default: gauge-CHANNEL.html)")] = None,
     instrument: Annotated[
-        str, typer.Option(metavar="TEXT", help="The reference, for the page: its type, serial number and certificate.")
+        str, typer.Option(metavar="TEXT", help="The reference, for the report: type, serial number and certificate.")
     ] = "",
     uncertainty_um: Annotated[
         float | None,
@@ -34,20 +41,21 @@ def gauge(
             min=0.0,
             max=1e4,
             metavar="UM",
-            help="The reference's expanded uncertainty (k = 2), as its certificate has it.",
+            help="Expanded uncertainty (k = 2) of the reference, from its certificate.",
         ),
     ] = None,
-    operator: Annotated[str, typer.Option(metavar="TEXT", help="Who calibrates, for the page.")] = "",
+    operator: Annotated[str, typer.Option(metavar="TEXT", help="Name of the operator, for the report.")] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
     stop: StopOption = False,
     force: ForceOption = False,
 ) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
-    Set the reference, type what it reads, and leave it alone while the box samples; five places or more, over the whole travel,
-    best there and back. An empty line ends, "undo" drops the last place. The order of the polynomial is the lowest whose error at
-    places that were left out is as small as the best one's; the magnetostrictive sensor gets its velocity of sound and delay. A
-    page shows what is left, and if you agree the box stores the calibration with its date and temperature.
+    Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
+    travel, preferably there and back. An empty line ends the measurement; "undo" drops the last place. The polynomial has the lowest
+    order whose cross-validation error is as small as the best one's. For the magnetostrictive sensor, the velocity of sound and the
+    delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
+    temperature.
 
     \b
     Example:

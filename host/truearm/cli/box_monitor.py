@@ -1,4 +1,4 @@
-"""``truearm box monitor``: what a box measures and how well it does, live."""
+"""``truearm box monitor``: show what a box measures, live."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def monitor(
 ) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
 
-    Starts the box (and stops it in the end: Ctrl-C or --duration). Nothing is recorded.
+    Starts the box, and stops it at the end (Ctrl-C or --duration). Nothing is recorded.
 
     Example: truearm box monitor --box /dev/ttyACM0
     """

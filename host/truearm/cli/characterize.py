@@ -37,19 +37,17 @@ def characterize(
     plan: PlanOption = None,
     within_mm: Annotated[
         list[float] | None,
-        typer.Option(
-            min=1e-4, max=100.0, metavar="MM", help="Band to settle in (repeatable); default 0.02, 0.05, 0.1."
-        ),
+        typer.Option(min=1e-4, max=100.0, metavar="MM", help="Settling band (repeatable). Default: 0.02, 0.05, 0.1."),
     ] = None,
     out: Annotated[Path | None, out_file("the noise file for truearm identify --noise (.toml)")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
-    """Say how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, with their intervals.
+    """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, with their intervals.
 
-    The session is of the run that truearm plan characterize plans; its further parts are read with it. The robot's design is
-    enough. --plan is for a session that has no plan.
+    The session is a recording of a plan of truearm plan characterize; its further parts are read with it. The nominal robot is
+    sufficient. Give --plan if the session contains no plan.
 
     \b
     Example:
@@ -60,10 +58,10 @@ def characterize(
     from truearm.workflows.characterize import CharacterizeFiles, characterize_files
 
     for mm in within_mm or ():
-        if not 0.0 < mm < math.inf:  # typer's bounds let nan pass
+        if not 0.0 < mm < math.inf:  # typer's bounds accept nan
             raise InputError(f"--within-mm must be a finite number, is {mm}")
     if out == Path("-"):
-        raise InputError("-: is not a file name; --json prints to standard output")
+        raise InputError("--out -: is not a file name; --json prints to standard output")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     name = one_line(session.name)
     files = CharacterizeFiles(session, RobotChoice(robot, base, tip), rig, plan, out, allow_damaged, force)

@@ -1,4 +1,4 @@
-"""``truearm correct``: targets or a program in, what to tell the controller out."""
+"""``truearm correct``: correct a table of targets or a robot program."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ def correct(
     tip: TipOption = None,
     method: Annotated[Method, typer.Option(help=methods_help())] = Method.NEWTON,
     steps: Annotated[
-        int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Apply {' or '.join(with_steps())} so often.")
+        int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Number of steps of {' or '.join(with_steps())}.")
     ] = 1,
     own_frames: OwnFramesOption = False,
     work: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Frame that the targets are in, in the base frame [mm, deg]; for a program the controller's base, and NAME= for a work "
-            "object that it does not declare. Repeatable.",
+            help="Frame of the targets in the base frame [mm, deg]; for a program the controller's base. NAME=…: a work object that the "
+            "program does not declare. Repeatable.",
         ),
     ] = None,
     tool: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="The tool's pose in the end frame [mm, deg]; for a URScript the one in force before it sets one, and NAME= for a tool that a RAPID "
+            help="Pose of the tool in the end frame [mm, deg]; for a URScript the tool in use before it sets one. NAME=…: a tool that a RAPID "
             "program does not declare. Repeatable.",
         ),
     ] = None,
@@ -64,31 +64,31 @@ def correct(
         str | None,
         typer.Option(
             metavar="X,Y,Z,RX,RY,RZ",
-            help="The controller's flange in the calibration's end frame [mm, deg], where its name does not say.",
+            help="The controller's flange in the end frame of the calibration [mm, deg]. Needed if that frame's name does not determine it.",
         ),
     ] = None,
     joint_moves: Annotated[
         JointMoves | None,
         typer.Option(
-            help="Moves of a program to joint readings: keep them, or correct them too. Needed where it has some."
+            help="Moves of a program to joint values: keep them or correct them too. Needed if the program has any."
         ),
     ] = None,
     split: Annotated[
         bool,
         typer.Option(
             "--split",
-            help="Write a target of its own into a move that shares one but needs other numbers, as Offs(p1,0,0,50).",
+            help="Write a separate target into a move that shares one but needs different numbers, as Offs(p1,0,0,50).",
         ),
     ] = False,
     partial: Annotated[
-        bool, typer.Option("--partial", help="Correct the other moves of a program where some cannot be.")
+        bool, typer.Option("--partial", help="Correct the other moves of a program if some cannot be corrected.")
     ] = False,
     mark: Annotated[
         bool, typer.Option("--mark", help="With --partial: mark each move that is not corrected with a comment.")
     ] = False,
     harmless: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROUTINE", help="A routine from elsewhere that does not move the robot. Repeatable."),
+        typer.Option(metavar="ROUTINE", help="Routine declared elsewhere that does not move the robot. Repeatable."),
     ] = None,
     home: Annotated[
         str | None,
@@ -97,22 +97,24 @@ def correct(
         ),
     ] = None,
     residuals: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write every target's error before and after as a table (.csv).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the error of every target before and after as a table (.csv)."),
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write a page (.html): shifts, expected errors, margins, straight moves."),
+        typer.Option(metavar="FILE", help="Write a report (.html): shifts, expected errors, margins, straight moves."),
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     margin: Annotated[
-        float, typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity.")
+        float,
+        typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity than SIGMA."),
     ] = 0.05,
 ) -> None:
-    """Correct targets, so that the true robot goes where they say.
+    """Correct targets so that the real robot reaches them.
 
-    Of a program only the numbers of its targets change. Its moves are followed through names, lists, routines, features, tools and work objects to
-    the numbers that they go to. Nothing is written where one move cannot be corrected with certainty; each is then listed with its line and the reason.
+    In a program, only the numbers of targets change. Every move is traced through names, lists, routines, features, tools and work objects to the
+    numbers that define it. If a move cannot be corrected with certainty, nothing is written, and every such move is listed with its line and the reason.
 
     \b
     Example:
@@ -171,13 +173,15 @@ def correct(
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Frame]:
-    """Poses by name, "" for the one without. Raises InputError."""
+    """Return poses by name, "" for one without a name. Raises InputError."""
     found: dict[str, Frame] = {}
     for text in given or ():
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():
-            raise InputError(f"{option} {text[:60]}: {name[:40]!r} is not the name of a tool or work object")
+            raise InputError(
+                f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
+            )
         if name.lower() in found:
-            raise InputError(f"{option} {text[:60]}: is given twice")
+            raise InputError(f"{option} {text[:60]}: is given twice; give it once")
         found[name.lower()] = frame_of(option, pose)
     return found

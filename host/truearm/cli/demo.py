@@ -31,8 +31,8 @@ from truearm.cli.truth_options import (
     truth_of,
 )
 
-MARK = ".truearm-demo"  # in a folder that the demo made and may write again
-RATE_HZ = 500.0  # the dwells stand still; a thousand takes ten seconds longer and finds the same
+MARK = ".truearm-demo"  # marks a folder that the demo created and may overwrite
+RATE_HZ = 500.0  # the robot stands still in a dwell; 1000 Hz takes ten seconds longer and gives the same
 
 
 class Experiment(StrEnum):
@@ -61,13 +61,14 @@ def demo(
     poses: Annotated[
         int,
         typer.Option(
-            metavar="N", min=90, max=5000, help="Dwells with each of two bars, one to fit and one to validate."
+            metavar="N", min=90, max=5000, help="Dwells with each of two bars: one is fitted, the other one validates."
         ),
     ] = 800,
     seed: SeedOption = 1,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples a second of each channel.")] = RATE_HZ,
+    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second of each channel.")] = RATE_HZ,
     experiment: Annotated[
-        Experiment, typer.Option(help="What measures: the ball-bar, lines driven along a line device, or both at once.")
+        Experiment,
+        typer.Option(help="What measures the robot: the ball-bar, lines driven along a line device, or both."),
     ] = Experiment.ballbar,
     model: ModelOption = DEFAULT_MODEL,
     base: BaseOption = None,
@@ -84,9 +85,10 @@ def demo(
     truth_seed: TruthSeedOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Calibrate a simulated robot, the PUMA 560 by default, with a ball-bar or a line device, from the firmware to the report.
+    """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
 
-    The box runs the real firmware in MicroPython (in CPython, and it says so, where there is none), in virtual time.
+    The box runs the real firmware in MicroPython, in virtual time. Without MicroPython the firmware runs in CPython, and the
+    output says so.
 
     \b
     Example:
@@ -123,7 +125,7 @@ def demo(
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:
-        typer.echo(f"No MicroPython here: the firmware runs in CPython instead ({micropython.BY_HAND}).")
+        typer.echo(f"MicroPython not found: the firmware runs in CPython instead ({micropython.BY_HAND}).")
     else:
         typer.echo(f"Firmware in {interpreter}")
     steps = Steps(typer.echo)

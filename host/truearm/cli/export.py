@@ -1,4 +1,4 @@
-"""``truearm export``: a calibrated robot as the files that other programs read."""
+"""``truearm export``: write a calibrated robot for other programs."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="Change only parameters that match, as 'joint*.offset'; all others stay as described (repeatable).",
+            help="Change only parameters that match, such as 'joint*.offset'; all others stay nominal (repeatable).",
         ),
     ] = None,
     over: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Where a refit shall be good: the poses of a table or a plan (.csv). Default: anywhere within the limits.",
+            help="Poses at which a refit is best: a table or a plan (.csv). Default: anywhere within the joint limits.",
         ),
     ] = None,
     curves: Annotated[
@@ -66,7 +66,8 @@ def export(
 ) -> None:
     """Write a calibrated robot for other programs.
 
-    What a format cannot hold, or you do not adjust, the other parameters are refitted for; the remaining error is printed.
+    If the format has no place for a parameter, or you do not adjust it, the other parameters are refitted to compensate. The
+    remaining error is printed.
 
     \b
     Example:

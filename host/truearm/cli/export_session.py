@@ -1,4 +1,4 @@
-"""``truearm export-session``: a session as tables for other programs."""
+"""``truearm export-session``: write a session as tables for other programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def export_session(
     ] = "csv",
     rate: Annotated[
         float,
-        typer.Option(min=0.0, metavar="HZ", help="With --format mcap: samples of a stream a second, at most; 0: all."),
+        typer.Option(
+            min=0.0, metavar="HZ", help="With --format mcap: largest number of samples per second of a stream; 0: all."
+        ),
     ] = 100.0,
     rig: SessionRigOption = None,
     robot: OptionalRobotOption = None,
@@ -41,9 +43,10 @@ def export_session(
 ) -> None:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 
-    A file a stream; with --format mcap one file with a channel a stream, on one axis of time. Samples have the box's own time and the host's, synchronised, with its bound of error; counts, and what they
-    mean in SI units, which stand in the headers. A gap is marked, not filled. session.json says what was lost and
-    explains the rest (docs/reference/session-format.md). --model says which joints turn and which slide; without it all turn.
+    Writes one file per stream; with --format mcap one file with one channel per stream, all on one time axis. A sample has the
+    box's time, the synchronised host time with its error bound, the counts, and the value in the SI unit that its column names.
+    Gaps are marked, not filled. session.json lists losses and describes the columns. --model tells which joints are prismatic;
+    without it all are revolute.
 
     \b
     Example:

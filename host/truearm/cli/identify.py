@@ -46,44 +46,51 @@ def identify(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="What truearm characterize found of joint readings and bars (.toml), in place of the rig's figures.",
+            help="Noise file of truearm characterize (.toml). It replaces the rig's sigmas of joint readings and bars.",
         ),
     ] = None,
     hold_out: Annotated[
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to judge by and not to fit: bar=bar61, shell=s1, place=front or any other name in a column of "
-            "names (repeatable), or a fraction such as 0.2, drawn by --seed.",
+            help="Rows to hold out: judged, not fitted. COLUMN=NAME, as bar=bar61, shell=s1 or place=front (repeatable), "
+            "or a fraction such as 0.2, drawn with --seed.",
         ),
     ] = None,
     fit_only: Annotated[
         list[str] | None,
-        typer.Option(metavar="GROUP", help="Fit only these rows, as place=front (repeatable); all others judge."),
+        typer.Option(
+            metavar="GROUP", help="Fit only these rows, as place=front (repeatable). All others are held out."
+        ),
     ] = None,
     seed: SeedOption = option_defaults.SEED,
     free: Annotated[
         list[str] | None,
-        typer.Option(metavar="PATTERN", help="Identify only parameters that match, as 'joint*.offset' (repeatable)."),
+        typer.Option(
+            metavar="PATTERN", help="Identify only parameters that match, such as 'joint*.offset' (repeatable)."
+        ),
     ] = None,
     also_free: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PATTERN",
-            help="Identify these too, beside what the robot file frees: '*.gain,link3.y' (repeatable).",
+            help="Identify these too, in addition to those that the robot file frees: '*.gain,link3.y' (repeatable).",
         ),
     ] = None,
     freeze: Annotated[
-        list[str] | None, typer.Option(metavar="PATTERN", help="Hold parameters that match (repeatable).")
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Hold parameters that match at their nominal values (repeatable)."),
     ] = None,
     all_free: Annotated[
-        bool, typer.Option("--all-free", help="Identify also what the robot file holds fixed; like --free '*'.")
+        bool,
+        typer.Option("--all-free", help="Identify also the parameters that the robot file fixes; like --free '*'."),
     ] = False,
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help=f"Nominal to {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide). default: weak where the "
-            "observations tell less. Default: weak for a URDF, else wide for --solver map, default for lm and recursive; ls has none."
+            help=f"Prior about the nominal values, with a sigma of {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide); "
+            "default: weak, for weakly identifiable parameters only. If not given: weak for a URDF, otherwise wide for --solver map and "
+            "default for lm and recursive; ls has none."
         ),
     ] = None,
     solver: Annotated[
@@ -101,21 +108,21 @@ def identify(
             metavar=choices(tuple(Loss)),
             callback=one_of(tuple(Loss)),
             autocompletion=completed(tuple(Loss)),
-            help=f"huber and cauchy tolerate outliers; with the solvers {' and '.join(with_loss())}.",
+            help=f"huber and cauchy tolerate outliers; for the solvers {' and '.join(with_loss())}.",
         ),
     ] = option_defaults.LOSS,
     joint_laws: Annotated[
         LawMode,
         typer.Option(
-            help="Fit error curves and sag of the joints too, as far as the evidence in the rows carries them: curve, sag or both (auto, where geometry and declared noise do not explain the residuals); none: geometry alone."
+            help="Joint laws to fit: curve (error curves), sag, or auto (both, if geometry and declared noise do not explain the residuals). A law is kept only if the rows give evidence for it. none: geometry alone."
         ),
     ] = DEFAULT_JOINT_LAWS,
     allow: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME[@FIRST[:LAST]]",
-            help="Estimate a systematic error too: bar.b46.zero, chuck.c2@183 from row 183 on, joint2@91:270, "
-            "bar.b46.zero.drift, or .thermal_drift (repeatable). The check after a fit names what to allow.",
+            help="Estimate a systematic error too: bar.bar46.zero, chuck.c2@183 (from row 183 on), joint2@91:270, "
+            "bar.bar46.zero.drift or .thermal_drift (repeatable). The check after a fit names what to allow.",
         ),
     ] = None,
     leave_out: Annotated[
@@ -123,22 +130,20 @@ def identify(
         typer.Option(metavar="FIRST:LAST", help="Rows that are neither fitted nor judged, as 120:140 (repeatable)."),
     ] = None,
     max_iterations: Annotated[
-        int, typer.Option(metavar="N", help="Stop there, converged or not.", **bounded(ITERATIONS))
+        int, typer.Option(metavar="N", help="Stop after N iterations, converged or not.", **bounded(ITERATIONS))
     ] = option_defaults.MAX_ITERATIONS,
     out: Annotated[Path | None, out_file("the result (.json)")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     save_table: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (CSV).")
+        Path | None, typer.Option(metavar="FILE", help="Write all observations as one table (.csv).")
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a page about the result, with pictures (HTML).")
-    ] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report on the result (.html).")] = None,
     line_points: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="Points of each pass along a line at most. Default: as many as the noise tells apart.",
+            help="Largest number of points of each pass along a line. Default: as many as the noise allows.",
             **bounded(LINE_POINTS),
         ),
     ] = None,
@@ -146,8 +151,9 @@ def identify(
 ) -> None:
     """Identify a robot's parameters from observations.
 
-    Prints nominal, value and standard deviation of every parameter, what the observations cannot see, and the errors
-    before and after, on the rows held out too. A fit that is not usable is written and marked, and ends with exit code 3.
+    Prints the nominal value, the estimate and the standard deviation of every parameter, the combinations that are
+    unidentifiable, and the errors before and after, also on held-out rows. A fit that is not usable is written too, marked
+    as such, and the exit code is 3.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``truearm init``: a folder becomes a project."""
+"""``truearm init``: create a project."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder; it is made if need be.")] = Path(),
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder of the project; created if missing.")
+    ] = Path(),
     model: Annotated[
         str | None,
         typer.Option(
@@ -32,14 +34,16 @@ def init(
     base: Annotated[str, typer.Option(metavar="LINK", help="First link of a URDF.")] = "",
     tip: Annotated[str, typer.Option(metavar="LINK", help="Last link of a URDF.")] = "",
     branch: BranchOption = None,
-    name: Annotated[str | None, typer.Option(metavar="TEXT", help="What is calibrated, as reports call it.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the robot in reports.")] = None,
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
-    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measures.")] = None,
+    operator: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="Name of the operator, for the certificate.")
+    ] = None,
     address: Annotated[
-        str | None, typer.Option(metavar="URL", help=f"How the robot's joints are read: {sources_help()}.")
+        str | None, typer.Option(metavar="URL", help=f"Source of the robot's joint readings: {sources_help()}.")
     ] = None,
     box: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="The box's port. Default: the one that is plugged in.")
+        str | None, typer.Option(metavar="DEVICE", help="Port of the box. Default: the box that is plugged in.")
     ] = None,
     bars: Annotated[
         str | None,
@@ -52,24 +56,26 @@ def init(
         typer.Option(
             "--known-mm",
             metavar=f"MM|{UNKNOWN}",
-            help=f"How well the places of chucks and spheres are measured. Default: {UNKNOWN}, they are estimated.",
+            help=f"Standard deviation of the positions of chucks and spheres. Default: {UNKNOWN}; they are estimated.",
         ),
     ] = None,
     zero: Annotated[
         float | None,
         typer.Option(
-            "--zero-sigma-mm", min=0.0, metavar="MM", help="How well the first bar's length is measured (0.1)."
+            "--zero-sigma-mm", min=0.0, metavar="MM", help="Standard deviation of the first bar's length. Default: 0.1."
         ),
     ] = None,
     minutes: Annotated[
         float,
-        typer.Option(min=0.0, max=1000.0, metavar="M", help="An operator's minutes of the first plan; 0: no plan."),
+        typer.Option(
+            min=0.0, max=1000.0, metavar="M", help="Budget of the first plan in minutes of an operator; 0: no plan."
+        ),
     ] = 30.0,
 ) -> None:
-    """Make a folder a project: truearm.toml, rig.toml and a first plan.
+    """Create a project: truearm.toml, rig.toml and a first plan.
 
-    On a terminal what is not given is asked for; Enter takes what stands in brackets. In the folder, and in those below it, commands
-    then take from truearm.toml what they are not told: truearm record, truearm identify and truearm status need no options.
+    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. In this folder and below it, commands
+    take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
     \b
     Example:
@@ -81,7 +87,7 @@ def init(
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
     if model is None and not asking:
-        raise InputError("--model is missing: which robot is it? (see truearm init --help)")
+        raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
     def ask(given: str | None, question: str, default: str = "") -> str:
         return (

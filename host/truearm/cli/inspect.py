@@ -14,7 +14,7 @@ def inspect(
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
-    """Say what is in a session: rates, gaps, losses, clock quality, dwells.
+    """Show what is in a session: rates, gaps, losses, clock quality, dwells.
 
     Example: truearm inspect session.mcap
     """

@@ -72,7 +72,7 @@ _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-comp
 
 app = typer.Typer(
     name="truearm",
-    help="Record a sensor box and a robot, identify the robot's kinematic parameters, see what was gained.",
+    help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
     epilog=f"Exit codes: {table()}\n\nExample: truearm demo",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -94,7 +94,7 @@ def _print_version(wanted: bool) -> None:
 def _root(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and leave.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
@@ -103,19 +103,19 @@ def _root(
 
 @functools.cache
 def command_tree() -> Any:
-    """Return all commands as typer made them of their functions, which takes longer than most lines that are refused."""
+    """Return the commands as typer builds them. Built once: building takes longer than most refused command lines."""
     return typer.main.get_command(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``truearm`` with ``arguments`` (``sys.argv`` without the first if None); returns the exit code."""
-    if sys.stdout is None or sys.stderr is None:  # closed by the caller: what would be said goes nowhere
+    if sys.stdout is None or sys.stderr is None:  # closed by the caller: output is discarded
         sys.stdout = sys.stdout or open(os.devnull, "w")
         sys.stderr = sys.stderr or open(os.devnull, "w")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a Latin-1 terminal must not end a run at its first "σ"
             stream.reconfigure(errors="backslashreplace")
-    if "OMP_NUM_THREADS" not in os.environ:  # matrices here are small: a thread a core would wait more than it works
+    if "OMP_NUM_THREADS" not in os.environ:  # matrices are small: one thread per core would mostly wait
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
@@ -124,33 +124,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(exc.text(_option_of(arguments)))
         return exc.exit_code
     except _UsageError as exc:
-        message = _renamed(exc) or exc.format_message().replace("Value error, ", "")  # words of the parser's own
+        message = _renamed(exc) or exc.format_message().replace("Value error, ", "")  # added by the parser
         _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")
         return ExitCode.INTERRUPTED
-    except BrokenPipeError:  # the reader of our output left, as `| head` does
+    except BrokenPipeError:  # the reader of the output closed it, as `| head` does
         _discard_stdout()
         return ExitCode.FAILED
-    except OSError as exc:  # files and links raise errors of ours; what is left is standard output, on a full disk say
+    except OSError as exc:  # files and links raise TruearmError; this is standard output, for example on a full disk
         _discard_stdout()
         _complain(f"cannot write: {exc.strerror or exc}")
         return ExitCode.FAILED
     except Exception as exc:
         if not isinstance(exc.__cause__, KeyboardInterrupt):
             raise
-        _complain("interrupted")  # while a compiled module was being imported, which makes an ImportError of it
+        _complain("interrupted")  # during the import of a compiled module, which turns it into an ImportError
         return ExitCode.INTERRUPTED
 
 
 def _discard_stdout() -> None:
-    """What is still in its buffer would raise again at exit."""
+    """Redirect standard output to nowhere: flushing its buffer at exit would raise again."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
-    """Return what writes an argument's name as the option that the command on this line declares for it."""
+    """Return a function from an argument's name to the option that this command line's command declares for it."""
     command = command_tree()
     for word in arguments:
         if word not in getattr(command, "commands", {}):
@@ -161,8 +161,8 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
 
 
 def _renamed(exc: typer.BadParameter) -> str | None:
-    """What to type for an option that had another name, None for any other error."""
-    earlier = getattr(exc, "option_name", None)  # of an option that the command does not have
+    """Return the message for an option that was renamed, None for any other error."""
+    earlier = getattr(exc, "option_name", None)  # only of unknown options
     if earlier is None or exc.ctx is None:
         return None
     now = EARLIER_WORDS.get(f"{exc.ctx.info_name} {earlier}", EARLIER_WORDS.get(earlier))
@@ -172,7 +172,7 @@ def _renamed(exc: typer.BadParameter) -> str | None:
 
 def _run(arguments: list[str]) -> int:
     command = command_tree()
-    if _COMPLETE in os.environ:  # the shell asks for completions and hears them on standard output
+    if _COMPLETE in os.environ:  # the shell asks for completions on standard output
         return int(command.main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.

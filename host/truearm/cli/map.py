@@ -1,4 +1,4 @@
-"""``truearm map``: where in its workspace the robot errs how much."""
+"""``truearm map``: map the robot's error over its workspace."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from truearm.units import MM
 
 
 class Elbow(StrEnum):
-    """Of the two configurations of the arm in the section."""
+    """Configuration of the arm in the section."""
 
     up = "up"
     down = "down"
@@ -48,7 +48,7 @@ def map_(
         typer.Option("--vary", metavar="I,J", help="The two joints that span the section; their axes are parallel."),
     ] = "2,3",
     at: Annotated[
-        str | None, typer.Option(metavar="Q1,Q2,...", help="Where the other joints stand [deg, mm]; default: 0.")
+        str | None, typer.Option(metavar="Q1,Q2,...", help="Values of the other joints [deg, mm]. Default: 0.")
     ] = None,
     elbow: Annotated[Elbow, typer.Option(help="Which of the arm's two configurations.")] = Elbow.up,
     cell: Annotated[float, typer.Option(metavar="MM", help="Size of a cell.", **bounded(CELL, MM))] = 25.0,
@@ -59,14 +59,14 @@ def map_(
         str | None,
         typer.Option(
             metavar="U0:U1,V0:V1",
-            help="Look for that place only here, along the section's axes [mm]; default: all of it.",
+            help="Range of the search for --task, along the section's axes [mm]. Default: the whole section.",
         ),
     ] = None,
     own_frames: OwnFramesOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Map the robot's error without calibration over a section of its workspace, with the map's own uncertainty.
+    """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
 
     \b
     Example:
@@ -129,4 +129,4 @@ def _size_of(text: str) -> tuple[float, float]:
     return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 
-map_.__name__ = "map"  # what the command is called; the name itself is Python's
+map_.__name__ = "map"  # the command's name; map itself is a Python builtin

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share, each declared once. --help reads this, so it imports nothing slow."""
+"""Arguments and options shared by several commands. --help imports this module, so it imports nothing slow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 
-# Words that options had before 0.4: refused, and the word of today is named. With a command: of that command alone.
+# Option names before 0.4: refused with a message that gives the new name. With a command: for that command only.
 EARLIER_WORDS = {
     "--device": "--box",
     "--rig-file": "--rig",
@@ -33,15 +33,17 @@ EARLIER_WORDS = {
 
 
 def bounded(by: Within, scale: Scale | None = None) -> dict[str, Any]:
-    """Return what declares an option's bounds, those in SI in the unit that the option is given in."""
+    """Return the keywords that declare an option's bounds, converted from SI to the unit of the option."""
     ends = {"min": by.least, "max": by.most}
     shown = {name: end if scale is None else scale.of(end) for name, end in ends.items()}
     return {name: end if math.isfinite(end) else None for name, end in shown.items()}
 
 
 def completed(names: Collection[str]) -> Callable[[str], list[str]]:
-    """Return what a shell is offered for the value of an option, those of ``names`` that begin as what was typed."""
-    return lambda incomplete: [name for name in names if name.startswith(incomplete)]  # the name that typer asks for
+    """Return a function that completes a partly typed option value from ``names``."""
+    return lambda incomplete: [
+        name for name in names if name.startswith(incomplete)
+    ]  # typer requires this argument name
 
 
 # What is read
@@ -55,7 +57,7 @@ AllowDamagedOption = Annotated[
     typer.Option(
         "--allow-damaged",
         "--allow-truncated",
-        help="Use what is whole of a file that is damaged, or whose recorder was killed.",
+        help="Read the intact part of a file that is damaged or unfinished.",
     ),
 ]
 
@@ -73,28 +75,32 @@ def _robot(default: str = "") -> Any:
 
 RobotOption = Annotated[str, _robot()]
 OptionalRobotOption = Annotated[str | None, _robot()]
-IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in one that was identified.")]
+IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in robot of the result.")]
 BaseOption = Annotated[
     str | None,
-    typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: as identified, or its root."),
+    typer.Option(
+        "--base", metavar="LINK", help="First link of a URDF. Default: that of an earlier result, or the root."
+    ),
 ]
 TipOption = Annotated[
     str | None,
-    typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: as identified, or its only leaf."),
+    typer.Option(
+        "--tip", metavar="LINK", help="Last link of a URDF. Default: that of an earlier result, or the only leaf."
+    ),
 ]
 BranchOption = Annotated[
     str | None,
     typer.Option(
         metavar="LOW:HIGH,…",
-        help="Joint bounds of the configuration to stay in [deg]; default: the robot file's [branch], which "
-        f"{', '.join(names_with_branch())} have.",
+        help="Joint bounds of the arm configuration to stay in [deg]. Default: the robot file's [branch], "
+        f"which {', '.join(names_with_branch())} have.",
     ),
 ]
 OwnFramesOption = Annotated[
     bool,
     typer.Option(
         "--own-frames",
-        help="Use the robot's own base and flange frames: leave out how base and tool were mounted.",
+        help="Use the robot's own base and flange frames: leave out the mounting of base and tool.",
     ),
 ]
 
@@ -102,53 +108,53 @@ OwnFramesOption = Annotated[
 _RIG = "Rig: chucks, spheres, bars, sockets, devices (.toml)."
 RigOption = Annotated[Path, typer.Option("--rig", metavar="FILE", help=_RIG)]
 SessionRigOption = Annotated[
-    Path | None, typer.Option("--rig", metavar="FILE", help=f"{_RIG} Default: the session's own.")
+    Path | None, typer.Option("--rig", metavar="FILE", help=f"{_RIG} Default: the rig in the session.")
 ]
 NamedRigsOption = Annotated[
     list[str] | None,
     typer.Option(
         "--rig",
         metavar="[NAME=]FILE",
-        help=f"{_RIG} With a name: for the rows that have it in their column rig, and for the session of that name, "
-        "a.mcap's being a (repeatable). Default: each session's own.",
+        help=f"{_RIG} NAME=FILE is for rows with NAME in their column rig and for the session NAME.mcap "
+        "(repeatable). Default: the rig in each session.",
     ),
 ]
 PlanOption = Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Plan: what the robot visits (.csv).")]
 
 # The box
-_BOX = "The box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
+_BOX = "Port of the box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
 BoxOption = Annotated[str, typer.Option("--box", metavar="DEVICE", help=_BOX)]
 OptionalBoxOption = Annotated[str | None, typer.Option("--box", metavar="DEVICE", help=_BOX)]
 StopOption = Annotated[
-    bool, typer.Option("--stop", help="Stop the box first if it streams, as a recorder that was killed leaves it.")
+    bool, typer.Option("--stop", help="Stop the box first if it is streaming, for example after a recorder was killed.")
 ]
 DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="S", help="End after so many seconds; Ctrl-C ends it before.")
+    float | None, typer.Option("--duration", metavar="S", help="End after S seconds. Ctrl-C ends earlier.")
 ]
 PlainOption = Annotated[
-    bool, typer.Option("--plain", help="Print lines in place of a live view, as when the output is not a terminal.")
+    bool, typer.Option("--plain", help="Print lines instead of a live view. Always so if the output is not a terminal.")
 ]
 
 # What is written
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite a file to write, if truearm wrote it.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite the output file if truearm wrote it.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", metavar="N", help="Random seed.", **bounded(SEED))]
 
 
 def out_file(what: str) -> Any:
-    """Return ``--out FILE`` of a command; ``what`` it writes there."""
+    """Return the option ``--out FILE`` of a command that writes ``what``."""
     return typer.Option("--out", metavar="FILE", help=f"File to write: {what}.")
 
 
 def out_folder(what: str) -> Any:
-    """Return ``--out FOLDER`` of a command; ``what`` it writes there."""
+    """Return the option ``--out FOLDER`` of a command that writes ``what``."""
     return typer.Option("--out", metavar="FOLDER", help=f"Folder to write: {what}.")
 
 
 def rigs_of(given: list[str] | None) -> dict[str, Path]:
-    """The files of ``--rig`` by rig name, "" for one without a name; ./a=b.toml has none.
+    """Return the files of ``--rig`` by rig name, "" for one without a name, such as ./a=b.toml.
 
-    Raises InputError where names do not tell the rigs apart.
+    Raises InputError if several rigs have the same name or none.
     """
     files: dict[str, Path] = {}
     for text in given or ():
@@ -165,7 +171,7 @@ def rigs_of(given: list[str] | None) -> dict[str, Path]:
 
 
 def one_of(names: Collection[str]) -> Callable[[str], str]:
-    """Return what checks an option against the names of a registry. It raises typer.BadParameter for another name."""
+    """Return a function that checks an option against ``names``. It raises typer.BadParameter for another name."""
 
     def checked(text: str) -> str:
         if text not in names:
@@ -176,12 +182,12 @@ def one_of(names: Collection[str]) -> Callable[[str], str]:
 
 
 def choices(names: Collection[str]) -> str:
-    """Return the names of a registry as ``--help`` shows the values of an option."""
+    """Return ``names`` as ``--help`` shows the values of an option."""
     return f"<{'|'.join(names)}>"
 
 
 def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:
-    """The numbers between the commas of an option, None where it was not given. Raises InputError."""
+    """Return the numbers of an option, separated by commas; None if it was not given. Raises InputError."""
     if text is None:
         return None
     try:
@@ -194,7 +200,7 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
 
 
 def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit. Raises InputError."""
+    """Return the lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit. Raises InputError."""
     try:
         spans = [(float(low), float(high)) for low, high in (part.split(":") for part in text.split(","))]
     except ValueError:
@@ -205,7 +211,7 @@ def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], t
 
 
 def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) -> tuple[float, ...] | None:
-    """The joints [rad, m] of an option in deg and mm, by the units of the robot's joints. Raises InputError."""
+    """Return the joints [rad, m] of an option in deg and mm; ``units`` are those of the joints. Raises InputError."""
     if shown is None:
         return None
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
@@ -215,7 +221,7 @@ def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) 
 
 
 def frame_of(option: str, text: str | None) -> tuple[float, float, float, float, float, float]:
-    """Position [m] and rotation vector [rad] of an option in mm and deg; zeros where it was not given. Raises InputError."""
+    """Return position [m] and rotation vector [rad] of an option in mm and deg; zeros if not given. Raises InputError."""
     x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
         raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
@@ -223,7 +229,7 @@ def frame_of(option: str, text: str | None) -> tuple[float, float, float, float,
 
 
 def branch_given(text: str | None) -> Branch | None:
-    """Bounds of the joints [rad] of the option in deg, None where it was not given. Raises InputError."""
+    """Return the joint bounds [rad] of the option in deg, None if it was not given. Raises InputError."""
     import numpy as np
 
     from truearm.model.workspace import Branch

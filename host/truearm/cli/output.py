@@ -1,4 +1,4 @@
-"""What several commands print, and the help that a group of commands prints."""
+"""Printing that several commands share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from truearm.text import one_line
 
 
 def command_group(name: str, text: str, epilog: str) -> typer.Typer:
-    """Return an app without commands; called without one it prints its help."""
+    """Return an app without commands that prints its help if it is called without one."""
     app = typer.Typer(name=name, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False)
 
     @app.callback(invoke_without_command=True)
@@ -41,7 +41,7 @@ def warn(text: str) -> None:
 
 
 def warn_of_further_parts(session: Path, what: str) -> None:
-    """Print on standard error which further parts of a session a command leaves out: ``what`` to do with them. Raises SessionError."""
+    """Print on standard error the further parts that a command does not read, and ``what`` to do with them. Raises SessionError."""
     from truearm.workflows.session_parts import session_parts
 
     parts = [one_line(part.name) for part in session_parts(session)[1:]]

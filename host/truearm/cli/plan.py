@@ -1,4 +1,4 @@
-"""``truearm plan``: which poses to measure, in which order, and what they will tell, before anything is measured."""
+"""``truearm plan``: which poses to measure, in which order, and what they will determine."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 app = command_group(
     "plan",
-    "Plan what to measure; say what it will tell before anything is measured.",
+    "Plan what to measure, and predict what the measurements will determine.",
     "Example: truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
 )
 
@@ -47,7 +47,7 @@ MinutesOption = Annotated[
     float | None,
     typer.Option(
         metavar="M",
-        help="Budget in an operator's minutes, at most; pairings are mounted that are worth the time.",
+        help="Budget in minutes of an operator. Only pairings that are worth mounting are selected.",
         **bounded(MINUTES),
     ),
 ]
@@ -63,16 +63,16 @@ CriterionOption = Annotated[
 RegionOption = Annotated[
     str | None,
     typer.Option(
-        metavar="X0:X1,Y0:Y1,Z0:Z1", help="Where accuracy is wanted [mm, base frame]; default: around the poses."
+        metavar="X0:X1,Y0:Y1,Z0:Z1", help="Box in which accuracy is wanted [mm, base frame]. Default: around the poses."
     ),
 ]
 ResultOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Plan with the model of an earlier result.json instead of the design."),
+    typer.Option(metavar="FILE", help="Plan with the robot of an earlier result.json instead of the nominal one."),
 ]
 MeasuredOption = Annotated[
     list[Path] | None,
-    typer.Option(metavar="FILE", help="Sessions and tables that count as measured already (repeatable)."),
+    typer.Option(metavar="FILE", help="Sessions and tables that are already measured (repeatable)."),
 ]
 OutOption = Annotated[Path | None, out_file("the plan that record follows (.csv)")]
 ProgramOption = Annotated[
@@ -81,7 +81,9 @@ ProgramOption = Annotated[
 ]
 InputOption = Annotated[
     int | None,
-    typer.Option(min=0, metavar="N", help="Digital input on which the box answers; default: not waited for."),
+    typer.Option(
+        min=0, metavar="N", help="Digital input on which the box answers. Default: the program does not wait for it."
+    ),
 ]
 OutputOption = Annotated[
     int, typer.Option(min=0, metavar="N", help="Digital output that says 'at rest' or 'on the line' (UR).")
@@ -91,7 +93,7 @@ ReserveOption = Annotated[
     typer.Option(
         "--reserve-mm",
         metavar="MM",
-        help=f"Travel kept for what the model does not know; default {MM.of(option_defaults.DESIGN_RESERVE):g}, "
+        help=f"Travel reserved for errors of the model. Default: {MM.of(option_defaults.DESIGN_RESERVE):g}, "
         f"{MM.of(option_defaults.RESULT_RESERVE):g} with --result.",
         **bounded(TRAVEL, MM),
     ),
@@ -99,7 +101,7 @@ ReserveOption = Annotated[
 
 
 def _region_of(text: str | None) -> Region | None:
-    """A box [m] of the option in mm, None where it was not given. Raises InputError."""
+    """Return the box [m] of the option in mm, None if it was not given. Raises InputError."""
     import numpy as np
 
     from truearm.plan.region import Region
@@ -135,7 +137,7 @@ def ballbar(
         typer.Option(
             "--spread-mm",
             metavar="MM",
-            help="Vary the bar's length about mid-travel, to tell its gain.",
+            help="Vary the bar's length about mid-travel, to determine its gain.",
             **bounded(TRAVEL, MM),
         ),
     ] = MM.of(option_defaults.SPREAD),
@@ -146,7 +148,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Visits to every mount; with 2 drift and slip show (docs/how-to/rig.md).",
+            help="Visits to every mount; 2 reveal drift and slip.",
             **bounded(VISITS),
         ),
     ] = option_defaults.VISITS,
@@ -154,12 +156,13 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Poses of the first mount that are visited again in the middle and at the end; not with --visits 2.",
+            help="Poses of the first mount to visit again half-way and at the end; not with --visits 2.",
             **bounded(CHECK_POSES),
         ),
     ] = option_defaults.CHECK_POSES,
     joint_laws: Annotated[
-        bool, typer.Option("--joint-laws", help="Tell what the poses will show of the joints' error curves too.")
+        bool,
+        typer.Option("--joint-laws", help="Also predict what the poses will determine of the joints' error curves."),
     ] = False,
     seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,
@@ -171,7 +174,8 @@ def ballbar(
 ) -> None:
     """Plan ball-bar poses on shells about the chucks.
 
-    Prints rank, what stays unseen, the sigma of every parameter, the error to be expected in the region, and minutes.
+    Prints the rank, the unidentifiable combinations, the predicted sigma of every parameter, the expected error in the region,
+    and the minutes.
 
     \b
     Example:
@@ -217,11 +221,11 @@ def line(
     tip: TipOption = None,
     lines: Annotated[int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines.")] = None,
     minutes: MinutesOption = None,
-    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="The device's reach.")] = MM.of(
+    length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="Length of the device.")] = MM.of(
         option_defaults.LINE_LENGTH
     ),
     transverse_mm: Annotated[
-        float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Full range of the transverse sensors.")
+        float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Measuring range of the transverse sensors.")
     ] = MM.of(option_defaults.TRANSVERSE_RANGE),
     speed_mm_s: Annotated[
         float, typer.Option(min=1.0, max=1000.0, metavar="MM/S", help="Speed on the lines.")
@@ -230,10 +234,10 @@ def line(
         int, typer.Option(min=1, max=20, metavar="N", help="Drive each line there and back, N times.")
     ] = option_defaults.PASSES,
     points: Annotated[
-        int, typer.Option(min=3, max=500, metavar="N", help="Points of a way that count as measured.")
+        int, typer.Option(min=3, max=500, metavar="N", help="Points that count as measured in each direction.")
     ] = option_defaults.LINE_POINTS,
     target: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The rig's target that is measured; default: its only one.")
+        str | None, typer.Option(metavar="NAME", help="Target of the rig to measure. Default: its only one.")
     ] = None,
     criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
@@ -255,9 +259,10 @@ def line(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan lines for a line device, driven there and back, preferring where the a-priori error is large.
+    """Plan lines for a line device, driven there and back, preferably where the expected error is large.
 
-    Prints where each line lies, what stays unseen, the sigma of every parameter, the error to be expected, and minutes.
+    Prints the position of each line, the unidentifiable combinations, the predicted sigma of every parameter, the expected error,
+    and the minutes.
 
     \b
     Example:
@@ -299,11 +304,11 @@ def characterize(
     rig: RigOption,
     base: BaseOption = None,
     tip: TipOption = None,
-    bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar; default: the rig's first.")] = None,
-    chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck; default: the rig's first.")] = None,
-    sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere; default: the rig's first.")] = None,
+    bar: Annotated[str | None, typer.Option(metavar="NAME", help="Which bar. Default: the rig's first.")] = None,
+    chuck: Annotated[str | None, typer.Option(metavar="NAME", help="Which chuck. Default: the rig's first.")] = None,
+    sphere: Annotated[str | None, typer.Option(metavar="NAME", help="Which sphere. Default: the rig's first.")] = None,
     poses: Annotated[
-        int, typer.Option(min=1, max=50, metavar="N", help="Poses that are visited again and again.")
+        int, typer.Option(min=1, max=50, metavar="N", help="Number of poses; each is visited many times.")
     ] = option_defaults.APPROACH_POSES,
     rounds: Annotated[
         int, typer.Option(min=2, max=100, metavar="N", help="Times each pose is reached from each of eight sides.")
@@ -325,9 +330,9 @@ def characterize(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a short run that tells how well the robot repeats: a few poses, reached from both sides of every joint.
+    """Plan a short run that measures how well the robot repeats: a few poses, reached from both sides of every joint.
 
-    Record it, then let truearm characterize read the session.
+    Record it, then run truearm characterize on the session.
 
     \b
     Example:

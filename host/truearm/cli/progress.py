@@ -1,4 +1,4 @@
-"""Steps that take longer than two seconds, on the terminal: what is done, how far it is, and how long it will take."""
+"""Progress of steps that take longer than two seconds, on the terminal: name, percentage, elapsed and remaining time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from typing import TextIO
 from truearm.progress import listening
 from truearm.text import one_line
 
-QUIET_S = 2.0  # a step that is done sooner is not shown
+QUIET_S = 2.0  # shorter steps are not shown
 EVERY_S = 0.5
-LEAST_SHARE = 0.02  # from which on a remaining time is told
+LEAST_SHARE = 0.02  # from here on the remaining time is shown
 CLEAR = "\x1b[2K\r"
 
 
@@ -30,16 +30,16 @@ class Step:
     share: float = 0.0
 
     def advance(self, share: float) -> None:
-        """Hear which share of it is done, 0 to 1."""
+        """Set the share that is done, 0 to 1."""
         self.share = share
 
     def end(self) -> None:
-        """Hear that it ends."""
+        """End the step."""
         self.ended(self)
 
 
 class Shown:
-    """Listens to steps, and a thread shows the innermost one on a line that is cleared behind it."""
+    """Shows the innermost step on a line of the terminal, by a thread, and clears the line at its end."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -50,7 +50,7 @@ class Shown:
         self._thread: Thread | None = None
 
     def begin(self, what: str) -> Step:
-        """Hear that a step begins; the first one starts the thread."""
+        """Begin a step; the first one starts the thread."""
         with self._lock:
             self._steps.append(Step(one_line(what), time.monotonic(), self._end))
             if self._thread is None:
@@ -82,7 +82,7 @@ class Shown:
             now_s = time.monotonic()
             text = next((said(one, now_s) for one in reversed(self._steps) if now_s - one.begun_s >= QUIET_S), "")
             if text:
-                # the cursor goes back to the line's beginning: what is printed meanwhile does not hang on its end
+                # the cursor returns to the start of the line, so that other output is not appended to it
                 self._write(f"\x1b[2K{text[: shutil.get_terminal_size().columns - 1]}\r")
                 self._is_shown = True
 
@@ -116,7 +116,7 @@ def duration(seconds: float) -> str:
 
 @contextmanager
 def shown_progress() -> Iterator[None]:
-    """Show the steps of what is done within on standard error, if that is a terminal."""
+    """Show the progress of steps inside this context on standard error, if it is a terminal."""
     if not sys.stderr.isatty():
         yield
         return

@@ -1,4 +1,4 @@
-"""What the commands take from the project that they are started in: a default for each option that truearm.toml answers."""
+"""Defaults of options that the commands take from the truearm.toml of the current project."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash")
-Answer = Callable[[], Any]  # what an option would have been given; None: nothing
+Answer = Callable[[], Any]  # the value of an option; None: no default
 
 
 class ProjectCommand(TyperCommand):
-    """A command that says on standard error what it took from truearm.toml, and whose numbers are finite."""
+    """A command that prints on standard error what it took from truearm.toml and refuses numbers that are not finite."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InputError for an option that is nan or inf, which typer's bounds let pass."""
+        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts."""
         for one in self.params:
             given = ctx.params[one.name or ""]
             for value in given if isinstance(given, list | tuple) else (given,):
@@ -46,7 +46,7 @@ class ProjectCommand(TyperCommand):
 
 
 def typed(context: typer.Context, name: str) -> Any:
-    """Return an option that was typed, None where it is a default or of truearm.toml."""
+    """Return an option's value if it was typed, None if it is a default or from truearm.toml."""
     return context.params[name] if _source(context, name) == "COMMANDLINE" else None
 
 
@@ -56,16 +56,16 @@ def _source(context: typer.Context, name: str) -> str:
 
 
 def _words(option: Any, value: Any) -> Sequence[str]:
-    """An option as it would be typed."""
+    """Return an option as words of a command line."""
     flag = [option.opts[0]] if option.opts[0].startswith("-") else []
     values = value if isinstance(value, list | tuple) else [value]
     return [word for one in values for word in (*flag, str(one))]
 
 
 def defaults(folder: Path) -> dict[str, Any]:
-    """Return the answers of the project that ``folder`` is in, by command and parameter; empty where it is in none.
+    """Return the defaults from the project that contains ``folder``, by command and parameter; empty without a project.
 
-    Raises InputError for a truearm.toml that is wrong.
+    Raises InputError for an invalid truearm.toml.
     """
     file = find_project(folder)
     if file is None:
@@ -138,7 +138,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         },
         "identify": {"inputs": sessions, **robot, "out": new(project.results, ".json")},
         "report": {**result, "inputs": sessions, "out": new(project.results, ".html")},
-        "validate": robot,  # its arguments are a result and what judges it: which of them is missing cannot be told
+        "validate": robot,  # its two arguments cannot be distinguished if one is missing
         "correct": robot,
         "map": result,
         "export": result,

@@ -1,4 +1,4 @@
-"""``truearm record``: a session file from a box and, if there is one, a robot."""
+"""``truearm record``: record a box and, if there is one, a robot into a session file."""
 
 from __future__ import annotations
 
@@ -31,49 +31,53 @@ _PATIENCE_S = 600.0
 def record(
     context: typer.Context,
     device: OptionalBoxOption = None,
-    out: Annotated[Path | None, out_file("a session (.mcap); --resume names its own")] = None,
+    out: Annotated[Path | None, out_file("a session (.mcap); not with --resume")] = None,
     resume: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Go on with this session, with its plan, rig, rate and robot, in a further file beside it; a folder that holds "
-            "one session does too.",
+            help="Continue this session in a further file beside it, with its plan, rig, rate and robot. A folder that holds one "
+            "session is accepted too.",
         ),
     ] = None,
     address: Annotated[
         str | None,
         typer.Option(
             metavar="URL",
-            help=f"The robot's joint readings: {sources_help()}; see docs/how-to/robots.md. None: the sensor alone tells the dwells.",
+            help=f"The robot's joint readings: {sources_help()}. Without it, dwells are found from the sensor alone.",
         ),
     ] = None,
     plan: PlanOption = None,
     rig: SessionRigOption = None,
     mounted: Annotated[
         str | None,
-        typer.Option(metavar="LIST", help="What is mounted: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1."),
+        typer.Option(
+            metavar="LIST", help="What is mounted at the start: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1."
+        ),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Samples a second (1000); the nearest of the box's rates.")
+        float | None,
+        typer.Option(metavar="HZ", help="Samples per second; the box's nearest rate is used. Default: 1000."),
     ] = None,
     duration: DurationOption = None,
     patience: Annotated[
-        float, typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: not.")
+        float,
+        typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: do not wait."),
     ] = _PATIENCE_S,
     plain: PlainOption = False,
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or the rig is for.")
+        bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or rig requires.")
     ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
-    Without --box the box is the one that is plugged in.
-    Ends with Ctrl-C, with q and Enter, after --duration, when the robot says that it has ended (docs/how-to/robots.md), or when a box or a
-    robot that was lost or closed its stream did not come back in --patience; each completes the file (exit code 4 if not all came that was asked for). An earlier file is overwritten
-    (--force) only once the box has started. On a terminal lines may be typed meanwhile: Enter confirms
-    the pairing that was asked for, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME says another one, note TEXT is kept.
+    Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration, when the
+    robot's program reports its end, or when a box or robot that was lost does not return within --patience. The file is complete in
+    each case; the exit code is 4 if something that was asked for is missing. --force overwrites an earlier file only once the box has
+    started. On a terminal you can type during the recording: Enter confirms the pairing that is asked for,
+    bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME names another one, and note TEXT is stored.
 
     \b
     Example:
@@ -89,7 +93,7 @@ def record(
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is not a duration; give seconds above 0")
     if not 0 <= patience < math.inf:
-        raise InputError(f"--patience {patience:g} is not a duration; give seconds, 0 to end at once")
+        raise InputError(f"--patience {patience:g} is not a duration; give seconds, or 0 not to wait")
     recorded = record_request(
         Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,

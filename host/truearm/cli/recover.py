@@ -1,4 +1,4 @@
-"""``truearm recover``: a complete session from one that is damaged or was cut off."""
+"""``truearm recover``: write a complete session from one that is damaged or unfinished."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ SHOWN = 10  # damaged places that are listed
 
 def recover(
     session: SessionArgument,
-    out: Annotated[Path | None, out_file("a session; default: SESSION's name, -recovered.mcap")] = None,
+    out: Annotated[Path | None, out_file("a session (default: SESSION-recovered.mcap)")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a new, complete session with all that is whole of a damaged or unfinished one.
+    """Write a new, complete session with all intact data of a damaged or unfinished one.
 
-    For a file whose recorder was killed, whose disk was full or whose bytes were damaged. The file itself is not changed. What is
-    saved and what is lost is said by place, time and topic; what is lost stays a gap. A file that is whole is left
-    alone. Exit code 0 if there is a complete file in the end, 2 if nothing could be saved.
+    For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
+    and lost data are listed by place, time and topic; lost data stay a gap. An intact file is left alone. Exit code 0 if there is
+    a complete file in the end, 2 if nothing could be saved.
 
     \b
     Example:
@@ -43,7 +43,7 @@ def recover(
             {"whole": found is None, "out": None if found is None else str(out), **(asdict(found) if found else {})}
         )
     elif found is None:
-        typer.echo(f"{one_line(str(session))}: is whole; there is nothing to recover, and nothing was written")
+        typer.echo(f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written")
     else:
         print_lines(lines(found))
         typer.echo(f"{one_line(str(out))}: written, a complete session")

@@ -1,4 +1,4 @@
-"""``truearm relabel``: what was mounted at the dwells of a session, settled after the recording."""
+"""``truearm relabel``: settle after the recording what was mounted at each dwell."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def relabel(
         str | None,
         typer.Option(
             metavar=TRUSTS,
-            help="Believe the plan, what was typed, or the evidence of all of it and the readings together (needs --model). Default: ask.",
+            help="Accept the plan, the typed confirmations, or the evidence of both and the readings together (needs --model). Default: ask.",
         ),
     ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Take back the last decision.")] = False,
+    undo: Annotated[bool, typer.Option("--undo", help="Undo the last decision.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Settle what was mounted at the dwells of a session where plan, operator and readings do not say the same.
+    """Settle what was mounted at each dwell of a session, where plan, operator and readings disagree.
 
-    The session itself is not changed: the labels stand beside it in NAME.labels.json, written whole or not at all, and every later
-    command uses them. With --trust evidence a dwell is labelled where one pairing has a probability of 99.8 %, else it is left out.
-    Without --trust you are asked about each run of dwells that is in doubt.
+    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them. With
+    --trust evidence a dwell is labelled if one pairing has a probability of 99.8 %, otherwise it is left out. Without --trust you
+    are asked about each run of doubtful dwells.
 
     \b
     Example:
@@ -61,7 +61,7 @@ def relabel(
 
     if undo:
         if trust is not None:
-            raise InputError("--undo takes a decision back and --trust makes one; give one of them")
+            raise InputError("--undo undoes a decision and --trust makes one; give one of them")
         document = undo_labels(session)
     else:
         if trust is not None and trust not in tuple(Trust):

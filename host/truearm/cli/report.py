@@ -1,4 +1,4 @@
-"""``truearm report``: the page about a result, with its certificate."""
+"""``truearm report``: write the report on a result, with its certificate."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ def report(
     context: typer.Context,
     result: ResultArgument,
     inputs: InputsArgument,
-    out: Annotated[Path, out_file("the page (.html)")],
+    out: Annotated[Path, out_file("the report (.html)")],
     robot: IdentifiedRobotOption = None,
     base: BaseOption = None,
     tip: TipOption = None,
     rig: NamedRigsOption = None,
     noise: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The noise file that truearm identify was given.")
+        Path | None, typer.Option(metavar="FILE", help="The noise file that was given to truearm identify.")
     ] = None,
     serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
-    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Who measured.")] = None,
-    name: Annotated[str | None, typer.Option(metavar="TEXT", help="What was calibrated.")] = None,
+    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the operator.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the robot.")] = None,
     line_points: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Points of each pass, as truearm identify was told.", **bounded(LINE_POINTS)),
+        typer.Option(metavar="N", help="Points of each pass, as given to truearm identify.", **bounded(LINE_POINTS)),
     ] = None,
     allow_damaged: AllowDamagedOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the page about a result, with a certificate as its first sheet.
+    """Write the report on a result, with a certificate as its first page.
 
-    The fit is made again from the files that the result was made from, as it was made then; other files, or another outcome, are refused.
+    The fit is repeated from the files of the result, with the same options. Other files, or a different outcome, are refused.
 
     \b
     Example:

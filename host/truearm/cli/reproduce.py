@@ -1,4 +1,4 @@
-"""``truearm reproduce``: a paper's tables and figures computed again, beside the paper's numbers."""
+"""``truearm reproduce``: compute the tables and figures of a paper again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from truearm.workflows.reproduce import Paper
 if TYPE_CHECKING:
     from truearm.report.reproduce_page import ReproducePage
 
-MARK = ".truearm-reproduce"  # in a folder that reproduce made and may write again
+MARK = ".truearm-reproduce"  # marks a folder that reproduce created and may overwrite
 
 
 class _Steps:
@@ -44,9 +44,9 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer Monte Carlo runs and line sets.")] = False,
     seed: SeedOption = 1,
 ) -> None:
-    """Compute a paper's tables and figures again and lay them beside the paper's numbers.
+    """Compute the tables and figures of a paper again, and compare them with the paper's numbers.
 
-    Writes report.html and numbers.json. Where a number cannot be reproduced the page says why.
+    Writes report.html and numbers.json. If a number cannot be reproduced, the report says why.
 
     \b
     Example:
@@ -65,7 +65,7 @@ def reproduce(
 
 
 def lines(page: ReproducePage) -> list[str]:
-    """How many claims have which verdict, and those that are not reproduced."""
+    """Return the number of claims by verdict, and the claims that are not reproduced."""
     from truearm.report.reproduce_page import NOT_REPRODUCED, counts
 
     found = ["\n" + ", ".join(f"{number} {verdict}" for verdict, number in counts(page).items())]

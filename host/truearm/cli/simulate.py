@@ -1,4 +1,4 @@
-"""``truearm simulate``: a box and any robot, in real time behind ports of this machine or in virtual time into a session file."""
+"""``truearm simulate``: simulate a box and any robot, in real time behind local ports or in virtual time into a session file."""
 
 from __future__ import annotations
 
@@ -54,39 +54,44 @@ def simulate(
         bool, typer.Option("--fast", help="Record in virtual time, straight into session.mcap: seconds, not minutes.")
     ] = False,
     rate: Annotated[
-        float, typer.Option(metavar="HZ", help="With --fast: samples a second of each channel.")
+        float, typer.Option(metavar="HZ", help="With --fast: samples per second of each channel.")
     ] = FAST_RATE_HZ,
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
     ] = 7007,
     protocol: Annotated[
-        str, typer.Option(metavar="KIND", help="What the robot speaks: lines (JSON) or rtde (Universal Robots).")
+        str, typer.Option(metavar="KIND", help="Protocol of the robot: lines (JSON) or rtde (Universal Robots).")
     ] = "lines",
     robot_port: Annotated[
         int | None,
         typer.Option(
-            metavar="PORT", min=0, max=65535, help="TCP port of the robot, 7008 or 30004; 0 takes a free one."
+            metavar="PORT",
+            min=0,
+            max=65535,
+            help="TCP port of the robot; 0 takes a free one. Default: 7008, or 30004 with --protocol rtde.",
         ),
     ] = None,
-    pty: Annotated[bool, typer.Option("--pty", help="The box behind a pseudo-terminal, as a serial device.")] = False,
+    pty: Annotated[
+        bool, typer.Option("--pty", help="Put the box behind a pseudo-terminal, like a serial device.")
+    ] = False,
     poses: Annotated[int, typer.Option(metavar="N", min=9, max=5000, help="Poses with each of the two bars.")] = 72,
     lines: Annotated[
         int,
         typer.Option(
-            metavar="N", min=0, max=50, help="Lines past a line device, there and back; 0: a ball-bar instead."
+            metavar="N", min=0, max=50, help="Lines along a line device, there and back; 0: a ball-bar instead."
         ),
     ] = 0,
     plan: PlanOption = None,
     rig: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The rig of --plan (.toml); default: the simulator's own.")
+        Path | None, typer.Option(metavar="FILE", help="The rig of --plan (.toml). Default: the simulator's own.")
     ] = None,
     robot_delay_ms: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="How late the robot's readings are.")
+        float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="Delay of the robot's joint readings.")
     ] = 0.0,
     trigger: Annotated[
         int | None,
         typer.Option(
-            min=0, max=15, metavar="INPUT", help="The robot's digital input that the box's trigger output toggles."
+            min=0, max=15, metavar="INPUT", help="Digital input of the robot that the box's trigger output toggles."
         ),
     ] = None,
     warming: Annotated[
@@ -95,7 +100,7 @@ def simulate(
             metavar="K",
             min=-20.0,
             max=20.0,
-            help="The laboratory, with bar and sensor, warms up by K; thermometers are on both.",
+            help="Warm up the laboratory, with bar and sensor, by K; both have thermometers.",
         ),
     ] = None,
     worn: WornOption = False,
@@ -117,20 +122,21 @@ def simulate(
         bool,
         typer.Option(
             "--stage",
-            help="No robot: the sensors follow a reference that you set by typing mm, to rehearse truearm box gauge.",
+            help="Without a robot: the sensors follow a reference that you set by typing mm, to rehearse truearm box gauge.",
         ),
     ] = False,
     fault: Annotated[
         list[str] | None,
-        typer.Option(metavar="SECONDS:KIND", help="Something that goes wrong; repeatable. An unknown KIND lists them."),
+        typer.Option(metavar="SECONDS:KIND", help="Fault to simulate; repeatable. An unknown KIND lists them."),
     ] = None,
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
-    The true robot differs from its design by a hidden truth that is drawn from tolerances (--truth-out reveals it). It runs in real time
-    on this machine's loopback, or with --fast in virtual time straight into a session file. The firmware's own files run in a real MicroPython (in CPython, and it says so, where there is none), or with --level chip in an
-    emulated RP2040, whose time may fall behind the wall clock's on a slow machine. Time starts with the first connection. Ends when the
-    robot's program has ended and the recorder has gone, or with Ctrl-C.
+    The true robot differs from the nominal one by a hidden truth that is drawn from tolerances (--truth-out writes it). The
+    simulation runs in real time behind local ports, or with --fast in virtual time straight into a session file. The box runs the
+    real firmware in MicroPython (without it in CPython, and the output says so), or with --level chip in an emulated RP2040, which
+    may be slower than real time. Time starts with the first connection. The simulation ends when the robot's program has ended and
+    the recorder has disconnected, or with Ctrl-C.
 
     \b
     Example:
@@ -183,7 +189,7 @@ def simulate(
 
 
 def _typed_lines() -> Callable[[], list[str]]:
-    """Return what hands over the lines that were typed since it was asked last."""
+    """Return a function that returns the lines typed since its last call."""
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def read() -> None:

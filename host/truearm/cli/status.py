@@ -1,4 +1,4 @@
-"""``truearm status``: what a project has, and what comes next."""
+"""``truearm status``: show the files of a project and the next command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def status(as_json: JsonOption = False) -> None:
-    """Show what the project of this folder has, and the command that comes next.
+    """Show the files of this folder's project, and the command that comes next.
 
     \b
     Example:
@@ -56,7 +56,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
 
 
 def _next(state: ProjectState) -> tuple[str, str]:
-    """The command that comes next, and why."""
+    """Return the command that comes next, and why."""
     from truearm.workflows.project import Step
 
     match state.next:

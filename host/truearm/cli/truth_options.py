@@ -1,4 +1,4 @@
-"""The options of ``truearm simulate`` and ``truearm demo`` that say which robot is simulated and what its hidden truth is."""
+"""Options of ``truearm simulate`` and ``truearm demo``: the simulated robot and its hidden truth."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ ToleranceOption = Annotated[
     typer.Option(
         "--tolerance",
         metavar="MM,DEG",
-        help="Standard deviations of the true lengths and angles about the design; default: 0.5,0.1146. The PUMA 560 without it is "
-        "Goswami's, Table II.",
+        help="Standard deviations of the true lengths and angles about the nominal ones. Default: 0.5,0.1146; for the PUMA 560, "
+        "Goswami's Table II instead.",
     ),
 ]
 GearErrorOption = Annotated[
     float,
-    typer.Option("--gear-error-mrad", min=0.0, metavar="MRAD", help="Amplitude of the gears' error, of each period."),
+    typer.Option("--gear-error-mrad", min=0.0, metavar="MRAD", help="Amplitude of the gear error at each period."),
 ]
 GearPeriodsOption = Annotated[
-    str, typer.Option("--gear-periods-deg", metavar="DEG,…", help="Periods of the gears' error, in joint angle.")
+    str, typer.Option("--gear-periods-deg", metavar="DEG,…", help="Periods of the gear error, in joint angle.")
 ]
 MassesOption = Annotated[
     str | None,
     typer.Option(
         "--masses-kg",
         metavar="KG,…",
-        help="Masses of the links, one per joint: the joints sag under them. Default: stiff.",
+        help="Masses of the links, one per joint: the joints sag under them. Default: no sag.",
     ),
 ]
 StiffnessOption = Annotated[
@@ -57,7 +57,7 @@ RepeatabilityOption = Annotated[
         "--repeatability-mm",
         min=0.0,
         metavar="MM",
-        help="Repeatability of the bars, as the rig declares it too (0.084).",
+        help="Repeatability of the bars, which the rig declares too. Default: 0.084.",
     ),
 ]
 TruthOutOption = Annotated[
@@ -69,11 +69,11 @@ TruthSeedOption = Annotated[
         "--truth-seed",
         min=0,
         metavar="N",
-        help="Random seed of the truth: the same arm on another day. Default: --seed.",
+        help="Random seed of the hidden truth: the same arm on another day. Default: --seed.",
     ),
 ]
 WornOption = Annotated[
-    bool, typer.Option("--worn", help="An arm with backlash, slow to settle, that swings, with noisy readings.")
+    bool, typer.Option("--worn", help="Simulate a worn arm: backlash, slow settling, oscillation, noisy readings.")
 ]
 
 DEFAULT_MODEL, DEFAULT_PERIODS, DEFAULT_STIFFNESS = "puma560", "180,90", 5e4
@@ -89,7 +89,7 @@ def truth_of(
     worn: bool,
     truth_seed: int | None,
 ) -> TruthOptions:
-    """Return what the options say of the truth, in SI units. Raises InputError."""
+    """Return the options of the hidden truth in SI units. Raises InputError."""
     from truearm.workflows.simulated_robot import TruthOptions
 
     drawn, masses = numbers_of("--tolerance", tolerance, 2), numbers_of("--masses-kg", masses_kg)

@@ -1,4 +1,4 @@
-"""``truearm validate``: does a calibration hold on other measurements?"""
+"""``truearm validate``: judge a calibration by other measurements."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def validate(
         bool,
         typer.Option(
             "--keep-rig",
-            help="Hold what the identification found of the rig: trackers, targets, chucks, bars, and what --allow found in all rows.",
+            help="Hold the rig at its identified values: trackers, targets, chucks, bars, and what --allow estimated in all rows. Only if nothing was moved since.",
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -39,8 +39,9 @@ def validate(
 ) -> None:
     """Judge a calibration by other measurements: errors with and without it, by region, and a verdict.
 
-    The robot stays as identified. What the rig does not know is settled on the rows that judge, for both alike, or with --keep-rig
-    held as it was identified, where nothing was moved since. Without the calibration base and tool are placed on these rows too.
+    The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without the
+    calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool are estimated
+    from these rows too.
 
     \b
     Example:
