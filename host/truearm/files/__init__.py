@@ -1,1 +1,1 @@
-"""Files that users give and get: observation tables, rigs, robots, results. Strangers' files are checked here."""
+"""Files that users supply and receive: observation tables, rigs, robots, results. External files are checked here."""

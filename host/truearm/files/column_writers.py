@@ -1,7 +1,8 @@
-"""Tables of columns on disk, written batch by batch: CSV, NumPy's .npz, Parquet, messages of MCAP. Every number comes back bit for bit.
+"""Write tables of columns to disk in batches: CSV, NumPy's .npz, Parquet, MCAP messages. Numbers are stored bit for
+bit.
 
-Memory holds one batch. An .npz has all columns one after the other, so each waits in a temporary file until the table ends; its columns of
-text are held in memory, which is why only small tables should have such.
+Memory holds one batch. An .npz stores whole columns one after the other, so each column waits in a temporary file until
+the table ends. Its text columns are held in memory, so only small tables should have them.
 """
 
 from __future__ import annotations
@@ -29,8 +30,11 @@ Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
 
 
 class Placement(NamedTuple):
-    """For files of messages in time: UTC less the host's clock, where the session begins on it [ns], and how many samples of a stream
-    a second are wanted at most, 0 for all."""
+    """For files of messages in time: UTC minus the host's clock, the start of the session on that clock [ns], and the
+    highest wanted rate.
+
+    The rate is in samples per second for each stream; 0 keeps all samples.
+    """
 
     utc_offset_ns: int = 0
     begin_ns: int = 0
@@ -38,21 +42,21 @@ class Placement(NamedTuple):
 
 
 class Table(ABC):
-    """A table under way; ``rows`` were written so far. OSError where the disk refuses.
+    """A table that is being written; ``rows`` is the number of rows so far. Raises OSError if the disk refuses a write.
 
-    Made with the first batch, which says titles and types and is not yet written.
+    It is created from the first batch, which defines titles and types. That batch is not written yet.
     """
 
     def __init__(self) -> None:
         self.rows = 0
 
     def write(self, columns: Columns) -> None:
-        """Append a batch; titles and types are those of the first."""
+        """Append a batch with the titles and types of the first."""
         self.rows += self._write(columns)
 
     @abstractmethod
     def _write(self, columns: Columns) -> int:
-        """Return how many rows were written."""
+        """Write a batch and return the number of rows written."""
 
     @abstractmethod
     def close(self) -> None:
@@ -63,14 +67,14 @@ class Tables(Protocol):
     """All tables of a folder."""
 
     def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
-        """Return the name that a table goes by, and the table; ``columns`` is its first batch."""
+        """Return the name under which a table is stored, and the table; ``columns`` is its first batch."""
 
     def close(self) -> None:
-        """Complete what the tables share."""
+        """Complete the parts that the tables share."""
 
 
 class TableFiles:
-    """A file a table."""
+    """One file per table."""
 
     def __init__(self, kind: Callable[[Path, Columns], Table], suffix: str, folder: Path, placement: Placement) -> None:
         self._kind, self._suffix, self._folder = kind, suffix, folder
@@ -85,7 +89,7 @@ class TableFiles:
 
 
 class CsvTable(Table):
-    """UTF-8, a header; floats in the fewest digits that give the same number again, an empty cell for NaN."""
+    """UTF-8 with a header; floats in the fewest digits that give the same number again; an empty cell for NaN."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
         super().__init__()
@@ -109,12 +113,12 @@ def _length(columns: Columns) -> int:
 
 
 def _is_plain(column: NDArray[Any]) -> bool:
-    """Whether all cells are numbers that JSON has, or NaN."""
+    """Return whether every cell is a number that JSON can represent, or NaN."""
     return column.dtype.kind in "iu" or (column.dtype.kind == "f" and not np.isinf(column).any())
 
 
 def _rows(columns: Columns) -> str:
-    """Rows of numbers, by an encoder of JSON: 1.3 µs for 17 columns, where the csv module takes 5."""
+    """Return rows of numbers as text by a JSON encoder: 1.3 µs for 17 columns; the csv module takes 5 µs."""
     rows = list(zip(*(column.tolist() for column in columns.values()), strict=True))
     text = _encoder.encode_lines(rows).translate(None, b"[]").decode()
     missing = any(column.dtype.kind == "f" and np.isnan(column).any() for column in columns.values())
@@ -129,7 +133,7 @@ def _cells(column: NDArray[Any]) -> list[Any]:
 
 
 class NpzTable(Table):
-    """An array a title, as ``numpy.load`` reads it without pickling."""
+    """One array per title, readable by ``numpy.load`` without pickling."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
         super().__init__()
@@ -169,7 +173,7 @@ class NpzTable(Table):
 
 
 class ParquetTable(Table):
-    """Parquet by pyarrow, which is an extra: ``pip install 'truearm[parquet]'``."""
+    """Parquet written by pyarrow, which is an optional dependency: ``pip install 'truearm[parquet]'``."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
         import pyarrow
@@ -213,7 +217,7 @@ FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
 
 
 def check_format(name: str) -> None:
-    """Raise InputError for a format that is none or lacks its library."""
+    """Raise InputError for an unknown format, or one whose library is missing."""
     if name not in FORMATS:
         raise InputError(Argument("format"), f" {name[:40]!r} is none of {', '.join(FORMATS)}")
     if name == "parquet":

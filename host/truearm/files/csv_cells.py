@@ -1,6 +1,6 @@
 """The cells of a CSV file: rows of equal width as text, and columns of them as identifiers or numbers in SI units.
 
-Every complaint names the file, the row (as an editor counts, the header being row 1) and the column.
+Every error message names the file, the row (as an editor counts, with the header as row 1) and the column.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class Row(NamedTuple):
-    """A row that is not blank, and where an editor shows it; the header is row 1."""
+    """A row that is not blank, and its number as an editor shows it; the header is row 1."""
 
     number: int
     cells: list[str]
@@ -40,7 +40,7 @@ class Row(NamedTuple):
 def rows_of(
     lines: Iterable[str], name: str, error: type[InputError] = TableError, separator: str = ","
 ) -> Iterator[Row]:
-    """Yield the rows of lines of CSV as they come, the header among them; blank lines are skipped. Raises ``error``."""
+    """Yield the rows of CSV lines as they arrive, including the header; blank lines are skipped. Raises ``error``."""
     reader = csv.reader(lines, delimiter=separator, strict=True)
     try:
         for cells in reader:
@@ -51,18 +51,18 @@ def rows_of(
 
 
 def read_rows(text: str, name: str, error: type[InputError] = TableError) -> list[Row]:
-    """Return the rows of a text, the header among them. Raises ``error``."""
+    """Return the rows of a text, including the header. Raises ``error``."""
     return list(islice(rows_of(io.StringIO(text, newline=None), name, error), MAX_ROWS + 2))
 
 
 def check_width(row: Row, width: int, name: str, error: type[InputError] = TableError) -> None:
-    """Raise ``error`` for a row that has not as many cells as the header."""
+    """Raise ``error`` if a row does not have as many cells as the header."""
     if len(row.cells) != width:
         raise error(f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {width}")
 
 
 def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
-    """Header and rows of a table, all of one width. Raises TableError."""
+    """Return the header and the rows of a table, all of one width. Raises TableError."""
     rows = read_rows(text, name)
     if not rows:
         raise TableError(f"{name}: is empty; a table needs a header row and rows below it")
@@ -79,7 +79,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
 
 
 def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray:
-    """A column of names; "" where the column or a cell is empty."""
+    """Return a column of names; "" where the column or a cell is empty."""
     if column is None:
         return np.full(len(rows), "", dtype="U1")
     for row in rows:
@@ -101,7 +101,7 @@ def numbers(
     positive: bool = False,
     required: bool = False,
 ) -> Floats:
-    """A column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty."""
+    """Return a column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty."""
     if column is None:
         return np.full(len(rows), np.nan)
     scale = SUFFIXES[column.unit].scale
@@ -120,7 +120,7 @@ def numbers(
 
 
 def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Floats:
-    """Columns side by side (n, c), each row having all of them or none."""
+    """Return columns side by side (n, c), where each row must have all of them or none."""
     out = np.stack(columns, axis=1)
     missing = np.isnan(out)
     bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
@@ -130,12 +130,12 @@ def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Fl
 
 
 def number(cell: str, where: str) -> float:
-    """A finite decimal number."""
+    """Return a finite decimal number."""
     if not cell:
         raise TableError(f"{where}: is empty; every row needs a number here")
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
-    # float() would take "1_000" and digits of other scripts; a table with them was not written as numbers.
+    # float() would accept "1_000" and digits of other scripts; a table with these was not written as numbers.
     if len(cell) > MAX_CELL or not NUMBER.fullmatch(cell):
         raise TableError(f"{where}: {quoted(cell)} is not a number")
     return float(cell)

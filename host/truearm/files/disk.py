@@ -1,4 +1,4 @@
-"""Reading strangers' files within bounds, and writing ours so that a reader sees the old file or the new one whole."""
+"""Read external files within limits, and write files atomically: a reader sees either the old file or the new one."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from truearm.errors import Argument, InputError
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
-    """The whole of a regular file of at most ``max_bytes``; anything else raises ``error``."""
+    """Return the content of a regular file of at most ``max_bytes``. Raises ``error`` for anything else."""
     try:
         if path.is_dir():
             raise error(f"{path}: is a directory; give a file")
         if not path.exists():
             raise error(f"{path}: no such file")
-        if not path.is_file():  # a pipe or a device would block or never end
+        if not path.is_file():  # reading a pipe or a device would block or never end
             raise error(f"{path}: is not a regular file; save the data to a file first")
         with path.open("rb") as file:
             data = file.read(max_bytes + 1)
@@ -36,7 +36,7 @@ def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
 
 
 def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
-    """The text of a UTF-8 file (with or without a byte order mark), bounded as in ``read_bytes``."""
+    """Return the text of a UTF-8 file (with or without a byte order mark), with the limits of ``read_bytes``."""
     data = read_bytes(path, max_bytes, error)
     try:
         text = data.decode("utf-8-sig")
@@ -50,9 +50,9 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
 def parse_toml(
     text: str, name: str, error: type[InputError], parse_float: Callable[[str], Any] = float
 ) -> dict[str, Any]:
-    """TOML text as a dictionary; what is not TOML, or is nested beyond reason, raises ``error``.
+    """Return TOML text as a dictionary. Raises ``error`` for text that is not TOML or is nested too deeply.
 
-    ``parse_float`` makes numbers of TOML's floats, and may raise ValueError.
+    ``parse_float`` converts TOML's floats to numbers, and may raise ValueError.
     """
     try:
         return tomllib.loads(text, parse_float=parse_float)
@@ -60,14 +60,15 @@ def parse_toml(
         raise error(f"{name}: is not TOML: {exc}") from exc
     except RecursionError as exc:
         raise error(f"{name}: is nested too deeply") from exc
-    except ValueError as exc:  # tomllib passes on int()'s limit of digits and impossible dates
+    except ValueError as exc:  # tomllib passes on errors of int()'s limit of digits and of impossible dates
         raise error(f"{name}: is not usable TOML: {exc}") from exc
 
 
 def write_atomic(path: Path, text: str | bytes) -> None:
-    """Write bytes, or text as UTF-8, beside ``path`` and rename them over it; a symbolic link stays, its target is replaced.
+    """Write bytes, or text as UTF-8, to a temporary file next to ``path`` and rename it to ``path``.
 
-    Raises InputError when the folder is missing or cannot be written, or ``path`` is not a regular file.
+    If ``path`` is a symbolic link, the link remains and its target is replaced. Raises InputError if the folder is
+    missing or not writable, or if ``path`` is not a regular file.
     """
     path = _real(path)
     _check_regular(path)
@@ -80,7 +81,7 @@ def write_atomic(path: Path, text: str | bytes) -> None:
             file.write(text.encode() if isinstance(text, str) else text)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner reads
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner can read
         os.replace(temporary, path)
     except OSError as exc:
         Path(temporary).unlink(missing_ok=True)
@@ -94,7 +95,7 @@ def _umask() -> int:
 
 
 def sha256(path: Path) -> str:
-    """The SHA-256 of a file as hexadecimal text, read in blocks. Raises InputError where it cannot be read."""
+    """Return the SHA-256 of a file as hexadecimal text, read in blocks. Raises InputError if it cannot be read."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -105,16 +106,17 @@ def sha256(path: Path) -> str:
 def check_writable(
     path: Path, force: bool = True, *, inputs: Iterable[Path] = (), ours: Callable[[bytes], bool] | None = None
 ) -> None:
-    """Raise InputError when ``path`` cannot become a file, or should not.
+    """Raise InputError if ``path`` cannot become a file, or should not.
 
-    Called before long work, not instead of handling errors. ``inputs`` are files that must not be overwritten; ``ours``
-    says by its first kilobyte whether a file that exists is one that we wrote and may replace, with ``force``.
+    Called before long computations, in addition to handling errors when writing. ``inputs`` are files that must not be
+    overwritten. ``ours`` tells from the first kilobyte of an existing file whether truearm wrote it; such a file may be
+    replaced with ``force``.
     """
     try:
         _check_writable(path, inputs, ours)
         if path.exists() and not force:
             raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
-    except OSError as exc:  # a name that is too long, a folder that may not be looked into
+    except OSError as exc:  # a name that is too long, or a folder without permission
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
 
 
@@ -135,7 +137,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
 
 
 def same_file(a: Path, b: Path) -> bool:
-    """Whether two names are one file, by links too, or would be."""
+    """Return whether two names refer to one file, or would, also through links."""
     try:
         return a.samefile(b)
     except OSError:
@@ -143,15 +145,16 @@ def same_file(a: Path, b: Path) -> bool:
 
 
 def _real(path: Path) -> Path:
-    """Where a path leads; unlike ``Path.resolve`` it takes links that lead in a circle."""
+    """Return the target of a path; unlike ``Path.resolve`` this accepts circular links."""
     return Path(os.path.realpath(path))
 
 
 @contextmanager
 def working_folder(parent: Path) -> Iterator[Path]:
-    """A folder in ``parent`` that is gone afterwards; those that killed processes of this machine left there are removed.
+    """Create a temporary folder in ``parent`` and remove it afterwards.
 
-    Raises OSError where it cannot be made.
+    Folders left there by killed processes of this computer are removed too. Raises OSError if the folder cannot be
+    created.
     """
     ours = f".truearm-{re.sub(r'[^A-Za-z0-9]', '', platform.node())[:40]}-"
     for left in parent.glob(f"{ours}*"):
@@ -164,7 +167,7 @@ def working_folder(parent: Path) -> Iterator[Path]:
 
 def _is_running(process: int) -> bool:
     if os.name != "posix":
-        return True  # a signal of 0 would end it
+        return True  # a signal of 0 would end the process on Windows
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -175,9 +178,10 @@ def _is_running(process: int) -> bool:
 
 
 def own_folder(path: Path, mark: str) -> None:
-    """Make ``path`` a folder whose files we may replace: a new or empty one, or one that bears our ``mark``.
+    """Make ``path`` a folder whose files truearm may replace: a new or empty one, or one that contains the file
+    ``mark``.
 
-    Raises InputError for any other.
+    Raises InputError for any other folder.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,7 @@
-"""SESSION.labels.json: what was mounted at each dwell, settled after the recording by ``truearm relabel`` (docs/reference/session-format.md).
+"""SESSION.labels.json: what was mounted at each dwell, as settled after the recording by ``truearm relabel``.
 
-It stands beside the session, which is never written to, and names it by its SHA-256. Every decision is kept; the last one counts.
+The format is described in docs/reference/session-format.md. The file is stored next to the session, which is never
+modified, and identifies it by its SHA-256. Every decision is kept; the last one counts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ MOST_DWELLS, MOST_DECISIONS = 100_000, 1000
 
 @dataclass(frozen=True)
 class Decision:
-    """What was settled at one time. ``trust``: what was believed; ``robot``: by whose nominal model, "" for none."""
+    """Labels settled at one time. ``trust``: what was assumed correct; ``robot``: its nominal model, or ""."""
 
     trust: str
     dwells: tuple[DwellLabel, ...]
@@ -42,12 +43,15 @@ class Labels:
 
 
 def labels_path(session: Path) -> Path:
-    """Where the labels of a session stand."""
+    """Return the path of the labels of a session."""
     return session.with_name(session.stem + SUFFIX)
 
 
 def read_labels(session: Path) -> Labels | None:
-    """The labels of a session, None where there are none. Raises SessionError, also for labels that were made for another session."""
+    """Return the labels of a session, or None if it has none.
+
+    Raises SessionError, also for labels that belong to another session.
+    """
     path = labels_path(session)
     if not path.exists():
         return None
@@ -67,7 +71,7 @@ def read_labels(session: Path) -> Labels | None:
 
 
 def write_labels(session: Path, labels: Labels) -> None:
-    """Write the labels of a session whole or not at all; without a decision the file is removed. Raises InputError."""
+    """Write the labels of a session atomically; without a decision the file is removed. Raises InputError."""
     path = labels_path(session)
     if labels.decisions:
         write_atomic(path, strict_json(_document(labels), indent=1) + "\n")
@@ -79,12 +83,12 @@ def write_labels(session: Path, labels: Labels) -> None:
 
 
 def no_labels(session: Path) -> Labels:
-    """Labels without a decision."""
+    """Return labels without a decision."""
     return Labels(session.name.encode(errors="backslashreplace").decode(), sha256(session), ())
 
 
 def with_decision(labels: Labels, decision: Decision) -> Labels:
-    """The labels with a further decision."""
+    """Return the labels with one more decision."""
     return replace(labels, decisions=(*labels.decisions, decision))
 
 
@@ -155,5 +159,5 @@ _LABELS: Table[Labels] = Table(
 
 
 def last_dwells(labels: Labels | None) -> tuple[DwellLabel, ...] | None:
-    """What counts, None without labels."""
+    """Return the labels of the last decision, or None if there are no labels."""
     return None if labels is None or not labels.decisions else labels.decisions[-1].dwells

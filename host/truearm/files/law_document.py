@@ -1,4 +1,4 @@
-"""What result.json says of joint laws (docs/reference/result-format.md), and what is read of it again."""
+"""The joint laws in result.json (docs/reference/result-format.md): written and read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_JOINT = 63
 
 
 def law_document(found: JointLaws | None, held_out: Any, units: Sequence[str]) -> dict[str, Any] | None:
-    """The field ``joint_laws``; ``held_out`` makes an entry of a HeldOut, ``units`` are the residuals'."""
+    """Return the field ``joint_laws``; ``held_out`` makes an entry of a HeldOut, ``units`` are of the residuals."""
     if found is None:
         return None
     return {
@@ -69,7 +69,7 @@ def _finite(value: float) -> float | None:
 
 
 class _LawValue(ReadOnly):
-    """Which keys it has depends on its term."""
+    """A joint law as stored; its keys depend on its term."""
 
     def parse(self, raw: Any, suffix: str = "") -> Law:
         table = as_table(raw)

@@ -1,7 +1,8 @@
-"""A session's tables as JSON messages with schemas in one MCAP file, so that Foxglove and PlotJuggler plot all of them on one axis.
+"""A session's tables as JSON messages with schemas in one MCAP file, for plotting in Foxglove and PlotJuggler on one
+axis.
 
-A channel a table, a message a row; its log time is the row's place on the host's clock as UTC. A JSON schema has one type a property, and a number
-that is not known is left out of its message.
+Each table is a channel and each row a message. The log time is the time of the row on the host's clock, as UTC. A JSON
+schema gives each property one type, and unknown numbers are omitted from their message.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from truearm.files.column_writers import Columns, Placement, Table
 
 FILE = "session.mcap"
-TIMES = ("host_time_ns", "host_start_ns", "arrival_ns")  # the first that a table has
+TIMES = ("host_time_ns", "host_start_ns", "arrival_ns")  # the first of these that a table has
 TYPES = {"i": "integer", "u": "integer", "f": "number", "U": "string"}
 CHUNK_BYTES = 1 << 20
 
@@ -26,7 +27,7 @@ _encoder = msgspec.json.Encoder()
 
 
 class McapTables:
-    """One file of all tables. Samples and joint readings are thinned out to the wanted rate, everything else is whole."""
+    """One file for all tables. Samples and joint readings are thinned to the wanted rate; other tables are complete."""
 
     def __init__(self, folder: Path, placement: Placement) -> None:
         self.placement = placement
@@ -37,7 +38,7 @@ class McapTables:
         self.writer.start(profile="", library="truearm export-session")
 
     def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
-        """Return the name that a table goes by, and the table."""
+        """Return the name under which a table is stored, and the table."""
         return f"{FILE} /{name}", McapTable(self, name, columns)
 
     def close(self) -> None:
@@ -82,7 +83,7 @@ class McapTable(Table):
         return len(rows)
 
     def _thinned(self, columns: Columns, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The first row of each interval of the wanted rate, and every row behind a gap."""
+        """Return the first row of each interval at the wanted rate, and every row after a gap."""
         bins = (times * (1e-9 * self._placement.rate_hz)).astype(np.int64)
         kept = np.diff(bins, prepend=self._latest_bin) != 0
         self._latest_bin = int(bins[-1])
@@ -91,4 +92,4 @@ class McapTable(Table):
         return np.flatnonzero(kept)
 
     def close(self) -> None:
-        """See ``Table``: what its tables share completes the file."""
+        """Do nothing; see ``McapTables.close``, which completes the file."""

@@ -1,7 +1,8 @@
-"""Noise files: what ``truearm characterize`` found out about a robot and a bar, for ``truearm identify --noise``.
+"""Noise files: the noise of a robot and a bar from ``truearm characterize``, for ``truearm identify --noise``.
 
-TOML, the same words as in a rig file (docs/reference/table-format.md): ``joint_sigma_rad`` or ``joint_cov_si`` of the joint readings and
-``[[bar]]`` entries of a name and its ``sigma``. They stand in for the rig's. ``backlash_si`` and ``backlash_sigma_si`` are the joints'.
+The format is TOML with the keys of a rig file (docs/reference/table-format.md): ``joint_sigma_rad`` or ``joint_cov_si``
+for the joint readings, and ``[[bar]]`` entries with a name and its ``sigma``. They replace those of the rig.
+``backlash_si`` and ``backlash_sigma_si`` are for the joints.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ BACKLASH = (
 
 @dataclass(frozen=True)
 class NoiseFile:
-    """``joint_cov`` S_q [rad², m²], empty for none; ``bar_sigma`` [m] by the bar's name; ``name``: of the file, for messages.
+    """``joint_cov`` S_q [rad², m²], empty for none; ``bar_sigma`` [m] by the bar's name; ``name`` of the file, for
+    messages.
 
-    ``backlash`` and its sigma [rad, m]: as a Rig's.
+    ``backlash`` and its sigma [rad, m]: as in a Rig.
     """
 
     joint_cov: Matrix = ()
@@ -41,14 +43,14 @@ class NoiseFile:
 
 
 class BarSigma(NamedTuple):
-    """The spread [m] of a bar's dwells."""
+    """The standard deviation [m] of a bar's dwells."""
 
     name: str
     sigma: float
 
 
 def _checked(noise: NoiseFile) -> NoiseFile:
-    """Widths of backlash and their sigmas come together, one of each for every joint of the covariance."""
+    """Check that backlash and its sigmas are given together, one of each for every joint of the covariance."""
     cov, width, width_sigma = noise.joint_cov, noise.backlash, noise.backlash_sigma
     if (width or width_sigma) and not cov:
         raise SchemaError("backlash_si needs joint_sigma_rad or joint_cov_si, which must include half of it")
@@ -85,7 +87,7 @@ def parse_noise(text: str, name: str) -> NoiseFile:
 
 
 def with_noise(rig: Rig, noise: NoiseFile | None) -> Rig:
-    """The rig with the noise's figures in place of its own; what the noise does not name stays."""
+    """Return the rig with the values of the noise file in place of its own; other values are kept."""
     if noise is None:
         return rig
     bars = {
@@ -99,7 +101,7 @@ def with_noise(rig: Rig, noise: NoiseFile | None) -> Rig:
 
 
 def check_against_rigs(noise: NoiseFile, rigs: Mapping[str, Rig] | Rig) -> None:
-    """Raise RigError for a bar that no rig has: its sigma would silently do nothing."""
+    """Raise RigError for a bar that no rig has: its sigma would have no effect."""
     known = {bar for rig in ([rigs] if isinstance(rigs, Rig) else rigs.values()) for bar in rig.bars}
     for bar in noise.bar_sigma:
         if bar not in known:
@@ -109,7 +111,7 @@ def check_against_rigs(noise: NoiseFile, rigs: Mapping[str, Rig] | Rig) -> None:
 
 
 def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:
-    """The text of a noise file, with remarks as comments at its head. ``prismatic``: some joint slides."""
+    """Return the text of a noise file that begins with ``remarks``. ``prismatic``: some joint is prismatic."""
     head = "".join(f"{line}\n" for line in [FIRST_LINE, *(f"# {remark}" for remark in remarks), ""])
     covariance, sigmas = JOINT_COVARIANCE
     keys = (covariance if prismatic else sigmas, *BACKLASH)
@@ -117,5 +119,5 @@ def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:
 
 
 def looks_like_noise(head: bytes) -> bool:
-    """Whether a file that begins so is one that ``truearm characterize`` wrote, and so may write over."""
+    """Return whether a file with this beginning was written by ``truearm characterize`` and so may be replaced."""
     return head.startswith(FIRST_LINE.encode())

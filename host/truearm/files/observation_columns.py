@@ -1,4 +1,4 @@
-"""The columns of a table of observations: their names, units and which joint they are of (docs/reference/table-format.md)."""
+"""The columns of a table of observations: their names, units and joints (docs/reference/table-format.md)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from truearm.schema import quoted
 from truearm.units import SUFFIXES, suffixes
 
 JOINTS = {"q": ("rad", "deg", "m", "mm"), "qd": ("rad_s", "deg_s", "m_s", "mm_s")}
-MEASURED_X = ("x_m", "x_mm")  # the only titles in x_… that are not the user's own
+MEASURED_X = ("x_m", "x_mm")  # the only titles x_… that are not reserved for the user
 
 
 class Column(NamedTuple):
-    """A column of the file: its title, where it stands, and its unit."""
+    """A column of the file: its title, its position and its unit."""
 
     name: str
     position: int
@@ -25,7 +25,10 @@ class Column(NamedTuple):
 
 
 def read_header(header: list[str], name: str) -> dict[str, Column]:
-    """Columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …); columns x_… but x_m, x_mm and note are skipped."""
+    """Return columns by quantity (``kind``, ``q1``, ``length``, ``bar`` …).
+
+    Columns x_… other than x_m and x_mm are skipped, as is note.
+    """
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):
@@ -45,16 +48,17 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
 
 
 def number_units() -> dict[str, tuple[str, ...]]:
-    """The columns of numbers, joints left out, and the units that each may have at its end."""
+    """Return the columns of numbers, other than joints, with the units that each title may end in."""
     sigma = tuple(suffix for unit in registry.units() for suffix in suffixes(unit))
     measured = {c: tuple(suffixes(quantity.unit)) for quantity in registry.quantities() for c in quantity.columns}
     return {"sigma": sigma, **measured}
 
 
 def _quantity(title: str, where: str) -> tuple[str, str]:
-    """Quantity and unit of a column's title, or TableError with the title that was probably meant.
+    """Return quantity and unit of a column's title.
 
-    A ``sigma`` in another unit than metres is a quantity of its own, ``sigma_rad``: a table may have both.
+    Raises TableError with the title that was probably meant. A ``sigma`` in a unit other than metres is a separate
+    quantity, ``sigma_rad``: a table may have both.
     """
     if title == "kind" or title in registry.identifiers():
         return title, ""
@@ -71,7 +75,7 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
 
 
 def sigma_column(si: str) -> str:
-    """What the column of standard deviations in an SI unit is called."""
+    """Return the name of the column of standard deviations in an SI unit."""
     return "sigma" if si == "m" else f"sigma_{si}"
 
 
@@ -84,7 +88,7 @@ def _suggestion(title: str) -> str:
 
 
 def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None, name: str) -> list[Column]:
-    """The joint columns in joint order, checked against the robot."""
+    """Return the joint columns in joint order, checked against the robot."""
     joints = _numbered(columns, "q", name)
     if not joints:
         raise TableError(f"{name}: has no joint columns; name them q1_rad, q2_rad, ... (or q1_deg, ...)")
@@ -100,7 +104,7 @@ def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None,
 
 
 def rate_columns(columns: dict[str, Column], joints: list[Column], name: str) -> list[Column]:
-    """The columns of the joints' velocities in joint order, none or one for each joint."""
+    """Return the columns of joint velocities in joint order: none, or one for each joint."""
     rates = _numbered(columns, "qd", name)
     if rates and len(rates) != len(joints):
         raise TableError(f"{name}: has {len(joints)} joint columns but {len(rates)} of velocities; give all or none")
@@ -113,7 +117,7 @@ def rate_columns(columns: dict[str, Column], joints: list[Column], name: str) ->
 
 
 def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column]:
-    """Columns of one quantity a joint, in joint order, without gaps."""
+    """Return the columns of a quantity with one column per joint, in joint order, without gaps."""
     numbers = sorted(int(q[len(letter) :]) for q in columns if q.startswith(letter) and q[len(letter) :].isdecimal())
     missing = set(range(1, max(numbers, default=0) + 1)) - set(numbers)
     if missing:
@@ -122,5 +126,5 @@ def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column
 
 
 def base_unit(unit: str) -> str:
-    """The SI unit that a joint's column is turned into, of a velocity without its "per second"."""
+    """Return the SI unit to which a joint's column is converted; for a velocity, without "per second"."""
     return SUFFIXES[unit].si.removesuffix("/s")

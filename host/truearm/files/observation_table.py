@@ -1,8 +1,9 @@
-"""Tables of observations: CSV with the units in the column names, one row an observation (docs/reference/table-format.md).
+"""Tables of observations: CSV with units in the column names, one observation per row (docs/reference/table-format.md).
 
-A table is checked in three layers: the text is CSV of equal rows (``read_cells``), its header names known quantities with
-units (``read_header``), its cells are what their column and the row's kind demand (``parse_table``). Every complaint names
-the file, the row (as an editor or a spreadsheet counts, the header being row 1) and the column.
+A table is checked in three steps: the text is CSV with rows of equal width (``read_cells``), its header names known
+quantities with units (``read_header``), and its cells contain what their column and the row's kind require
+(``parse_table``). Every error message names the file, the row (as an editor or a spreadsheet counts, with the header as
+row 1) and the column.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ MAX_BYTES = 16 * 2**20
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
     """Read a CSV table of observations.
 
-    ``joint_units``: "rad" or "m" for each joint of the robot; given, the joint columns must match it.
-    Raises TableError with file, row and column.
+    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it. Raises
+    TableError with file, row and column.
     """
     return parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units)
 
@@ -75,13 +76,13 @@ def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
 
 
 def _measured(rows: list[Row], columns: Mapping[str, Column], quantity: Quantity, name: str) -> Floats:
-    """(n,) of one column of a quantity, (n, c) of several."""
+    """Return one column of a quantity as (n,), or several as (n, c)."""
     parts = [numbers(rows, columns.get(column), name, quantity.most) for column in quantity.columns]
     return parts[0] if len(parts) == 1 else together(parts, rows, quantity.words, name)
 
 
 def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], name: str) -> Floats:
-    """(n,) each row's in the unit of its kind."""
+    """Return the standard deviation (n,) of each row in the unit of its kind."""
     sigma = np.full(len(rows), np.nan)
     for unit in registry.units():
         column = columns.get(sigma_column(unit))
@@ -98,19 +99,19 @@ def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], na
 
 
 def _largest(column: Column) -> float:
-    """Beyond it a joint's column is in another unit than its name says."""
+    """Return the value above which a joint's column must be in another unit than its name states."""
     return UNITS[SUFFIXES[column.unit].si].largest
 
 
 def _filled(column: np.ndarray) -> np.ndarray:
-    """(n,) which rows have something in a column of identifiers or numbers."""
+    """Return a mask (n,) of the rows that are not empty in a column of identifiers or numbers."""
     return np.asarray(column != "" if column.dtype.kind == "U" else ~np.isnan(column.reshape(len(column), -1)[:, 0]))
 
 
 def _check_kinds(
     rows: list[Row], kind: np.ndarray, names: Mapping[str, np.ndarray], measured: Mapping[str, Floats], name: str
 ) -> None:
-    """Each row has the cells its kind needs and leaves empty those that would say something else."""
+    """Check that each row fills the cells its kind requires and leaves empty those that would contradict it."""
     titles = {column: with_article(column) for column in names} | {q.field: q.title for q in registry.quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
     needs = {key: [_field(column) for column in of.needs] for key, of in registry.kinds().items()}
@@ -136,7 +137,7 @@ def _field(column: str | Quantity) -> str:
 def _check_signs(
     rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], measured: Mapping[str, Floats], name: str
 ) -> None:
-    """A bar has a length; the distance from a plane may be on either side of it."""
+    """Check signs: a bar has a positive length; the distance from a plane may be on either side of it."""
     for key, of in registry.kinds().items():
         for quantity in of.quantities:
             values = measured[quantity.field].reshape(len(rows), -1)
@@ -151,7 +152,7 @@ def _check_signs(
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
-    """The rows of several tables one after the other. Raises TableError when their joints differ in number."""
+    """Return the rows of several tables one after the other. Raises TableError if their numbers of joints differ."""
     for table in tables[1:]:
         if table.q.shape[1] != tables[0].q.shape[1]:
             raise TableError(
@@ -161,9 +162,10 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
 
 
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
-    """Raise TableError for the first row that names a bar, chuck, sphere, … which the rig does not have.
+    """Raise TableError for the first row that names a bar, chuck, sphere, … that the rig does not have.
 
-    Likewise for a row that does not say which of several points it means, and what the row's kind itself refuses.
+    It is also raised for a row that does not state which of several points it refers to, and for anything that the
+    row's kind rejects.
     """
     for column, known in registry.rig_names(rig).items():
         for identifier, source in zip(table.column(column), table.source, strict=True):
@@ -182,7 +184,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
 
 
 def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
-    """The text of a table, in rad and m so that every number comes back bit for bit; ``source`` is not written."""
+    """Return the text of a table, in rad and m so that numbers are stored bit for bit; ``source`` is not written."""
     columns = table_columns(table, joint_units)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
@@ -193,7 +195,7 @@ def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
 
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
-    """Titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
+    """Return titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
     names = {column: table.column(column) for column in registry.identifiers()}
     return {
         "kind": table.kind,
@@ -203,7 +205,7 @@ def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[s
 
 
 def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Floats]:
-    """Titles and values of all columns of numbers; but for the joints only those that have any."""
+    """Return titles and values of the columns of numbers: the joints, and the others that contain any values."""
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     others: dict[str, Floats] = {}
     for quantity in registry.quantities():
@@ -219,7 +221,7 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
 
 
 def _own(unit: str) -> str:
-    """The end of a title in an SI unit."""
+    """Return the ending of a title in an SI unit."""
     return next(iter(suffixes(unit)))
 
 
@@ -228,14 +230,14 @@ def _written(number: float) -> str:
 
 
 def looks_like_table(head: bytes) -> bool:
-    """Whether a file that begins so is a table of observations, or empty."""
+    """Return whether a file with this beginning is a table of observations, or empty."""
     return not head.strip() or b"kind" in head.split(b"\n", 1)[0]
 
 
 def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str]) -> None:
-    """Write a table that ``read_table`` reads back exactly (but for ``source``).
+    """Write a table that ``read_table`` reads back exactly, except for ``source``.
 
-    Raises TableError for rows that ``read_table`` would refuse, and InputError where the file cannot be written.
+    Raises TableError for rows that ``read_table`` would reject, and InputError if the file cannot be written.
     """
     text = format_table(table, joint_units)
     try:

@@ -1,8 +1,9 @@
-"""Plan files: CSV with one row a place, in the order of the visits (docs/reference/table-format.md).
+"""Plan files: CSV with one row per pose or line, in the order of the visits (docs/reference/table-format.md).
 
-Columns ``pose, shell, bar, chuck, sphere``, then, in plans that hold more than dwells, ``move, line, target, speed_mm_s``, then ``robot``, the
-name of the robot that it was made for, which may be left out, then ``q1_rad … qj_rad``; ``pose`` counts from 0. The recorder stores the plan in the session; later a dwell is known by the
-planned joint vector that it stands at, a line by those between which it was driven.
+The columns are ``pose, shell, bar, chuck, sphere``; in plans that contain more than dwells, ``move, line, target,
+speed_mm_s``; optionally ``robot``, the name of the robot for which the plan was made; and ``q1_rad … qj_rad``. ``pose``
+counts from 0. The recorder stores the plan in the session. Later a dwell is recognised by the planned joint vector near
+it, and a line by the planned joint vectors between which it was driven.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
 ROBOT = "robot"
 MAX_ROBOT = 100  # characters of a robot's name
-FASTEST = 10.0  # m/s; a speed beyond was written in another unit
+FASTEST = 10.0  # m/s; a higher speed was written in another unit
 
 
 def concatenate(*plans: Plan) -> Plan:
-    """Several plans visited one after the other. Raises PlanError when their joints differ in number."""
+    """Return several plans, visited one after the other. Raises PlanError if their numbers of joints differ."""
     if len({plan.q.shape[1] for plan in plans}) != 1:
         raise PlanError(f"the plans are for different robots: they have {[plan.q.shape[1] for plan in plans]} joints")
     return Plan(**{name: np.concatenate([getattr(plan, name) for plan in plans]) for name in Plan.columns()})
@@ -76,7 +77,7 @@ def parse_plan(text: str, name: str) -> Plan:
 
 
 def _names(moving: bool, named: bool) -> list[str]:
-    """The columns before the joints."""
+    """Return the columns before the joints."""
     return ["pose", *IDS, *(MOTION if moving else ()), *(ROBOT,) * named]
 
 
@@ -85,7 +86,7 @@ def _joints(n_joints: int) -> list[str]:
 
 
 def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
-    """The names of one row and its kind of move against each other."""
+    """Check that the names in one row match its kind of move."""
     if cells["pose"] != str(pose):
         raise PlanError(
             f"{where}: pose is {cells['pose'][:40]!r}, expected {pose}; poses are numbered from 0 without gaps"
@@ -115,7 +116,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
 
 
 def _required(move: Move) -> tuple[str, ...]:
-    """The columns that a row must fill in."""
+    """Return the columns that a row must fill in."""
     match move:
         case Move.DWELL:
             return BAR_MOUNTED
@@ -143,8 +144,8 @@ def _angle(cell: str, where: str) -> float:
 
 
 def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
-    """Raise PlanError for the first row that names something that the rig does not have, or not the one of its targets."""
-    lines = rig.lines or dict.fromkeys(plan.line[plan.lines].tolist())  # a rig that lists none takes any
+    """Raise PlanError for the first row that names something unknown to the rig, or no target where there are several."""
+    lines = rig.lines or dict.fromkeys(plan.line[plan.lines].tolist())  # a rig that lists none accepts any
     known_names = {"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "line": lines, "target": rig.targets}
     for column, known in known_names.items():
         for pose, identifier in enumerate(getattr(plan, column)):
@@ -157,14 +158,17 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
 
 
 def check_robot(plan: Plan, robot: str, name: str, *remedy: str | Argument) -> None:
-    """Raise PlanError for a plan that says that it was made for another robot; ``remedy`` ends the message."""
+    """Raise PlanError for a plan that states that it was made for another robot; ``remedy`` ends the message."""
     others = sorted(set(plan.robot.tolist()) - {"", robot})
     if others:
         raise PlanError(f"{name}: was made for robot {', '.join(others)}, not for {robot}", *remedy)
 
 
 def format_plan(plan: Plan) -> str:
-    """The text of a plan file; every joint comes back bit for bit, a speed to a picometre a second. Plans of dwells alone have no columns of motion."""
+    """Return the text of a plan file.
+
+    Joints are stored bit for bit, speeds to 1 pm/s. Plans with dwells only have no columns of motion.
+    """
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     moving, named = not plan.dwells.all(), bool((plan.robot != "").any())
@@ -178,14 +182,14 @@ def format_plan(plan: Plan) -> str:
 
 
 def _motion(plan: Plan, pose: int) -> tuple[str, ...]:
-    """The cells of MOTION."""
+    """Return the cells of MOTION."""
     speed = float(plan.speed[pose])
     cell = "" if math.isnan(speed) else repr(round(MM_S.of(speed), 9))
     return str(plan.move[pose]), str(plan.line[pose]), str(plan.target[pose]), cell
 
 
 def looks_like_plan(head: bytes) -> bool:
-    """Whether a file that begins so is a plan."""
+    """Return whether a file with this beginning is a plan."""
     return head.startswith(b"pose,")
 
 

@@ -1,6 +1,8 @@
-"""truearm.toml: what the commands in a folder have in common, so that it need not be typed (docs/how-to/project.md).
+"""truearm.toml: the settings shared by the commands in a folder, so that they need not be typed
+(docs/how-to/project.md).
 
-The file is looked for in the working folder and in those above it, as git looks for its own. Paths in it are relative to its folder.
+The file is searched for in the working folder and in its parent folders, as git does. Paths in it are relative to its
+folder.
 """
 
 from __future__ import annotations
@@ -20,11 +22,12 @@ _LINE = Text(longest=400, one_line=True)
 
 @dataclass(frozen=True)
 class Project:
-    """What a truearm.toml says; "" for what it does not say.
+    """The content of a truearm.toml; "" for a missing entry.
 
-    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF and ``branch``, as --branch has it, for one whose file has none; ``serial`` of the robot and ``operator`` are for
-    the certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``:
-    folders that record and identify write to.
+    ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF, and ``branch`` (as for --branch)
+    for a model whose file has none. ``serial`` of the robot and ``operator`` are for the certificate. ``address``: how
+    the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``: folders that
+    record and identify write to.
     """
 
     model: str
@@ -54,7 +57,7 @@ def read_project(path: Path) -> Project:
 
 
 def format_project(project: Project) -> str:
-    """The text of a truearm.toml, with what each entry is for; what is not known yet stands there as a comment."""
+    """Return the text of a truearm.toml with the purpose of each entry; unknown entries are written as comments."""
     remarks = {
         "model": "built-in robot, robot file (.toml) or URDF (.urdf)",
         "name": "what is calibrated, as reports call it",

@@ -1,8 +1,9 @@
-"""result.json: what an identification found, for people, scripts and later commands (docs/reference/result-format.md).
+"""result.json: the result of an identification, for people, scripts and later commands
+(docs/reference/result-format.md).
 
-Strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths of the summary are in mm,
-angles in deg, parameters in the unit they name. Written whole or not at all. A checksum over its content tells damage: a digit of
-a parameter that a disk or a hand changed would else correct a robot wrongly.
+The file is strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. Lengths in the summary are in
+mm, angles in deg, parameters in the unit they name. The file is written atomically. A checksum over its content detects
+damage: a digit of a parameter altered by a disk fault or by hand would otherwise lead to a wrong correction.
 """
 
 from __future__ import annotations
@@ -53,13 +54,13 @@ SINCE_CHECKSUM = 3  # version
 CHECKSUM = "checksum"
 MAX_BYTES = 64 * 2**20
 MAX_PARAMETERS = 20_000
-MAX_TEXT = 500  # characters; a name of a parameter has at most 150
+MAX_TEXT = 500  # characters; a parameter's name has at most 150
 NO_DEFAULTS = Defaults()
 COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
 
 class Input(NamedTuple):
-    """A file that went into an identification: what it was for, its name without folders, its SHA-256."""
+    """An input file of an identification: its role, its name without folders, its SHA-256."""
 
     role: str  # "observations" | "rig" | "noise" | "robot"
     name: str
@@ -67,13 +68,16 @@ class Input(NamedTuple):
 
 
 def input_of(role: str, path: Path) -> Input:
-    """Name and hash of an input file. Folders are left out: they say where somebody works, not what was read."""
+    """Return the name and hash of an input file.
+
+    Folders are omitted: they reveal where someone works, not what was read.
+    """
     return Input(role, path.name.encode(errors="backslashreplace").decode(), sha256(path))
 
 
 @dataclass(frozen=True)
 class RobotFrames:
-    """Which chain was identified: its name, frames, and joint units ("rad" or "m")."""
+    """The identified chain: its name, frames, and joint units ("rad" or "m")."""
 
     name: str
     base_frame: str
@@ -90,7 +94,7 @@ class JointRange(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredResult:
-    """What later commands need of a result.json; arrays run over all parameters, NaN where the file has null.
+    """The parts of a result.json that later commands need; arrays run over all parameters, NaN where the file has null.
 
     ``covariance`` (f, f) runs over ``covariance_names``, the free parameters.
     """
@@ -107,12 +111,12 @@ class StoredResult:
     covariance_names: tuple[str, ...]
     covariance: Floats
     null_space: tuple[NullDirection, ...]
-    frames: tuple[NullDirection, ...]  # along which parameters were held as a choice of frame
+    frames: tuple[NullDirection, ...]  # along which parameters were fixed as a choice of frame
     still: tuple[StillJoint, ...]
-    lost: tuple[str, ...]  # parameters that were held as those joints stood still
-    laws: tuple[Law, ...]  # joint laws whose parameters follow the robot's own
+    lost: tuple[str, ...]  # parameters fixed because their joints did not move
+    laws: tuple[Law, ...]  # joint laws; their parameters follow the robot's own
     document: Mapping[str, Any]  # the whole file as parsed
-    joint_range: JointRange | None = None  # None: of an earlier version
+    joint_range: JointRange | None = None  # None: written by an earlier version
 
 
 def document_of(
@@ -125,10 +129,11 @@ def document_of(
     predicted: PredictedError | None = None,
     defaults: Defaults = NO_DEFAULTS,
 ) -> dict[str, Any]:
-    """The content of result.json for an estimate from ``table``.
+    """Return the content of result.json for an estimate from ``table``.
 
-    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior; ``predicted`` is
-    how far the tool may be off, ``defaults`` what is held or believed without having been asked for.
+    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior. ``predicted``
+    is the predicted error of the tool. ``defaults`` are the fixed parameters and the assumptions that the user did not
+    ask for.
     """
     names = np.array(estimate.parameter_names)
     units = residual_units(estimate)
@@ -200,18 +205,21 @@ def document_of(
 
 
 def _coefficients(estimate: Estimate) -> int:
-    """Parameters of joint laws: the evidence's prior holds them, so that they count neither as free nor in the rank."""
+    """Return the number of joint-law parameters.
+
+    The prior of the evidence constrains them, so they count neither as free nor in the rank.
+    """
     return sum(law.size for law in estimate.joint_laws.kept) if estimate.joint_laws else 0
 
 
 def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a result with the checksum of it, last."""
+    """Return the content of a result with its checksum as the last entry."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
     return {**content, CHECKSUM: checksum(content)}
 
 
 def checksum(document: Mapping[str, Any]) -> str:
-    """SHA-256 of a result's content, whatever its layout. Raises ValueError for numbers that are not finite."""
+    """Return the SHA-256 of a result's content, independent of its layout. Raises ValueError for non-finite numbers."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -228,13 +236,13 @@ def _defaults(defaults: Defaults) -> dict[str, Any]:
 
 
 def residual_units(estimate: Estimate) -> list[str]:
-    """The SI units of the residuals, fitted or held out."""
+    """Return the SI units of the residuals, fitted or held out."""
     held_out = estimate.held_out.figures if estimate.held_out else {}
     return [si for si in UNITS if si in estimate.rms_before or si in held_out]
 
 
 def _by_unit(name: str, values: Mapping[str, float], units: Sequence[str]) -> dict[str, float | None]:
-    """A number of each unit, in the unit that a person sees, which ends its key; None where there is none."""
+    """Return a number for each unit, in the display unit, which ends its key; None if there is no number."""
     return {key(name, si): shown_or_null(values.get(si, math.nan), si) for si in units}
 
 
@@ -311,12 +319,12 @@ def _explanation(one: Explanation) -> dict[str, Any]:
 
 
 def _source(table: ObservationTable, row: int) -> str:
-    """Where a row comes from, without the folder, as in ``input_of``."""
+    """Return the source of a row, without the folder, as in ``input_of``."""
     return Path(str(table.source[row])).name
 
 
 def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
-    """The mean error where nothing was fitted, by unit; None where the declared noise explains the residuals."""
+    """Return the mean error where nothing was fitted, by unit; None if the declared noise explains the residuals."""
     if not estimate.unexplained:
         return None
     out: dict[str, Any] = {"by": "cross-validation"}
@@ -329,14 +337,14 @@ def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
 
 
 def _pose_error(error: PoseError | None) -> dict[str, Any] | None:
-    """What the rows of one pose share beyond chance."""
+    """Return the error shared by the rows of one pose, beyond chance."""
     if error is None:
         return None
     return {"sigma_mm": shown_or_null(error.sigma, "m"), "row_variance": number_or_null(error.row), "n": error.n}
 
 
 def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
-    """The fit of all rows, where bad ones were left out."""
+    """Return the fit of all rows, if outliers were left out."""
     every = estimate.with_outliers
     if every is None:
         return None
@@ -350,7 +358,7 @@ def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] |
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
-    """The rows beyond the gate, the farthest first."""
+    """Return the rows beyond the gate, the farthest first."""
     rows = np.flatnonzero(estimate.suspect)
     return [
         {
@@ -363,7 +371,7 @@ def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any
 
 
 def systematic_entries(found: SystematicErrors | None, table: ObservationTable) -> dict[str, Any]:
-    """The fields ``systematic`` and ``without_systematic`` for what was found to be off in the table's rows."""
+    """Return the fields ``systematic`` and ``without_systematic`` for systematic errors found in the table's rows."""
     if found is None:
         return {"systematic": [], "without_systematic": None}
     would_be = {
@@ -375,7 +383,7 @@ def systematic_entries(found: SystematicErrors | None, table: ObservationTable) 
 
 
 def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
-    """Rows count from 1, the last one included."""
+    """Return one systematic error; rows count from 1, the last one included."""
     (first, last), effect = found.rows, found.effect
     return {
         "what": None if effect is None else effect.what,
@@ -400,7 +408,7 @@ def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, An
 
 
 def _over(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
-    """What a drift is linear in, and how much that changes over its rows: ``over_s`` or ``over_degc``."""
+    """Return the quantity in which a drift is linear and its change over the rows: ``over_s`` or ``over_degc``."""
     drift, rows = None if found.effect is None else found.effect.drifts_with, slice(*found.rows)
     match drift:
         case None:
@@ -446,7 +454,7 @@ def _predicted(predicted: PredictedError | None) -> dict[str, Any] | None:
 
 
 def format_document(value: Any, indent: int = 0) -> str:
-    """JSON with one line for each innermost list or object, so that a covariance has as many lines as rows."""
+    """Return JSON with one line for each innermost list or object, so that a covariance has one line per row."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     if not any(isinstance(item, dict | list) for item in inner):
         return json.dumps(value, allow_nan=False)
@@ -460,12 +468,12 @@ def format_document(value: Any, indent: int = 0) -> str:
 
 
 def looks_like_result(head: bytes) -> bool:
-    """Whether a file that begins so is a result, or empty."""
+    """Return whether a file with this beginning is a result, or empty."""
     return not head.strip() or (head.lstrip().startswith(b"{") and b'"truearm' in head)
 
 
 def write_result(path: Path, document: Mapping[str, Any]) -> None:
-    """Write result.json whole or not at all. Raises InputError when the place cannot be written."""
+    """Write result.json atomically. Raises InputError if it cannot be written there."""
     write_atomic(path, format_document(dict(document)) + "\n")
 
 
@@ -475,7 +483,7 @@ def read_result(path: Path) -> StoredResult:
 
 
 def parse_result(text: str, name: str) -> StoredResult:
-    """Parse the text of a result.json; see ``read_result``. Unknown fields, of later versions, are skipped."""
+    """Parse the text of a result.json; see ``read_result``. Unknown fields, from later versions, are skipped."""
     document = _json_object(text, name)
     if document.get("format") != FORMAT:
         raise InputError(f"{name}: is not a result of truearm identify (its format is not {FORMAT!r})")
@@ -492,7 +500,7 @@ def parse_result(text: str, name: str) -> StoredResult:
 
 
 def _check_whole(document: Mapping[str, Any]) -> None:
-    """Raise SchemaError for content that is not what was written."""
+    """Raise SchemaError if the content is not what was written."""
     try:
         whole = document.get(CHECKSUM) == checksum(document)
     except (ValueError, RecursionError):
@@ -506,7 +514,7 @@ def _json_object(text: str, name: str) -> dict[str, Any]:
         document = json.loads(text, parse_constant=_refuse_constant)
     except RecursionError as exc:
         raise InputError(f"{name}: is nested too deeply") from exc
-    except ValueError as exc:  # JSONDecodeError, constants such as NaN, integers beyond reason
+    except ValueError as exc:  # JSONDecodeError, constants such as NaN, integers that are too large
         raise InputError(f"{name}: is not strict JSON: {exc}") from exc
     if not isinstance(document, dict):
         raise InputError(f"{name}: is not a JSON object")
@@ -519,7 +527,7 @@ def _refuse_constant(constant: str) -> float:
 
 @dataclass(frozen=True)
 class _JsonNumber(ReadOnly):
-    """A finite number, or NaN for ``null`` where that may stand for it."""
+    """A finite number, or NaN for ``null`` where that is allowed."""
 
     null: bool = True
 
@@ -528,7 +536,7 @@ class _JsonNumber(ReadOnly):
             return math.nan
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise SchemaError(f"{quoted(raw)} is not a number")
-        if not abs(raw) <= sys.float_info.max:  # JSON's 1e999, or an integer that has no float
+        if not abs(raw) <= sys.float_info.max:  # JSON's 1e999, or an integer too large for a float
             raise SchemaError("not a finite number")
         return float(raw)
 
@@ -559,7 +567,7 @@ class _StoredCovariance(NamedTuple):
 
 
 def _later(keys: tuple[Key, ...], make: Callable[..., Any]) -> Table[Any]:
-    """A table to which a later version may have added keys."""
+    """Return a table to which a later version may have added keys."""
     return Table(keys, make, unknown_keys=True)
 
 
@@ -600,7 +608,7 @@ _RESULT = _later(
         Key("covariance", _COVARIANCE),
         Key("null_space", _many(_DIRECTION)),
         Key("joint_laws", Nullable(LAWS), optional=True),
-        Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions hold nothing
+        Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions have nothing here
         Key("joint_range", _JOINT_RANGE, optional=True),
     ),
     dict,
@@ -608,7 +616,7 @@ _RESULT = _later(
 
 
 def stored_result(document: Mapping[str, Any]) -> StoredResult:
-    """What later commands need of the content of a result.json. Raises SchemaError for a wrong field."""
+    """Return the parts of a result.json that later commands need. Raises SchemaError for a wrong field."""
     fields = _RESULT.parse(document)
     parameters: tuple[_StoredParameter, ...] = fields["parameters"]
     covariance: _StoredCovariance = fields["covariance"]

@@ -1,6 +1,6 @@
-"""Rig files: TOML that says what stands around the robot (docs/reference/table-format.md).
+"""Rig files: TOML that describes the equipment around the robot (docs/reference/table-format.md).
 
-The entries are declared by the kinds of observation that use them; the file is read and written by these declarations.
+The kinds of observation declare the entries that they use; the file is read and written by these declarations.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def parse_rig(text: str, name: str) -> Rig:
 
 
 def format_rig(rig: Rig) -> str:
-    """The text of a rig file, in metres so that every number comes back bit for bit."""
+    """Return the text of a rig file, in metres so that numbers are stored bit for bit."""
     return RIG.format(rig)
 
 
 def looks_like_rig(head: bytes) -> bool:
-    """Whether a file that begins so is a rig, with one of its own keys."""
+    """Return whether a file with this beginning is a rig, with one of its keys."""
     first = head.partition(b"=")[0].strip().decode(errors="replace")
     return any(first in key.spellings for key in RIG.keys)
 

@@ -1,4 +1,4 @@
-"""A robot as a user names it: a built-in robot by name, a robot file (TOML) or a URDF by path."""
+"""Load the robot that a user names: a built-in robot by name, a robot file (TOML) or a URDF by path."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_BYTES = 8_000_000
 
 
 class RobotChoice(NamedTuple):
-    """A robot as it is named on the command line: a built-in name or a file, and links of a URDF; None for the default."""
+    """A robot as named on the command line: a built-in name or a file, and links of a URDF; None for the default."""
 
     robot: str | None = None
     base: str | None = None
@@ -27,13 +27,13 @@ class RobotChoice(NamedTuple):
 
     @property
     def files(self) -> list[Path]:
-        """The file that it names, if it names one. Raises RobotError."""
+        """Return the file that it names, if any. Raises RobotError."""
         path = None if self.robot is None else robot_file(self.robot)
         return [] if path is None else [path]
 
 
 def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
-    """The robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.
+    """Return the robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.
 
     Raises RobotError that names the file, or lists the built-in robots.
     """
@@ -52,7 +52,7 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
 
 
 def robot_file(robot: str) -> Path | None:
-    """The file that a user named as the robot, None for a built-in robot. Raises RobotError where it is neither."""
+    """Return the file that a user named as the robot; None for a built-in robot. Raises RobotError if it is neither."""
     if robot in builtin_names():
         return None
     path = Path(robot)
@@ -64,7 +64,7 @@ def robot_file(robot: str) -> Path | None:
 
 
 def is_urdf(robot: str) -> bool:
-    """Whether a user named a URDF as the robot. Raises RobotError as ``robot_file`` does."""
+    """Return whether a user named a URDF as the robot. Raises RobotError as ``robot_file`` does."""
     path = robot_file(robot)
     return path is not None and path.suffix.lower() != ".toml"
 

@@ -1,4 +1,4 @@
-"""Strict JSON, which knows neither NaN nor infinity."""
+"""Strict JSON, which has neither NaN nor infinity."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from truearm.units import shown
 
 
 def number_or_null(value: Any) -> float | None:
-    """Return a number for JSON, None where it is not finite."""
+    """Return a number for JSON, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
 def numbers_or_null(values: Iterable[Any]) -> list[float | None]:
-    """Return numbers for JSON, None for each that is not finite."""
+    """Return numbers for JSON, with None for each that is not finite."""
     return [number_or_null(value) for value in values]
 
 
 def shown_or_null(value: Any, si: str) -> float | None:
-    """Return a value in SI for JSON, in the unit that a person sees; None where it is not finite."""
+    """Return an SI value for JSON, in the display unit; None if it is not finite."""
     return number_or_null(shown(value, si))
 
 
 def without_nan(value: Any) -> Any:
-    """Return a JSON value with null in place of every number that is not finite; tuples become lists."""
+    """Return a JSON value with null in place of every non-finite number; tuples become lists."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,8 +1,8 @@
-"""Tables of targets (CSV) and of what became of them (docs/reference/target-format.md).
+"""Tables of targets (CSV) and of their corrections (docs/reference/target-format.md).
 
 A row is a pose of the end: ``x_mm, y_mm, z_mm`` (or ``_m``) and, unless only positions matter, its rotation vector
-``rx_deg, ry_deg, rz_deg`` (or ``_rad``). ``q1_deg …`` (or ``_rad``, ``_mm``, ``_m``) are joint readings near those that the
-controller will take; without them the configuration is searched for. ``name`` is the user's own.
+``rx_deg, ry_deg, rz_deg`` (or ``_rad``). ``q1_deg …`` (or ``_rad``, ``_mm``, ``_m``) are joint readings near those that
+the controller will choose; without them the configuration is searched for. ``name`` is free for the user.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ MAX_TARGETS = 100_000
 NAME = Key("name", IDENTIFIER)
 XYZ = tuple(Key(name, Number("m")) for name in "xyz")
 TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))
-RESULTS = re.compile(r"(before|after)_(mm|deg)|told_.*|x_.*")  # columns of ours in a table that is corrected again
+RESULTS = re.compile(r"(before|after)_(mm|deg)|told_.*|x_.*")  # truearm's columns in a table that is corrected again
 
 
 class Targets(NamedTuple):
     """n targets as read."""
 
-    pose: Floats  # (n, 4, 4); the orientation is the identity where the table has none
+    pose: Floats  # (n, 4, 4); the orientation is the identity if the table has none
     oriented: bool
     q_start: Floats | None  # (n, j)
     name: Strings  # (n,)
@@ -95,7 +95,7 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
 
 
 def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], name: str) -> Floats | None:
-    """Columns of numbers side by side (n, k), of which a table has all or none."""
+    """Return columns of numbers side by side (n, k); a table must have all of them or none."""
     missing = [key for key in keys if key.name not in columns]
     if len(missing) == len(keys):
         return None
@@ -110,9 +110,9 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
 def format_corrected(
     targets: Targets, commanded: Floats, q: Floats, before: Floats, after: Floats, joint_units: Sequence[str]
 ) -> str:
-    """The table to tell a controller: false targets, corrected joint readings, and errors [mm, deg] before and after.
+    """Return the table for a controller: false targets, corrected joint readings, errors [mm, deg] before and after.
 
-    Positions and joints have 1e-7 mm and 1e-9 deg, less than any controller takes.
+    Positions and joints are written to 1e-7 mm and 1e-9 deg, finer than any controller accepts.
     """
     turn = DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())
     titles = ["name", "x_mm", "y_mm", "z_mm", *(["rx_deg", "ry_deg", "rz_deg"] if targets.oriented else [])]
@@ -132,5 +132,5 @@ def format_corrected(
 
 
 def looks_like_targets(head: bytes) -> bool:
-    """Whether a file that begins so is a table of corrected targets, or empty."""
+    """Return whether a file with this beginning is a table of corrected targets, or empty."""
     return not head.strip() or b"after_mm" in head.split(b"\n", 1)[0]

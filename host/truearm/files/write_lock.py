@@ -1,7 +1,9 @@
-"""Who writes a file holds it, so that another program can tell a recording that goes on from one whose recorder was killed.
+"""The process that writes a file holds a lock on it, so that other programs can see whether a recording is still
+running.
 
-The lock is the operating system's (``flock``): it goes with the process, however that ends. Nobody is kept from reading or deleting.
-Where the system has none, or a network drive refuses it, a file that was written to a moment ago counts as held.
+The lock is the operating system's (``flock``): it is released when the process ends, in whatever way. It prevents
+nobody from reading or deleting the file. If the system has no locks, or a network drive refuses them, a file that was
+written to recently counts as held.
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ A_MOMENT_S = 5.0  # a recorder writes every second
 
 
 def hold(file: BinaryIO) -> None:
-    """Hold a file that is open to write until it is closed."""
+    """Hold a file that is open for writing until it is closed."""
     if fcntl is not None:
-        with suppress(OSError):  # a drive without locks, or one who reads it now: the recording goes on
+        with suppress(OSError):  # a drive without locks, or another process reads it now: the recording continues
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def is_held(path: Path) -> bool:
-    """Whether some process writes to a file."""
+    """Return whether some process is writing to a file."""
     if fcntl is not None:
         try:
             with path.open("rb") as file:
