@@ -1,13 +1,15 @@
-"""A short run that tells how well a robot repeats: a few poses, each reached many times from both sides of every joint.
+"""A short plan to measure a robot's repeatability: a few poses, each approached many times from both sides of every
+joint.
 
-At each pose the robot first rests long, for the noise of sensor and readings. Then it goes a little away and comes back, again
-and again, every joint from a side of its own: the sides of a round are the rows of a Hadamard matrix, so that each joint comes from
-both sides equally often and independently of all others, and what each of them does to the bar can be told from the same
-few visits (Plackett and Burman, Biometrika 33, 1946). The order of a round is drawn again each time, so that a drift is
-no direction. The bar stays on: how far a joint goes away is what the bar's travel leaves to it.
+At each pose the robot first stands still for a long time, to measure the noise of sensor and readings. Then it
+repeatedly moves a short way off and comes back, with each joint approaching from its own side. The sides of a round are
+the rows of a Hadamard matrix, so each joint approaches equally often from both sides and independently of all others,
+and the same few visits separate the effects of the joints on the bar (Plackett and Burman, Biometrika 33, 1946). Each
+round has a new random order, so that drift is not correlated with a direction. The bar stays on: the bar's free travel
+limits how far a joint moves off.
 
-The poses are those at which the bar says most of every joint: greedily, the largest sum over the joints of the logarithm of
-the squared derivatives of the length summed over the poses.
+The poses are those at which the bar is most informative about every joint. They are chosen greedily to maximise the
+sum, over the joints, of the logarithm of the squared derivatives of the length summed over the poses.
 """
 
 from __future__ import annotations
@@ -27,14 +29,14 @@ from truearm.plan.shells import candidates
 from truearm.progress import steps_of
 from truearm.types import Floats, Plan
 
-FARTHEST = 0.05  # rad that a joint goes away
-LEAST = 1.5e-3  # rad; nearer, a stop's side could be taken for a swing
-SHARE = 0.9  # of the free travel, that all joints together may use
+FARTHEST = 0.05  # rad that a joint moves off
+LEAST = 1.5e-3  # rad; with less, the side of a stop could be mistaken for a swing
+SHARE = 0.9  # of the free travel, for all joints together
 SHELL = "characterize"
 
 
 class ApproachesWanted(NamedTuple):
-    """How many poses, rounds of visits to each, and seconds of long rest at each."""
+    """The number of poses, the number of rounds of visits to each, and the seconds of the long dwell at each."""
 
     n_poses: int = 4
     rounds: int = 4
@@ -44,7 +46,7 @@ class ApproachesWanted(NamedTuple):
 
 
 def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace: Pace) -> Route:
-    """The route: via points with the bar on, poses, repeated rows where the rest is long. Raises PlanError."""
+    """Return the route: via points with the bar on, poses, and repeated rows for long dwells. Raises PlanError."""
     found = candidates(site, [pairing], wanted.n_candidates, wanted.seed)
     derivatives = length_derivatives(site, found.q, pairing)
     both = list(zip(found.q, derivatives, strict=True))
@@ -61,7 +63,7 @@ def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace
     usable = np.flatnonzero(reached)
     chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
     rng = np.random.default_rng([wanted.seed, 0xC4A2])
-    stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is put on there
+    stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is mounted there
     for pose in steps_of(chosen.tolist(), "planning ways between poses"):
         q, step = found.q[pose], away[pose]
         assert step is not None
@@ -79,15 +81,15 @@ def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace
 
 
 def approach_directions(joints: int) -> Floats:
-    """From which side each joint comes (k, j), ±1: columns of a Hadamard matrix but for its first, which is constant."""
+    """Return the side from which each joint comes (k, j), ±1: Hadamard columns without the constant first one."""
     order = 1 << int(joints).bit_length()
     return np.asarray(hadamard(order)[:, 1 : joints + 1], dtype=np.float64)
 
 
 def most_informative(derivatives: Floats, n: int) -> list[int]:
-    """The n of all poses (p, j) at which the length says most of every joint, greedily."""
+    """Return the n of all poses (p, j) at which the length is most informative about every joint, chosen greedily."""
     squared = np.square(derivatives)
-    total = np.full(squared.shape[1], 1e-6)  # m²/rad²: a joint that no pose shows is hopeless, not infinitely wanted
+    total = np.full(squared.shape[1], 1e-6)  # m²/rad²: limits the gain for a joint that no pose shows
     chosen: list[int] = []
     for _ in range(n):
         gain = np.sum(np.log(total + squared), axis=1)
@@ -98,7 +100,7 @@ def most_informative(derivatives: Floats, n: int) -> list[int]:
 
 
 def length_derivatives(site: Site, q: Floats, pairing: Pairing) -> Floats:
-    """∂length/∂joints (n, j) of the bar at joints q (n, j)."""
+    """Return ∂length/∂joints (n, j) of the bar at joints q (n, j)."""
     _, mounted = pairing.of(site.rig)
     trace = trace_point(site.arm.chain, site.arm.params, q, mounted.p_sphere)
     vector = trace.p_base - mounted.p_chuck
@@ -106,7 +108,7 @@ def length_derivatives(site: Site, q: Floats, pairing: Pairing) -> Floats:
 
 
 def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None:
-    """How far each joint (j,) may go away from a pose, whatever the sides; None where the bar leaves too little."""
+    """Return how far each joint (j,) may move off a pose, for any sides; None if the bar's travel is too short."""
     bar, mounted = pairing.of(site.rig)
     length = np.linalg.norm(
         point_forward(site.arm.chain, site.arm.params, q[None], mounted.p_sphere)[0] - mounted.p_chuck
@@ -124,7 +126,7 @@ def _away(site: Site, q: Floats, jac: Floats, pairing: Pairing) -> Floats | None
 
 
 def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int) -> tuple[Floats, bool]:
-    """Via points between two poses, and whether the bar comes off on the way."""
+    """Return via points between two poses, and whether the bar is removed on the way."""
     via = way_with_bar(site, start, end, pairing)
     if via is not None:
         return via, False

@@ -1,4 +1,4 @@
-"""A plan of ball-bar poses: candidates on shells, the best of them, their route, and what it will all tell."""
+"""A plan of ball-bar poses: candidates on shells, the choice among them, their route, and a forecast of the result."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from truearm.plan.shells import candidates
 from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
 
-TRIALS = 6  # numbers of poses tried to meet a budget in minutes
-# Poses for each of the robot's free parameters from which bars are doubted. With two bars 40 poses for 36 parameters would pay 11 %,
-# 150 poses 5 %.
+TRIALS = 6  # numbers of poses tried to meet a time budget
+# Poses per free parameter of the robot from which bars are considered uncertain. With two bars, 40 poses for 36
+# parameters would cost 11 %, 150 poses 5 %.
 DOUBTED_FROM = 8
-MOVE = 5.0  # s from one pose to the next, via points included, as plans of the three arms have it
-COORDINATES = 3  # of a point that nobody measured
-MEETS = 0.95  # of the budget, from which on it is not tried any further
+MOVE = 5.0  # s from one pose to the next, including via points, as in plans for the three arms
+COORDINATES = 3  # of a point that was not measured
+MEETS = 0.95  # of the budget; a plan that uses this much is not improved further
 
 
 class Wanted(NamedTuple):
-    """How much is to be measured, and what it is to be good for."""
+    """How much to measure, and the purpose of the measurement."""
 
     n_poses: int | None = None
     minutes: float | None = None
@@ -42,14 +42,14 @@ class Wanted(NamedTuple):
     n_candidates: int = 5000
     spread: float = 0.0  # m
     seed: int = 0
-    visits: Visits = ONCE  # ``n_poses`` counts check poses every time
+    visits: Visits = ONCE  # ``n_poses`` counts every visit of a check pose
 
 
 class BallBarPlan(NamedTuple):
     """A route and its forecast.
 
-    ``route.plan`` are the poses, ``route.visits`` the plan with the places on the way, ``route.minutes`` its duration.
-    ``forecast`` has the ``names`` of the free parameters, their ``sigma`` and the ``rank`` that the plan will reach.
+    ``route.plan`` has the poses, ``route.visits`` the plan including via points, ``route.minutes`` its duration.
+    ``forecast`` has the ``names`` of the free parameters, their ``sigma`` and the expected ``rank``.
 
     Examples
     --------
@@ -65,9 +65,9 @@ class BallBarPlan(NamedTuple):
 
 
 def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
-    """Return the arm before its rig, at the parameters that are known now.
+    """Return the arm without its rig, at the current parameters.
 
-    Raises PlanError unless the arm has a branch and six joints or more, without which it cannot turn the tool at will.
+    Raises PlanError unless the arm has a branch and at least six joints; with fewer it cannot orient the tool freely.
     """
     if len(known.chain.joints) < 6:
         raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; a plan needs six or more")
@@ -76,7 +76,7 @@ def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site
 
 
 def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
-    """Every chuck with every sphere, for some bars or, by default, all. Raises PlanError for what the rig lacks."""
+    """Return every chuck with every sphere, for some bars or, by default, all. Raises PlanError for missing items."""
     missing = [bar for bar in bars if bar not in rig.bars]
     if missing:
         raise PlanError(f"bar {missing[0]!r} is not in the rig, which has {', '.join(rig.bars) or 'none'}")
@@ -94,9 +94,9 @@ def plan_ballbar(
     pace: Pace,
     region: Region | None = None,
 ) -> BallBarPlan:
-    """Candidates, choice, route and forecast. ``region``: default the box around the places of the shells.
+    """Plan ball-bar poses: candidates, choice, route and forecast. ``region``: by default the box around the shells.
 
-    Raises PlanError for a budget that is none or too small, and what the parts raise.
+    Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
         raise PlanError("give a budget: either a number of poses or minutes")
@@ -133,9 +133,11 @@ def plan_ballbar(
 
 
 def _told(known: Known, found: Plan, best: Plan) -> NDArray[np.bool_]:
-    """(n,) the candidates whose chuck and sphere have none or enough of the ``best`` poses to say more than where they are themselves.
+    """Return a mask (n,) of the candidates whose chuck and sphere are worth mounting.
 
-    A chuck that nobody measured has three unknown coordinates: as many readings or fewer say nothing of the arm, and cost a mount.
+    These have none of the ``best`` poses, or enough of them to determine more than their own position. A chuck that was
+    not measured has three unknown coordinates: three readings or fewer carry no information on the arm, and cost a
+    mount.
     """
     told = np.ones(len(found), dtype=bool)
     for column, points in (("chuck", known.rig.chucks), ("sphere", known.rig.spheres)):
@@ -151,10 +153,11 @@ def _told(known: Known, found: Plan, best: Plan) -> NDArray[np.bool_]:
 
 
 def with_doubted_bars(known: Known) -> Known:
-    """Return what is known if the bars' zeros are known no better than to a weak σ (1 mm).
+    """Return what is known if the bars' zeros are known only to a weak σ (1 mm).
 
-    Poses that are chosen so still tell the arm if a bar turns out to be wrong, or to drift, and has to be estimated: of the demo's arm with one bar
-    the tool's error is then 1.20 times that of a right bar, where it was 1.31, and a right bar pays 1 to 2 % for it.
+    Poses chosen this way still determine the arm if a bar turns out to be wrong or to drift and must be estimated. For
+    the demo's arm with one bar, the tool's error is then 1.20 times that with a correct bar, compared with 1.31
+    otherwise. With a correct bar this costs 1 to 2 %.
     """
     weak = UNITS["m"].weak_sigma
     bars = {name: replace(bar, zero_sigma=max(bar.zero_sigma, weak)) for name, bar in known.rig.bars.items()}
@@ -162,13 +165,13 @@ def with_doubted_bars(known: Known) -> Known:
 
 
 def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, most: int, visits: Visits) -> Plan:
-    """Poses that make ``n`` visits with the check poses among them; the first mount may have fewer poses than are wanted."""
+    """Return poses that make ``n`` visits including check poses; the first mount may have fewer poses than wanted."""
     best = chosen(max(n - 2 * visits.check_poses, 1) if n <= most else n)
     for _ in range(TRIALS):
         short = n - len(best) - n_checks(site, best, visits)
         if (
             short < 0
-        ):  # a further pose of the first mount is a check pose too, so the number may jump: the largest mount spares some
+        ):  # another pose of the first mount is also a check pose, so the number may jump; the largest mount drops some
             _, mount, size = np.unique(pairing_names(best), axis=0, return_inverse=True, return_counts=True)
             spared = np.flatnonzero(mount.ravel() == np.argmax(size))[short:]
             best = best.select(np.setdiff1d(np.arange(len(best)), spared))
@@ -179,12 +182,12 @@ def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, most: int, vis
 
 
 def pairing_names(plan: Plan) -> NDArray[np.str_]:
-    """(n, 3) bar, chuck and sphere of each pose."""
+    """Return bar, chuck and sphere of each pose (n, 3)."""
     return np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
 
 
 def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pace) -> Route:
-    """As many poses as the minutes allow: the time is nearly linear in their number, so few trials meet it."""
+    """Return as many poses as the minutes allow. The time is almost linear in their number, so few trials suffice."""
     most = min(most, int(60.0 * minutes / pace.dwell))
     n, best, low, high = min(most, 60), None, 0, most + 1
     for _ in range(TRIALS):
@@ -206,7 +209,7 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
 
 
 def _aim(site: Site, found: Plan, region: Region | None, seed: int) -> Aim:
-    """Poses of the region, with the middle of the spheres in it; all spheres count."""
+    """Return poses of the region that contain the centre of the spheres; all spheres count."""
     middle = np.mean([sphere.xyz for sphere in site.rig.spheres.values()], axis=0)
     if region is None:
         region = around(sphere_places(site, found))
@@ -214,6 +217,6 @@ def _aim(site: Site, found: Plan, region: Region | None, seed: int) -> Aim:
 
 
 def sphere_places(site: Site, plan: Plan) -> Floats:
-    """(n, 3) where each pose has the sphere that its bar holds."""
+    """Return the position (n, 3) of the sphere that each pose's bar holds."""
     p_sphere = np.array([site.rig.spheres[name].xyz for name in plan.sphere])
     return point_forward(site.arm.chain, site.arm.params, plan.q, p_sphere)

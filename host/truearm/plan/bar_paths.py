@@ -1,9 +1,10 @@
-"""Ways between poses that keep the bar on: straight in joint space, with via points where the bar would run out.
+"""Paths between poses with the bar on: straight in joint space, with via points where the bar would exceed its travel.
 
-Halfway between two poses of a shell a straight joint move leaves the shell. Where some sample of a move leaves the limits,
-its middle is brought back onto the shell by the smallest change of joints (Δq = J_dᵀ(J_d J_dᵀ)⁻¹(zero − d), J_d = ∂d/∂q),
-becomes a via point (Goswami 1993, Data collection), and both halves are tried alike, to DEEPEST halvings. Where that
-finds nothing the bar has to be taken off for the move. Moves without a bar may detour over a pose of the branch.
+A straight joint move between two poses of a shell leaves the shell halfway. If some sample of a move violates the
+limits, the middle of the move is brought back onto the shell by the smallest change of joints (Δq = J_dᵀ(J_d
+J_dᵀ)⁻¹(zero − d), J_d = ∂d/∂q) and becomes a via point (Goswami 1993, Data collection). Both halves are then treated in
+the same way, up to DEEPEST halvings. If no path is found, the bar must be removed for the move. Moves without a bar may
+detour through a pose of the branch.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from truearm.plan.measurement_limits import STEP, Pairing, Site, all_allowed
 from truearm.types import Floats
 
 DEEPEST = 4  # halvings: at most 15 via points
-STEPS = 5  # of Newton's method; the third is exact to rounding for half a shell's bulge
-PEAK = 15.0 / 8.0  # of a quintic's speed over its mean
-SHORTEST = 0.2  # s of a move
-BETWEEN = 1.005  # a speed may peak between two samples: by (6 joints · STEP/2)²/6 at most, 0.24 %, and as much again
-DETOURS = 60  # poses of the branch that a move without a bar may go over
+STEPS = 5  # of Newton's method; the third is exact to rounding for half the bulge of a shell
+PEAK = 15.0 / 8.0  # peak speed of a quintic relative to its mean
+SHORTEST = 0.2  # s for a move
+BETWEEN = 1.005  # a speed may peak between two samples: by at most (6 joints · STEP/2)²/6 = 0.24 %; twice that
+DETOURS = 60  # poses of the branch through which a move without a bar may pass
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How fast it goes: joints [rad/s] and the end of the bar [m/s] at most, rest at a pose and work at the bar [s]."""
+    """Highest speeds of joints [rad/s] and of the bar's end [m/s], dwell at a pose and work at the bar [s]."""
 
     joint_speed: float = 0.8
     bar_speed: float = 0.25
@@ -35,13 +36,13 @@ class Pace:
 
 
 def samples(start: Floats, end: Floats) -> Floats:
-    """(n, j) joints on the straight way, both ends included, at most STEP apart."""
+    """Return joints (n, j) on the straight path, including both ends, at most STEP apart."""
     n = 2 + int(np.abs(end - start).max() / STEP)
     return start + np.linspace(0.0, 1.0, n)[:, None] * (end - start)
 
 
 def way_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing, halvings: int = DEEPEST) -> Floats | None:
-    """Via points (v, j) between two poses with the bar on all the way; None where none are found."""
+    """Return via points (v, j) between two poses with the bar on throughout; None if no path is found."""
     if all_allowed(site, samples(start, end), pairing, site.limits.tightened()):
         return np.zeros((0, len(start)))
     if halvings == 0:
@@ -55,7 +56,7 @@ def way_with_bar(site: Site, start: Floats, end: Floats, pairing: Pairing, halvi
 
 
 def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:
-    """The nearest joints (j,) at which the bar is at mid-travel."""
+    """Return the nearest joints (j,) at which the bar is at mid-travel."""
     bar, mounted = pairing.of(site.rig)
     for _ in range(STEPS):
         trace = trace_point(site.arm.chain, site.arm.params, q[None], mounted.p_sphere)
@@ -67,7 +68,7 @@ def onto_shell(site: Site, q: Floats, pairing: Pairing) -> Floats:
 
 
 def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Floats | None:
-    """Via points (v, j), none or one, of a move that touches nothing; None where none is found."""
+    """Return via points (v, j), none or one, for a collision-free move; None if no path is found."""
     tightened = site.limits.tightened()
 
     def free(a: Floats, b: Floats) -> bool:
@@ -85,7 +86,7 @@ def way_without_bar(site: Site, start: Floats, end: Floats, seed: int = 0) -> Fl
 
 
 def fastest(site: Site, start: Floats, end: Floats, p_end_point: Floats) -> float:
-    """Largest |∂p/∂s| [m] of a point (3,) of the end over a straight joint move whose share s goes from 0 to 1."""
+    """Return the largest |∂p/∂s| [m] of a point (3,) of the end over a straight joint move, s from 0 to 1."""
     n = max(3, len(samples(start, end)))
     q = start + np.linspace(0.0, 1.0, n)[:, None] * (end - start)
     p = point_forward(site.arm.chain, site.arm.params, q, p_end_point)
@@ -94,6 +95,6 @@ def fastest(site: Site, start: Floats, end: Floats, p_end_point: Floats) -> floa
 
 
 def move_seconds(site: Site, start: Floats, end: Floats, p_end_point: Floats, pace: Pace) -> float:
-    """Duration of a quintic move so that neither a joint nor the point goes faster than the pace at any time."""
+    """Return the duration of a quintic move in which neither a joint nor the point ever exceeds the pace."""
     by_joints = float(np.abs(end - start).max()) / pace.joint_speed
     return max(PEAK * max(by_joints, fastest(site, start, end, p_end_point) / pace.bar_speed), SHORTEST)

@@ -1,9 +1,9 @@
-"""Joint vectors for end poses: inverse kinematics within one configuration branch of an arm.
+"""Inverse kinematics within one configuration branch of an arm: joint vectors for poses of the end.
 
-Damped least squares, all poses at once: Δq = Jᵀ(JJᵀ + λ²I)⁻¹e with e the pose error. It starts from the nearest of many
-random poses of the branch, and what leaves the branch or comes near a singularity, the robot's own column or the table is
-dropped. So all results are of one branch, and the arm can go from any of them to any other without passing a singularity
-of the elbow or the wrist.
+Damped least squares solves all poses at once: Δq = Jᵀ(JJᵀ + λ²I)⁻¹e, where e is the pose error. It starts from the
+nearest of many random poses of the branch. Solutions that leave the branch, or come close to a singularity, the robot's
+own column or the table, are discarded. All results therefore lie in one branch, and the arm can move between any two of
+them without passing a singularity of the elbow or the wrist.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from truearm.types import Floats
 N_SEEDS = 30_000
 ITERATIONS = 12
 DAMPING = 0.01
-LEVER = 0.45  # m, what makes a metre comparable with a radian
+LEVER = 0.45  # m, makes metres comparable with radians
 MIN_SINGULAR_VALUE = 0.05
 TOLERANCE = 1e-7  # LEVERs, and rad
 
 
 class Arm(NamedTuple):
-    """A chain with the parameters (p,) it is programmed with, a branch, and random poses of it to start from."""
+    """A chain with the parameters (p,) of the controller's model, a branch, and random poses of it to start from."""
 
     chain: Chain
     params: Floats
@@ -37,13 +37,13 @@ class Arm(NamedTuple):
 
 
 def make_arm(chain: Chain, params: Floats, branch: Branch, rng: np.random.Generator) -> Arm:
-    """An arm with N_SEEDS random poses of its branch, to be looked up by what they reach."""
+    """Return an arm with N_SEEDS random poses of its branch, indexed by the poses they reach."""
     q = rng.uniform(branch.lower, branch.upper, (N_SEEDS, len(branch.lower)))
     return Arm(chain, params, branch, KDTree(_features(forward(chain, params, q))), q)
 
 
 def inverse(arm: Arm, poses: Floats) -> Floats:
-    """Joint vectors (m, j) of end poses (m, 4, 4); NaN where none was found that is good."""
+    """Return joint vectors (m, j) for end poses (m, 4, 4); NaN where no acceptable solution was found."""
     q = arm.q_seeds[arm.seeds.query(_features(poses))[1]]
     for _ in range(ITERATIONS):
         error, jacobian = pose_error(arm, poses, q)
@@ -58,12 +58,12 @@ def inverse(arm: Arm, poses: Floats) -> Floats:
 
 
 def _features(poses: Floats) -> Floats:
-    """Positions in LEVERs and two axes, (…, 9): the distance of two poses as inverse kinematics feels it."""
+    """Return positions in LEVERs and two axes, (…, 9): the distance between two poses for inverse kinematics."""
     return np.concatenate([poses[..., :3, 3] / LEVER, poses[..., :3, 2], 0.5 * poses[..., :3, 0]], axis=-1)
 
 
 def pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Error (m, 6) and Jacobian (m, 6, j), positions in LEVERs."""
+    """Return the error (m, 6) and the Jacobian (m, 6, j), positions in LEVERs."""
     here = forward(arm.chain, arm.params, q)
     turn = Rotation.from_matrix(poses[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
     scale = np.array([1 / LEVER] * 3 + [1.0] * 3)

@@ -1,4 +1,4 @@
-"""The configuration branch that a plan stays in: the robot file's, or one that is given."""
+"""The configuration branch of a plan: that of the robot file, or a given one."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from truearm.model.workspace import Branch
 
 
 def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
-    """Return the branch of a robot file, or the one that is given for it.
+    """Return the branch of a robot file, or the given one.
 
-    Raises PlanError where there is none, and for one that has not two bounds a joint within the joint's limits.
+    Raises PlanError if there is none, or if it does not have two bounds per joint within the joint's limits.
     """
     chain = robot.chain
     if given is None:

@@ -1,8 +1,10 @@
-"""Lines that an arm can drive: straight at the target, the tool turning evenly, as controllers go that are told the end.
+"""Lines that an arm can drive: straight at the target, with the tool turning evenly, as controllers do in Cartesian
+motion.
 
-A line is a middle posture, drawn at random, a direction and a turn of the tool from end to end. From its middle outwards
-inverse kinematics follows it. It is kept if the whole way keeps to the limits and the joints' speed, and if the target stays
-within the transverse sensors' range by twice the a-priori straightness (Renders 1991, II-C: 15 mm).
+A line has a middle posture, drawn at random, a direction, and a rotation of the tool from end to end. Inverse
+kinematics follows it outwards from the middle. It is kept if the entire path satisfies the limits and the joint speed,
+and if the target stays within the range of the transverse sensors by twice the a-priori straightness (Renders 1991,
+II-C: 15 mm).
 """
 
 from __future__ import annotations
@@ -28,32 +30,34 @@ from truearm.progress import steps_of
 from truearm.types import Floats, rms_of_columns
 from truearm.units import MM
 
-STEPS = 6  # of Newton's method from one place to the next; the fourth is exact to rounding
+STEPS = 6  # of Newton's method from one point to the next; the fourth is exact to rounding
 ON_LINE = 1e-8  # LEVERs, and rad
-# of the tool from end to end: what tells its orientation, without tilting the device's magnet far
+# of the tool from end to end: determines its orientation without tilting the device's magnet far
 MOST_TURN = np.deg2rad(40.0)
-AT_ONCE, ROUNDS = 100, 40  # draws
+AT_ONCE, ROUNDS = 100, 40  # random draws
 
 
 class Shape(NamedTuple):
-    """What a line device asks for: lengths [m] of a line and of the transverse sensors' full range, speed [m/s]."""
+    """Requirements of a line device: lengths [m] of a line and of the transverse range, speed [m/s]."""
 
     length: float = option_defaults.LINE_LENGTH
     transverse: float = option_defaults.TRANSVERSE_RANGE
     speed: float = option_defaults.LINE_SPEED
-    n_points: int = option_defaults.LINE_POINTS  # at which it is read on each way
+    n_points: int = option_defaults.LINE_POINTS  # points read in each direction
 
 
 class Lines(NamedTuple):
-    """Lines (l): joints (l, 2·n_points + 1, j) evenly along them, both ends and, at odd places, the points included;
-    joint velocities (l, n_points, j) at the points on the way there."""
+    """Lines (l): joints (l, 2·n_points + 1, j) evenly spaced, with both ends, and the points at odd indices.
+
+    Joint velocities (l, n_points, j) are for the points in the first direction.
+    """
 
     q: Floats
     q_rate: Floats
 
     @property
     def points(self) -> Floats:
-        """(l, n_points, j) joints at the points."""
+        """Return the joints at the points (l, n_points, j)."""
         return self.q[:, 1::2]
 
     def select(self, rows: list[int]) -> Lines:
@@ -70,7 +74,7 @@ def candidate_lines(
     seed: int = 0,
     least: int = 1,
 ) -> Lines:
-    """At most ``n`` lines inside the workspace, their middles in the region. Raises PlanError for fewer than ``least``."""
+    """Return up to ``n`` lines with their middles in the region. Raises PlanError for fewer than ``least``."""
     rng = np.random.default_rng([seed, 0x11E5])
     branch, kept = site.arm.branch, list[tuple[Floats, Floats]]()
     for _ in steps_of(range(ROUNDS), "looking for lines that the arm can drive"):
@@ -104,9 +108,10 @@ def _directions(rng: np.random.Generator) -> Floats:
 
 
 def driven_lines(site: Site, middle: Floats, way: Floats, turn: Floats, n: int, point: Floats) -> Floats:
-    """(m, n, j) joints along lines with postures middle (m, j) in their middles; NaN where no joints were found.
+    """Return joints (m, n, j) along lines with middle postures ``middle`` (m, j); NaN where no joints were found.
 
-    From end to end a point (3,) of the end moves by way (m, 3) [m], and the tool turns by a rotation vector turn (m, 3).
+    From end to end a point (3,) of the end moves by way (m, 3) [m], and the tool turns by a rotation vector turn (m,
+    3).
     """
     chain, params = site.arm.chain, site.arm.params
     at_middle = forward(chain, params, middle)
@@ -131,7 +136,7 @@ def driven_lines(site: Site, middle: Floats, way: Floats, turn: Floats, n: int, 
 
 
 def _followed(site: Site, pose: Floats, q: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Joints (m, j) near q for poses (m, 4, 4), by Newton's method, and which (m,) are there and within the branch."""
+    """Return joints (m, j) near q for poses (m, 4, 4), by Newton's method, and a mask (m,) of success."""
     for _ in range(STEPS):
         error, jacobian = pose_error(site.arm, pose, q)
         there = np.abs(error).max(axis=1) < ON_LINE
@@ -143,7 +148,11 @@ def _followed(site: Site, pose: Floats, q: Floats) -> tuple[Floats, NDArray[np.b
 
 
 def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floats) -> Floats:
-    """(m, n, j) [rad/s] at joints q (m, n, j) where a point goes by velocity (m, 3) and the tool by turning (m, 3) [rad/s]."""
+    """Return joint rates (m, n, j) [rad/s] at joints q (m, n, j), for a point's velocity (m, 3) and the tool's turning
+    (m, 3).
+
+    The velocity is in m/s and the turning in rad/s.
+    """
     flat = np.nan_to_num(q.reshape(-1, q.shape[2]))
     pose, jacobian = (f(site.arm.chain, site.arm.params, flat) for f in (forward, joint_jacobian))
     velocity, turning = (np.repeat(part, q.shape[1], axis=0) for part in (velocity, turning))
@@ -154,7 +163,7 @@ def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floa
 def _fits(
     site: Site, q: Floats, q_rate: Floats, along: Floats, shape: Shape, point: Floats, joint_speed: float
 ) -> bool:
-    """Whether a line (n, j) can be driven from end to end beside its device."""
+    """Return whether a line (n, j) can be driven from end to end next to its device."""
     if np.isnan(q).any() or np.abs(q_rate).max() > joint_speed:
         return False
     way = np.concatenate([samples(a, b) for a, b in pairwise(q)])
@@ -168,9 +177,9 @@ def _fits(
 
 
 def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
-    """Expected transverse distance [m] of a line's points from the best straight line, at its worst point.
+    """Return the expected transverse distance [m] of a line's points from the best straight line, at the worst point.
 
-    From the tolerances of ``weak_prior``: what a maker's drawing allows.
+    It is computed from the tolerances of ``weak_prior``, those of a manufacturer's drawing.
     """
     p, jac, _ = point_jacobians(site.arm.chain, site.arm.params, q, point)
     across = jac - along[:, None] * np.einsum("i,nip->np", along, jac)[:, None]
@@ -181,7 +190,7 @@ def straightness(site: Site, q: Floats, along: Floats, point: Floats) -> float:
 
 
 def a_priori(site: Site, q: Floats, point: Floats) -> Floats:
-    """(c,) [m] error to be expected on lines (c, n, j), RMS over their points, by the tolerances of ``weak_prior``."""
+    """Return the expected RMS error [m] (c,) over the points of lines (c, n, j), by the tolerances of ``weak_prior``."""
     chain = site.arm.chain
     error = tolerance_error(chain, weak_prior(chain), q.reshape(-1, q.shape[2]), point).rms
     return rms_of_columns(error.reshape(q.shape[:2]).T)

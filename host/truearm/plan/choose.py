@@ -1,21 +1,22 @@
-"""Which candidates to measure: greedy optimal choice with exchange refinement.
+"""The choice of candidates to measure: greedy optimal design with exchange refinement.
 
-With whitened rows J_i (w, k) of a candidate and M the information of what is known and chosen, in units of what was
-believed of each parameter beforehand (so that the prior alone is M = I and metres compare with radians), P = M⁻¹ and
-S = I + J_i P J_iᵀ, one more candidate changes
+Let J_i (w, k) be the whitened rows of a candidate and M the information of what is known and chosen, in units of each
+parameter's prior σ (so that the prior alone is M = I and metres are comparable with radians). With P = M⁻¹ and S = I +
+J_i P J_iᵀ, one more candidate changes
 
-- log det M by log det S: what D-optimality takes most of (the volume of the confidence ellipsoid);
-- tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I (the mean variance of the parameters), I-optimality with
-  L Lᵀ = the mean of J_rᵀJ_r over the user's region (the mean variance of a point's position there), and E-optimality with
-  L the eigenvector of the largest eigenvalue of P (the worst direction), taken again at each step.
+- log det M by log det S: the criterion of D-optimality (the volume of the confidence ellipsoid);
+- tr(LᵀPL) by −‖S^(−1/2) J_i P L‖²: A-optimality with L = I (the mean variance of the parameters), I-optimality with L
+  Lᵀ = the mean of J_rᵀJ_r over the user's region (the mean variance of a point's position there), and E-optimality with
+  L the eigenvector of the largest eigenvalue of P (the worst direction), recomputed at each step.
 
-Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order is nested: the first n of it are the
-choice of n, so a budget in minutes is a matter of where to stop. Where time counts, a candidate that needs the bar put on
-again counts by what it brings a second: ``setup`` is how much dearer the first one of a group is than a further one. The
-exchange (Fedorov 1972) then takes every chosen candidate out and puts the best one in its place, as long as that helps;
-with setups, one of a group that is there.
+Each step takes the best candidate and adds its block J_iᵀJ_i to M. The order is nested: its first n candidates are the
+choice of n, so a time budget only determines where to stop. If time counts, the gain of a candidate that requires
+mounting the bar is counted per second: ``setup`` is the extra cost of the first candidate of a group relative to a
+further one. The exchange (Fedorov 1972) then removes each chosen candidate in turn and replaces it by the best one, as
+long as this helps; with setups, by one of a group already in use.
 
-Measured, one core, with one exchange pass: 400 of 5000 candidates of one row and 36 parameters take 0.4 s (D, A), 0.5 s (E) or 1.8 s (I).
+Measured on one core with one exchange pass: choosing 400 of 5000 candidates with one row and 36 parameters takes 0.4 s
+(D, A), 0.5 s (E) or 1.8 s (I).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from truearm.plan.criteria import Criterion
 from truearm.progress import steps_of
 from truearm.types import Floats
 
-GAIN = 1e-9  # of the criterion, relative: a swap that brings less is rounding
+GAIN = 1e-9  # of the criterion, relative: a swap with a smaller gain is rounding
 
 
 def choose(
@@ -44,18 +45,18 @@ def choose(
     group: NDArray[np.intp] | None = None,
     setup: float = 0.0,
 ) -> NDArray[np.intp]:
-    """The best ``n`` of N candidates in the order of their choice.
+    """Return the best ``n`` of N candidates in the order of their choice.
 
-    rows (N, w, k): whitened rows, columns in units of the prior; known (k, k): information of the prior and of what was
-    measured already, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: exchanges at most.
-    ``group`` (N,): what needs a setup of its own, ``setup`` times as dear as a candidate.
-    Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
+    rows (N, w, k): whitened rows, columns in units of the prior; known (k, k): information of the prior and of existing
+    measurements, in the same units. ``region`` (r, k): L of I-optimality, transposed. ``passes``: maximum number of
+    exchange passes. ``group`` (N,): groups that each need a setup; its extra cost is ``setup`` times that of a
+    candidate. Raises PlanError for an unknown criterion, I without a region, and more candidates wanted than there are.
     """
     wanted = _checked(rows, n, criterion, region)
     information, chosen = known.copy(), list[int]()
     left = np.ones(len(rows), dtype=bool)
     group = np.zeros(len(rows), dtype=np.intp) if group is None else group
-    here = np.zeros(len(rows), dtype=bool)  # of a group that was begun
+    here = np.zeros(len(rows), dtype=bool)  # of a group already begun
     for _ in steps_of(range(n), f"choosing {n} of {len(rows)} poses"):
         worth = np.where(here, 1.0, 1.0 / (1.0 + setup)) * left
         best = _best(rows, information, worth, wanted, region)
@@ -72,7 +73,7 @@ def choose(
 
 
 def value(information: Floats, criterion: Criterion, region: Floats | None = None) -> float:
-    """What the criterion makes smaller: −log det M, tr P, the largest eigenvalue of P, or tr(LᵀPL)."""
+    """Return the quantity that the criterion minimises: −log det M, tr P, the largest eigenvalue of P, or tr(LᵀPL)."""
     match criterion:
         case Criterion.D:
             return -float(np.linalg.slogdet(information)[1])
@@ -95,7 +96,7 @@ def _exchange(
     criterion: Criterion,
     region: Floats | None,
 ) -> bool:
-    """One pass over all chosen; whether any was exchanged. ``information``, ``chosen`` and ``left`` follow."""
+    """Try once to exchange each chosen one; return whether any was. Updates ``information``, ``chosen``, ``left``."""
     changed = False
     now = value(information, criterion, region)
     for place, old in steps_of(list(enumerate(chosen)), "exchanging chosen poses for better ones"):
@@ -111,14 +112,14 @@ def _exchange(
 
 
 def _best(rows: Floats, information: Floats, worth: Floats, criterion: Criterion, region: Floats | None) -> int:
-    """The candidate that brings most, times what it is ``worth`` (N,), 0 for none."""
+    """Return the candidate with the largest gain times its ``worth`` (N,); 0 excludes a candidate."""
     covariance = _inverse(information)
     gain = (_gain_of_single_rows if rows.shape[1] == 1 else _gain)(rows, covariance, criterion, region)
     return int(np.argmax(np.where(worth > 0.0, gain * worth, -np.inf)))
 
 
 def _gain_of_single_rows(rows: Floats, covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
-    """``_gain`` where w is 1: S is a number, and a division does what a solution of N systems of one equation would."""
+    """Return ``_gain`` for w = 1: S is a number, so a division replaces solving N systems of one equation."""
     single = rows[:, 0]
     through = single @ covariance  # (N, k)
     total = np.einsum("nk,nk->n", through, single) + 1.0
@@ -129,7 +130,7 @@ def _gain_of_single_rows(rows: Floats, covariance: Floats, criterion: Criterion,
 
 
 def _gain(rows: Floats, covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
-    """(N,) by how much a candidate makes the criterion smaller."""
+    """Return by how much each candidate reduces the criterion (N,)."""
     through = rows @ covariance  # (N, w, k)
     total = np.einsum("nwk,nvk->nwv", through, rows) + np.eye(rows.shape[1])
     if criterion is Criterion.D:
@@ -139,7 +140,7 @@ def _gain(rows: Floats, covariance: Floats, criterion: Criterion, region: Floats
 
 
 def _directions(covariance: Floats, criterion: Criterion, region: Floats | None) -> Floats:
-    """L (k, ·)."""
+    """Return L (k, ·)."""
     match criterion:
         case Criterion.I if region is not None:
             return np.asarray(region.T)
@@ -167,7 +168,7 @@ def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Cri
 
 
 def condensed(jacobian: Floats, own: Floats | None = None) -> Floats:
-    """Rows (at most k, k) with the information of jacobian (m, k), after unknowns of their ``own`` (m, u) are fitted."""
+    """Return rows (at most k, k) with the information of jacobian (m, k) after fitting their ``own`` (m, u)."""
     if own is not None:
         basis, singular, _ = np.linalg.svd(own, full_matrices=False)
         basis = basis[:, singular > 1e-10 * singular.max(initial=0.0)]
@@ -176,7 +177,7 @@ def condensed(jacobian: Floats, own: Floats | None = None) -> Floats:
 
 
 def as_blocks(parts: Sequence[Floats]) -> Floats:
-    """(N, w, k) of parts with different numbers of rows, filled up with zeros, which say nothing."""
+    """Return (N, w, k) from parts with different numbers of rows, padded with zeros, which carry no information."""
     width = max(len(part) for part in parts)
     out = np.zeros((len(parts), width, parts[0].shape[1]))
     for i, part in enumerate(parts):

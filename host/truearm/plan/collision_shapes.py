@@ -1,8 +1,9 @@
-"""Simple shapes that must not touch: the arm's links, the bar, the posts of the chucks and a line device as capsules, the table
-as a plane.
+"""Simple shapes that must not touch: the arm's links, the bar, chuck posts and a line device as capsules; the table as
+a plane.
 
-A capsule is what lies within a radius of a segment; the arm's are those of its robot file, or of ``arm_capsules``. Neighbouring links always touch and
-are not checked against each other: of the arm itself only what carries the tool is checked against what carries the elbow.
+A capsule is the set of points within a radius of a segment; those of the arm come from its robot file or from
+``arm_capsules``. Neighbouring links always touch and are not checked against each other. Within the arm, only the links
+that carry the tool are checked against those that carry the elbow.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ from truearm.model.workspace import Capsules
 from truearm.plan.arm_capsules import along_joints
 from truearm.types import Floats, Rig
 
-UPPER_ARM = 2  # the joint that first moves it
-BEFORE_FOREARM = 4  # joints from the elbow on: what lies before them is what the tool can be folded into
+UPPER_ARM = 2  # the joint that moves it first
+BEFORE_FOREARM = 4  # joints from the elbow on: the tool can be folded into the links before them
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii [m] of links of an arm whose file has no capsules, of studs that hold spheres, of bars, of chucks' posts and of a line
-    device's rod, how far that stands out at either end of its line [m], and the table's height z [m]."""
+    """Dimensions [m]: radii of the parts, how far a line device's rod extends beyond either end of its line, the
+    table's height z.
+
+    The radii are those of the links of an arm whose file has no capsules, of studs that hold spheres, of bars, of chuck
+    posts and of a line device's rod.
+    """
 
     link: float = 0.05
     stud: float = 0.012
@@ -37,7 +42,7 @@ class Sizes:
 
 
 class Mounted(NamedTuple):
-    """What the bar connects: points in the base and the end frame, (3,)."""
+    """The points that the bar connects, in the base and the end frame, (3,)."""
 
     p_chuck: Floats
     p_sphere: Floats
@@ -55,14 +60,14 @@ class Shapes(NamedTuple):
 
 
 def make_shapes(chain: Chain, params: Floats, rig: Rig, sizes: Sizes, links: Capsules | None = None) -> Shapes:
-    """Return the shapes of a robot at params (p,); without ``links`` they run along its joints."""
+    """Return the shapes of a robot at params (p,); without ``links`` the capsules run along its joints."""
     spheres = np.array([s.xyz for s in rig.spheres.values()]).reshape(-1, 3)
     posts = np.array([c.xyz for c in rig.chucks.values()]).reshape(-1, 3)
     return Shapes(chain, params, links or along_joints(chain, params, sizes.link), spheres, posts, sizes)
 
 
 def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool_]:
-    """Whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or off."""
+    """Return whether nothing touches at joints q (n, j), with the bar on as ``mounted`` or removed."""
     sizes, joint, radius = shapes.sizes, np.array(shapes.links.joint), shapes.links.radius
     ends, pose = link_ends_and_pose(shapes, q)
     spheres = shapes.p_spheres @ pose[:, :3, :3].swapaxes(1, 2) + pose[:, None, :3, 3]
@@ -81,12 +86,12 @@ def clear(shapes: Shapes, q: Floats, mounted: Mounted | None) -> NDArray[np.bool
 
 
 def link_ends(shapes: Shapes, q: Floats) -> Floats:
-    """(n, m, 2, 3) ends of the arm's capsules in the base frame."""
+    """Return the ends (n, m, 2, 3) of the arm's capsules in the base frame."""
     return link_ends_and_pose(shapes, q)[0]
 
 
 def link_ends_and_pose(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
-    """What ``link_ends`` says, and the pose (n, 4, 4) of the end."""
+    """Return the result of ``link_ends``, and the pose (n, 4, 4) of the end."""
     frames, pose = joint_and_end_frames(shapes.chain, shapes.params, q)
     fixed = np.broadcast_to(np.eye(4), (len(q), 1, 4, 4))
     mine = np.concatenate([fixed, frames], axis=1)[:, shapes.links.joint]
@@ -94,7 +99,7 @@ def link_ends_and_pose(shapes: Shapes, q: Floats) -> tuple[Floats, Floats]:
 
 
 def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres: Floats) -> NDArray[np.bool_]:
-    """The tool against all that lies before the forearm: column, shoulder, upper arm."""
+    """Check the tool against everything before the forearm: column, shoulder, upper arm."""
     joint, radius = np.array(shapes.links.joint), shapes.links.radius
     before, tool = joint <= len(shapes.chain.joints) - BEFORE_FOREARM, joint >= tool_joint(shapes)
     flange = np.broadcast_to(pose[:, None, :3, 3], spheres.shape)
@@ -106,7 +111,7 @@ def _arm_is_clear_of_itself(shapes: Shapes, ends: Floats, pose: Floats, spheres:
 
 
 def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) -> NDArray[np.bool_]:
-    """The bar against the arm up to its wrist, and against the posts of the other chucks."""
+    """Check the bar against the arm up to its wrist, and against the posts of the other chucks."""
     p_sphere = pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3]
     good = _wrist_is_clear(shapes, ends, p_sphere[:, None], mounted.p_chuck, shapes.sizes.bar)
     for chuck in shapes.p_posts:
@@ -117,10 +122,10 @@ def _bar_is_clear(shapes: Shapes, ends: Floats, pose: Floats, mounted: Mounted) 
 
 
 def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carried: bool = True) -> bool:
-    """Whether a line device along start–end (3,) touches neither table nor posts, nor the arm up to its wrist at any q (n, j).
+    """Return whether a line device along start–end (3,) touches neither table, posts nor the arm up to its wrist.
 
-    The arm is not looked at where the magnet is not ``carried`` beyond the end's origin: there the device would touch the
-    flange anyway, so whatever carries the magnet is still to be described.
+    The arm is checked at all joints q (n, j), but only if the magnet is ``carried`` beyond the end's origin. Otherwise
+    the device would touch the flange anyway, so the part that carries the magnet is not described yet.
     """
     sizes = shapes.sizes
     out = sizes.rod_end * (end - start) / np.linalg.norm(end - start)
@@ -134,37 +139,40 @@ def device_is_clear(shapes: Shapes, q: Floats, start: Floats, end: Floats, carri
 
 
 def _wrist_is_clear(shapes: Shapes, ends: Floats, start: Floats, end: Floats, radius: float) -> NDArray[np.bool_]:
-    """(n,) whether the arm up to its wrist keeps clear of a capsule; what carries the end of a bar or a magnet meets it."""
+    """Return a mask (n,) of whether the arm up to its wrist stays clear of a capsule.
+
+    The parts that carry the end of a bar or a magnet necessarily touch it.
+    """
     before = np.array(shapes.links.joint) < tool_joint(shapes)
     apart = _from(ends[:, before], start, end)
     return np.asarray((apart > shapes.links.radius[before] + radius).all(axis=1))
 
 
 def tool_joint(shapes: Shapes) -> int:
-    """The joint, counted from 1, from which on the arm is tool: the last but one, as the last turns about the tool's own axis."""
+    """Return the first joint (from 1) that counts as tool: the last but one, as the last turns about the tool's axis."""
     return len(shapes.chain.joints) - 1
 
 
 def _foot(chuck: Floats, sizes: Sizes) -> Floats:
-    """(3,) where a chuck's post stands."""
+    """Return the foot (3,) of a chuck's post."""
     return np.array([chuck[0], chuck[1], min(sizes.table, chuck[2])])
 
 
 def _from(ends: Floats, start: Floats, end: Floats) -> Floats:
-    """(…) distances of segments with ends (…, 2, 3) from others."""
+    """Return the distances (…) of segments with ends (…, 2, 3) from others."""
     return segment_distance(ends[..., 0, :], ends[..., 1, :], start, end)
 
 
 def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
-    """Shortest distance (…) of segments a0–a1 and b0–b1, each end (…, 3) (Ericson 2005, 5.1.9).
+    """Return the shortest distance (…) between segments a0–a1 and b0–b1, each end (…, 3) (Ericson 2005, 5.1.9).
 
-    The nearest points of the two lines, one parameter clamped to its segment and the other one solved for again.
+    Finds the nearest points of the two lines, clamps one parameter to its segment and solves for the other again.
     """
     along_a, along_b, between = a1 - a0, b1 - b0, a0 - b0
     a, e, b = _dot(along_a, along_a), _dot(along_b, along_b), _dot(along_a, along_b)
     c, f = _dot(along_a, between), _dot(along_b, between)
     tiny = 1e-18
-    across = a * e - b * b  # 0 for parallels: any point of the first does
+    across = a * e - b * b  # 0 for parallel lines: any point of the first can be used
     s = np.clip(np.where(across > tiny, (b * f - c * e) / np.where(across > tiny, across, 1.0), 0.0), 0.0, 1.0)
     t = np.clip((b * s + f) / np.maximum(e, tiny), 0.0, 1.0)
     s = np.clip((b * t - c) / np.maximum(a, tiny), 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""What a choice of poses can be good for. Imports nothing slow, so that ``--help`` can list them (``choose`` uses them)."""
+"""The criteria for a choice of poses. Imports nothing slow, so that ``--help`` can list them (``choose`` uses them)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import assert_never
 
 
 class Criterion(StrEnum):
-    """What a choice makes small."""
+    """The quantity that a choice minimises."""
 
     I = "I"  # noqa: E741  # the criterion's name in the literature
     D = "D"
@@ -16,7 +16,7 @@ class Criterion(StrEnum):
 
 
 def criterion_summary(criterion: Criterion) -> str:
-    """Return what ``--help`` says of a criterion."""
+    """Return the text that ``--help`` shows for a criterion."""
     match criterion:
         case Criterion.I:
             return "the error in the region"

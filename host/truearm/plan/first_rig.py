@@ -1,4 +1,4 @@
-"""A rig for an arm for which none has been built: where chucks, spheres and bars would do, in proportion to the arm's reach."""
+"""A rig for an arm that has none yet: suitable chucks, spheres and bars in proportion to the arm's reach."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from truearm.plan.branches import branch_of
 from truearm.types import BallBar, Point, Rig
 from truearm.units import CM
 
-REPEATABILITY = 84e-6  # m, Goswami 1993: what a dwell of the paper's bar repeated to
+REPEATABILITY = 84e-6  # m, Goswami 1993: the repeatability of a dwell with the paper's bar
 TRAVEL = 75e-3  # m, of the paper's bar
-# Of the reach: where the chucks' middle lies before the base, circles of chucks and of spheres, two bars. Shells of these radii
-# are reached from all around by arms of 0.5 to 2 m.
+# Relative to the reach: the centre of the chucks in front of the base, the circles of chucks and of spheres, two bars.
+# Arms of 0.5 to 2 m reach shells of these radii from all sides.
 BEFORE, ASIDE, CHUCKS, SPHERES, SHORT, LONG = 0.53, 0.05, 0.165, 0.094, 0.42, 0.53
-TABLE, PLATE = 0.07, 0.05  # m, heights of chucks above the base, of spheres before the flange
+TABLE, PLATE = 0.07, 0.05  # m, height of the chucks above the base, distance of the spheres from the flange
 SHARE = 0.92  # of the reach: the outermost poses are singular
-POSES = 2000  # drawn, to find how far the arm reaches
+POSES = 2000  # random poses, to find the arm's reach
 
 
 def reach(robot: Robot, branch: Branch) -> float:
-    """How far the end comes from the second joint [m], of poses drawn in a branch."""
+    """Return the greatest distance of the end from the second joint [m] over random poses of a branch."""
     chain = robot.chain
     q = np.random.default_rng(0).uniform(branch.lower, branch.upper, (POSES, len(branch.lower)))
     end = forward(chain, chain.params_nominal, q)[:, :3, 3]
@@ -33,7 +33,8 @@ def reach(robot: Robot, branch: Branch) -> float:
 
 
 def first_rig(robot: Robot) -> Rig:
-    """Three chucks before the arm, three spheres on its end, two bars; all as if it were known exactly.
+    """Return a rig with three chucks in front of the arm, three spheres on its end and two bars; all as if known
+    exactly.
 
     Raises PlanError for a robot without a branch.
     """
@@ -46,7 +47,7 @@ def first_rig(robot: Robot) -> Rig:
 
 
 def bars(*zeros: float) -> dict[str, BallBar]:
-    """Bars of these lengths [m], named by their centimetres."""
+    """Return bars of these lengths [m], named by their length in centimetres."""
     names = [f"bar{round(CM.of(zero))}" for zero in zeros]
     return {name: BallBar(name, zero, 1.0, TRAVEL, REPEATABILITY) for name, zero in zip(names, zeros, strict=True)}
 
@@ -54,7 +55,7 @@ def bars(*zeros: float) -> dict[str, BallBar]:
 def triangle(
     prefix: str, centre: tuple[float, float, float], radius: float, *, turn: float, digits: int
 ) -> dict[str, Point]:
-    """Three points of an equilateral triangle in a plane of constant z [m], rounded to so many digits."""
+    """Return three points of an equilateral triangle in a plane of constant z [m], rounded to this number of digits."""
     points = {}
     for i in range(3):
         angle = turn + 2.0 * math.pi * i / 3.0

@@ -1,9 +1,10 @@
-"""What a plan will tell, before anything is measured: the same linear algebra as the identification's, on planned rows.
+"""A forecast of what a plan will determine, before measuring: the linear algebra of the identification on planned rows.
 
-Information does not depend on what is read, only on where (to first order). So planned poses become a table with the
-lengths that the model predicts, behind the rows that were measured already, and ``observe`` folds them as it would the
-real ones. Sigmas are those that ``identify`` will report, as far as the model is near the truth: 10 mm and 50 mrad
-move them by a few per cent. What ``identify`` holds or believes by default follows from the same rows (``choose_defaults``).
+To first order, information does not depend on the readings, only on the poses. The planned poses are therefore turned
+into a table with the lengths that the model predicts, after the rows that were already measured, and ``observe`` folds
+them as it would fold real rows. The sigmas are those that ``identify`` will report as long as the model is close to the
+truth: errors of 10 mm and 50 mrad change them by a few per cent. The parameters that ``identify`` fixes, and the priors
+that it assumes by default, follow from the same rows (``choose_defaults``).
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ from truearm.units import UNITS
 
 @dataclass(frozen=True)
 class Aim:
-    """Where accuracy is wanted: joints (n, j) of poses, and the points of the end that count, spheres or targets by name.
+    """Where accuracy is wanted: joints (n, j) of poses, and the relevant points of the end, spheres or targets by name.
 
-    Three points count for orientation too; one alone says nothing of it. Without any it is the end's own origin.
+    Three points account for orientation too; one alone does not. Without any point, the end's origin is used.
     """
 
     q: Floats
@@ -47,10 +48,10 @@ class Aim:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What an identification would report of all rows, measured and planned.
+    """The expected report of an identification with all rows, measured and planned.
 
-    ``sigma`` is NaN where nothing is seen of a parameter or it is held. ``cartesian`` (n,) [m]: expected error of
-    each of the aim's points at each of its poses, None where no honest figure exists; ``relative`` as in PredictedError.
+    ``sigma`` is NaN where a parameter is unidentifiable or fixed. ``cartesian`` (n,) [m]: expected error of each of the
+    aim's points at each of its poses, None where no meaningful figure exists; ``relative`` as in PredictedError.
     """
 
     names: tuple[str, ...]
@@ -63,21 +64,22 @@ class Forecast:
     cartesian: Floats | None
     relative: bool
     n_rows: int
-    defaults: Defaults  # what is held or believed as ``identify`` will
+    defaults: Defaults  # what ``identify`` will fix or assume
 
     @property
     def cartesian_rms(self) -> float:
-        """Over the region [m]; NaN where there is none."""
+        """Return the RMS over the region [m]; NaN if there is none."""
         return float("nan") if self.cartesian is None else rms(self.cartesian)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known before a plan: chain, rig, the parameters the model has now (p,), what is free, and rows measured.
+    """What is known before a plan: chain, rig, the current parameters of the model (p,), what is free, and measured
+    rows.
 
-    ``rig_values``: estimates of the rig's unknowns by name, of an earlier result. ``prior``: the one that ``identify`` will
-    use; what it holds by default is held too. None: neither, the rows alone count. ``branch`` and ``links`` are the arm's, None
-    where nobody described them.
+    ``rig_values``: estimates of the rig's unknowns by name, from an earlier result. ``prior``: the one that
+    ``identify`` will use; parameters that it fixes by default are also fixed here. None: neither applies, only the rows
+    count. ``branch`` and ``links`` belong to the arm; None if they are not described.
     """
 
     chain: Chain
@@ -92,20 +94,20 @@ class Known:
 
     @classmethod
     def design(cls, robot: Robot, rig: Rig) -> Known:
-        """Return what is known of a robot that nobody has measured yet: its file."""
+        """Return what is known of a robot that has not been measured yet: its file."""
         chain = robot.chain
         return cls(chain, rig, chain.params_nominal, robot.free, branch=robot.branch, links=robot.capsules)
 
 
 def known_arm(known: Known, rng: np.random.Generator) -> Arm:
-    """Return the arm at the parameters that are known now. Raises PlanError where it has no branch to stay in."""
+    """Return the arm at the current parameters. Raises PlanError if it has no branch to stay in."""
     if known.branch is None:
         raise PlanError(f"robot {known.chain.name} has no branch; add [branch] to its file")
     return make_arm(known.chain, known.params, known.branch, rng)
 
 
 def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) -> Forecast:
-    """Rank, null space, sigmas and Cartesian error if ``planned`` is measured as it says."""
+    """Return rank, null space, sigmas and Cartesian error if the ``planned`` rows are measured."""
     known, prior_sigma, defaults = _as_identified(known, planned)
     problem, x, columns = compiled(known, planned)
     n_robot = int(known.free.sum())
@@ -141,10 +143,10 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
 
 
 def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats], Floats]:
-    """What ``choose`` needs: rows (w, k) of every planned one, and the information (k, k) known.
+    """Return the input of ``choose``: rows (w, k) of every planned observation, and the known information (k, k).
 
-    All in units of the prior: the robot's parameters by ``wide_prior``, the rig's by what the rig says of them; what it
-    does not know at all counts as known to ``Unit.vague_sigma``. The prior is part of what is known.
+    Everything is in units of the prior: the robot's parameters by ``wide_prior``, the rig's by the sigmas in the rig.
+    Unknown entries of the rig count as known to ``Unit.vague_sigma``. The prior is part of the known information.
     """
     problem, x, columns = compiled(known, planned)
     unit = prior_unit(known, problem, columns)
@@ -164,14 +166,14 @@ def candidate_rows(known: Known, planned: ObservationTable) -> tuple[list[Floats
 
 
 def region_root(known: Known, planned: ObservationTable, aim: Aim) -> Floats:
-    """(k, k) or less: Lᵀ of I-optimality in units of the prior, L Lᵀ the mean of J_rᵀJ_r over the aim's poses."""
+    """Return Lᵀ (at most k, k) of I-optimality in units of the prior; L Lᵀ is the mean of J_rᵀJ_r over the poses."""
     problem, x, columns = compiled(known, planned)
     jac = _aim_jacobian(known, problem, x, aim)[1][:, columns] * prior_unit(known, problem, columns)
     return np.asarray(np.linalg.qr(jac / np.sqrt(len(jac) // 3), mode="r"))
 
 
 def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, NDArray[np.bool_]]:
-    """Problem of all rows, the point x (P,) it is linearised at, and what is free (P,)."""
+    """Return the problem of all rows, the point x (P,) of its linearisation, and a mask (P,) of what is free."""
     table = _all_rows(known, planned)
     problem = build_problem(known.chain, known.rig, table)
     x = problem.start.copy()
@@ -184,7 +186,7 @@ def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, 
 
 
 def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Floats:
-    """(k,) standard deviations of the free columns."""
+    """Return the standard deviations (k,) of the free columns."""
     rig = problem.prior_sigma[problem.n_robot :]
     units = problem.units[problem.n_robot :]
     vague = np.array([UNITS[unit].vague_sigma for unit in units])
@@ -192,7 +194,7 @@ def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Fl
 
 
 def bar_table(known: Known, plan: Plan) -> ObservationTable:
-    """The plan as rows that would be read if the model were true."""
+    """Return the plan as the rows that would be read if the model were exact."""
     p_sphere = np.array([known.rig.spheres[name].xyz for name in plan.sphere])
     p_chuck = np.array([known.rig.chucks[name].xyz for name in plan.chuck])
     ends = point_forward(known.chain, known.params, plan.q, p_sphere)
@@ -208,7 +210,7 @@ def bar_table(known: Known, plan: Plan) -> ObservationTable:
 
 
 def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
-    """A table of one kind with the given columns."""
+    """Return a table of one kind with the given columns."""
     source = np.array([f"planned pose {i}" for i in range(len(q))])
     return ObservationTable(q=q, kind=np.full(len(q), kind), source=source, **columns)
 
@@ -218,7 +220,11 @@ def _all_rows(known: Known, planned: ObservationTable) -> ObservationTable:
 
 
 def _as_identified(known: Known, planned: ObservationTable) -> tuple[Known, Floats, Defaults]:
-    """Return what is known with only those parameters free that ``identify`` will free, σ (p,) of its prior, inf for none, and why."""
+    """Return what is known with only those parameters free that ``identify`` will free, σ (p,) of its prior, and the
+    reasons.
+
+    σ is inf for parameters without a prior.
+    """
     if known.prior is None:
         return known, robot_prior(known.chain, None), Defaults()
     rows, named = _all_rows(known, planned), np.zeros(known.free.size, dtype=bool)
@@ -238,7 +244,10 @@ def _cartesian(
     null: Floats,
     any_base: bool,
 ) -> tuple[Floats | None, bool]:
-    """Expected error (n,) [m] at the aim's poses; what moves them all as one body and is unseen is left out."""
+    """Return the expected error (n,) [m] at the aim's poses, and whether it is relative.
+
+    An unidentifiable motion of all points as one rigid body is excluded.
+    """
     points, jac = _aim_jacobian(known, problem, x, aim)
     jac = jac[:, columns]
     unseen = jac @ (null / np.abs(null).max(axis=0, initial=1e-300))
@@ -253,13 +262,13 @@ def _cartesian(
 
 
 def _aim_jacobian(known: Known, problem: Problem, x: Floats, aim: Aim) -> tuple[Floats, Floats]:
-    """Places (n, 3) of all points at all poses and their derivatives (3n, P)."""
+    """Return the positions (n, 3) of all points at all poses and their derivatives (3n, P)."""
     parts = [_point_jacobian(known, problem, x, aim.q, name) for name in aim.points or ("",)]
     return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
 
 def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: str) -> tuple[Floats, Floats]:
-    """Those of one point; by its own coordinates too where they are unknowns. "": the end's origin."""
+    """Return the same for one point, including derivatives by its own unknown coordinates. "": the end's origin."""
     point, at = np.zeros(3), [-1, -1, -1]
     for what, some in end_points(known.rig).items():
         if name in some:
@@ -270,14 +279,14 @@ def _point_jacobian(known: Known, problem: Problem, x: Floats, q: Floats, name: 
     out = np.zeros((jac.shape[0], 3, x.size))
     out[:, :, : problem.n_robot] = jac
     if at[0] >= 0:
-        # ∂p/∂point is the end's rotation: differences along its axes are exact.
+        # ∂p/∂point is the end's rotation, so differences along its axes are exact.
         shifted = [point_forward(known.chain, x[: problem.n_robot], q, point + e) for e in np.eye(3)]
         out[:, :, at] = np.stack(shifted, axis=2) - p_base[:, :, None]
     return p_base, out.reshape(-1, x.size)
 
 
 def with_rig_values(rig: Rig, values: Mapping[str, float]) -> Rig:
-    """The rig with its points where an earlier result found them; their sigmas stay."""
+    """Return the rig with its points where an earlier result placed them; their sigmas are kept."""
 
     for column, field in points_of_rig().items():
         moved = {}

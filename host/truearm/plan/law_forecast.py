@@ -1,7 +1,8 @@
-"""What an identification with error curves would know of them, before anything is measured.
+"""A forecast of how well an identification with error curves would determine them, before measuring.
 
-Curves are linear in their coefficients, so their covariance depends on where is measured and not on what is read. Their prior here is a
-fixed one of the size that real arms have (docs/explanation/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad. The noise is the declared one.
+Curves are linear in their coefficients, so their covariance depends on the poses and not on the readings. Their prior
+here is fixed and has the size found on real arms (docs/explanation/real-arms.md): TYPICAL at lengths of 0.1 to 0.2 rad.
+The noise is the declared one.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from truearm.types import Floats, ObservationTable, rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
-UNSEEN = 0.7  # of the prior's standard deviation: beyond it the poses tell next to nothing
+UNSEEN = 0.7  # of the prior's standard deviation: above it the poses carry almost no information
 LEAST_GAP = math.radians(3.0)
 
 
 @dataclass(frozen=True)
 class CurveForecast:
-    """What planned rows will tell of a joint's error curve.
+    """The forecast of a joint's error curve from planned rows.
 
-    ``covered`` [rad]: the least and the largest reading; ``sigma`` [rad]: RMS standard deviation of the curve there; ``unseen`` [rad]:
-    spans of readings within it that the poses do not show.
+    ``covered`` [rad]: the lowest and the highest reading; ``sigma`` [rad]: RMS standard deviation of the curve in this
+    range; ``unseen`` [rad]: ranges of readings within it that the poses do not determine.
     """
 
     joint: str
@@ -77,14 +78,14 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
 
 
 def _geometry(known: Known) -> tuple[Chain, int]:
-    """The chain without laws that an earlier result brought, and how many parameters it has."""
+    """Return the chain without the laws that an earlier result added, and its number of parameters."""
     learned = {term.name for term in TERMS if term.learned}
     own = tuple(p for p in known.chain.parameters if p.term not in learned)
     return replace(known.chain, parameters=own), len(own)
 
 
 def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:
-    """Runs of flagged readings of at least LEAST_GAP."""
+    """Return runs of flagged readings of at least LEAST_GAP."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     spans = [(float(readings[a]), float(readings[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return tuple(span for span in spans if span[1] - span[0] >= LEAST_GAP)

@@ -1,12 +1,14 @@
-"""A plan of lines: where to put a line device, and how to drive along it, there and back.
+"""A plan of lines: where to put a line device, and how to drive along it in both directions.
 
-By what is known of the robot's tolerances (Renders 1991, II-D) the error at each candidate (``straight``) is computed, and the
-half with the larger one stays: where the error is large, measurement errors weigh less (III-G, 4). Of these the lines are
-chosen like poses of a ball-bar, each a block of rows with the six unknowns of its own device fitted away. Each is driven at
-constant speed there and back, since a delay between joints and device cannot be told from the device's place one way alone.
+The error at each candidate (``straight``) is computed from the known tolerances of the robot (Renders 1991, II-D), and
+the half with the larger errors is kept: where the error is large, measurement errors matter less (III-G, 4). Among
+these, lines are chosen like ball-bar poses, each a block of rows after fitting the six unknowns of its own device. Each
+is driven at constant speed in both directions, since in one direction a delay between joints and device is
+indistinguishable from the device's position.
 
-A device is taken to be set up by hand as planned, to BY_HAND about each axis. Without that its roll would be told by no more
-than the tenths of a millimetre by which the true arm leaves the line, and what the lines tell of the arm would depend on them.
+A device is assumed to be set up by hand as planned, to BY_HAND about each axis. Otherwise its roll would be determined
+only by the tenths of a millimetre by which the true arm deviates from the line, and the information on the arm would
+depend on them.
 """
 
 from __future__ import annotations
@@ -34,11 +36,11 @@ from truearm.progress import steps_of
 from truearm.types import Device, Floats, Move, ObservationTable, Plan, Rig
 
 SETUP = 180.0  # s to place the device
-BY_HAND = 0.052  # rad about each axis to which a device is set up as planned (Renders III-C)
+BY_HAND = 0.052  # rad about each axis: accuracy with which a device is set up as planned (Renders III-C)
 
 
 class LinesWanted(NamedTuple):
-    """How much is to be measured, and what it is to be good for. ``passes``: there and back, so often."""
+    """How much to measure, and the purpose of the measurement. ``passes``: how often to drive in both directions."""
 
     n_lines: int | None = None
     minutes: float | None = None
@@ -50,7 +52,7 @@ class LinesWanted(NamedTuple):
 
 
 class LinePlan(NamedTuple):
-    """Lines in the order of their visits, the a-priori error (l,) [m] at each, and the devices as they are to be set up."""
+    """Lines in the order of their visits, the a-priori error (l,) [m] at each, and the planned pose of the devices."""
 
     lines: Lines
     error: Floats
@@ -65,9 +67,10 @@ class LinePlan(NamedTuple):
 def plan_lines(
     site: Site, known: Known, wanted: LinesWanted, pace: Pace, region: Region | None = None, target: str = ""
 ) -> LinePlan:
-    """Candidates, choice, order and forecast. ``target``: the rig's point that is measured, "" the end's origin.
+    """Plan lines: candidates, choice, order and forecast. ``target``: the measured point of the rig, "" for the end's
+    origin.
 
-    Raises PlanError where too few lines fit into the workspace or the budget, and what the parts raise.
+    Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """
     if (wanted.n_lines is None) == (wanted.minutes is None):
         raise PlanError("give a budget: either a number of lines or minutes")
@@ -102,12 +105,12 @@ def plan_lines(
 
 
 def _driving(wanted: LinesWanted) -> float:
-    """Seconds along one line, all ways."""
+    """Return the seconds along one line, in all directions and passes."""
     return 2.0 * wanted.passes * (wanted.shape.length / wanted.shape.speed + 2.0 * SETTLE)
 
 
 def _most(wanted: LinesWanted) -> int:
-    """Lines that the minutes allow if no move between them took time."""
+    """Return the number of lines that the minutes allow if moves between them took no time."""
     n = int(60.0 * (wanted.minutes or 0.0) / (SETUP + _driving(wanted)))
     if n == 0:
         raise PlanError(_too_few(wanted))
@@ -124,7 +127,10 @@ def _too_few(wanted: LinesWanted) -> str:
 def line_rows(
     known: Known, lines: Lines, names: list[str], target: str, passes: int = 1
 ) -> tuple[ObservationTable, dict[str, Device]]:
-    """Lines there and back as rows that would be read if the model were true, and their devices, placed by these rows."""
+    """Return lines in both directions as rows that would be read if the model were exact, and their devices.
+
+    The devices are placed by these rows.
+    """
     point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
     p = point_forward(known.chain, known.params, lines.points, point)
     axes = [_axes(line) for line in p]
@@ -152,7 +158,7 @@ def line_rows(
 
 
 def _axes(line: Floats) -> Floats:
-    """(3, 3) of a device along points (n, 3): y from the first to the last."""
+    """Return the axes (3, 3) of a device along points (n, 3): y from the first to the last."""
     y = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
     x = np.cross(y, np.eye(3)[np.argmin(np.abs(y))])
     x /= np.linalg.norm(x)
@@ -160,14 +166,14 @@ def _axes(line: Floats) -> Floats:
 
 
 def _new_names(known: Known, n: int) -> list[str]:
-    """plan1, plan2 …, but for what the rig and the rows have already."""
+    """Return plan1, plan2 …, without names that the rig or the rows already use."""
     old = {*known.rig.lines, *(() if known.measured is None else known.measured.line.tolist())}
     free = (name for name in map("plan{}".format, count(1)) if name not in old)
     return [next(free) for _ in range(n)]
 
 
 def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
-    """With the planned devices beside those that were measured with."""
+    """Return what is known with the planned devices in addition to those already used."""
     old = known.rig.lines
     if known.measured is not None and not old:
         cov = next(iter(devices.values())).sensor_cov
@@ -176,7 +182,7 @@ def _with_lines(known: Known, devices: dict[str, Device]) -> Known:
 
 
 def _chosen(known: Known, found: Lines, n: int, wanted: LinesWanted, aim: Aim, target: str) -> list[int]:
-    """The best ``n`` lines; unknowns of their own devices are fitted away."""
+    """Return the best ``n`` lines, after fitting the unknowns of their own devices."""
     parts = []
     for i in steps_of(range(len(found.q)), f"weighing {len(found.q)} lines"):
         table, devices = line_rows(known, found.select([i]), ["own"], target, wanted.passes)
@@ -192,7 +198,10 @@ def _chosen(known: Known, found: Lines, n: int, wanted: LinesWanted, aim: Aim, t
 
 
 def _information(known: Known, k: int) -> Floats:
-    """(k, k) of the prior and of what was measured, for the columns of the robot, rows' own unknowns fitted away."""
+    """Return the information (k, k) of the prior and of existing measurements for the robot's columns.
+
+    The rows' own unknowns are fitted first.
+    """
     information = np.eye(k)
     if known.measured is None:
         return information
@@ -207,7 +216,7 @@ def _information(known: Known, k: int) -> Floats:
 
 
 def _order(q: Floats) -> list[int]:
-    """Lines (l, n, j) so that each begins near where the last one did, which is where it ended."""
+    """Order lines (l, n, j) so that each begins near the end of the previous one, which is where that one began."""
     left, out = list(range(1, len(q))), [0]
     while left:
         out.append(min(left, key=lambda i: float(np.abs(q[i, 0] - q[out[-1], 0]).max())))
@@ -216,7 +225,7 @@ def _order(q: Floats) -> list[int]:
 
 
 def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace: Pace, point: Floats) -> list[Stop]:
-    """The beginning of every line, its ends to and fro, and via points between lines."""
+    """Return the beginning of every line, its ends in both directions, and via points between lines."""
     stops: list[Stop] = []
     for number, (q, name) in enumerate(zip(lines.q, names, strict=True)):
         way = [q[0]]
@@ -236,7 +245,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
 
 
 def _visits(stops: list[Stop], names: list[str], passes: int, target: str) -> Plan:
-    """The stops as a plan, row by row."""
+    """Return the stops as a plan, row by row."""
     move = np.array([stop.move for stop in stops])
     driven, blank = move == Move.LINE, np.full(len(stops), "")
     line = np.full(len(stops), "", dtype=np.array(names).dtype)

@@ -1,9 +1,9 @@
-"""What a measurement has to keep to: an arm before its rig, and the limits at a pose and on the way to it.
+"""The limits of a measurement: an arm with its rig, and the limits at a pose and on the path to it.
 
-The device is only as long as it is: a ball-bar's travel, less a ``reserve`` for what the model that plans does not know.
-Goswami's PUMA strays from its design by -16 to +22 mm along the bar; so 22 mm of 37.5 are the default, and a plan on an
-identified model needs next to nothing. Both ends of the bar sit in magnetic cups, which bear some angle only: the one
-on the table about the vertical, the one on the endpoint about the end's z axis, which points away from the arm.
+The bar's travel is limited; a ``reserve`` of it is left for errors of the model used for planning. Goswami's PUMA
+deviates from its design by -16 to +22 mm along the bar, so the default is 22 mm of 37.5; a plan based on an identified
+model needs almost none. Both ends of the bar sit in magnetic cups, which allow a limited angle: the one on the table
+about the vertical, the one on the endpoint about the end's z axis, which points away from the arm.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from truearm.types import BallBar, Floats, Plan, Rig
 
 @dataclass(frozen=True)
 class Limits:
-    """What is kept to, at poses and on the way between them; ``tightened`` for what is checked at samples only."""
+    """The limits at poses and on the path between them; ``tightened`` where only samples are checked."""
 
     joint_margin: float = np.deg2rad(2.0)  # rad (m) from the joints' limits
     singular_value: float = 0.04  # of the end's Jacobian, metres in LEVERs
@@ -31,7 +31,7 @@ class Limits:
     sphere_angle: float = np.deg2rad(75.0)  # of the bar from the end's z axis
 
     def tightened(self) -> Limits:
-        """For samples STEP apart: between two of them the bar's length bulges by less than 0.6 mm."""
+        """Return limits for samples STEP apart: between two of them the bar's length bulges by less than 0.6 mm."""
         return replace(
             self,
             reserve=self.reserve + 6e-4,
@@ -41,12 +41,12 @@ class Limits:
         )
 
 
-STEP = 0.04  # rad that no joint turns by more between two samples of a way
+STEP = 0.04  # rad, the largest rotation of a joint between two samples of a path
 
 
 @dataclass(frozen=True)
 class Site:
-    """An arm before its rig."""
+    """An arm with its rig."""
 
     arm: Arm
     rig: Rig
@@ -56,7 +56,7 @@ class Site:
 
 @dataclass(frozen=True)
 class Pairing:
-    """A bar between a chuck and a sphere, by the rig's names."""
+    """A bar between a chuck and a sphere, by their names in the rig."""
 
     bar: str
     chuck: str
@@ -68,17 +68,17 @@ class Pairing:
 
 
 def pairing_at(plan: Plan, i: int) -> Pairing:
-    """What is connected at pose i."""
+    """Return what is connected at pose i."""
     return Pairing(str(plan.bar[i]), str(plan.chuck[i]), str(plan.sphere[i]))
 
 
 def of_pairing(plan: Plan, pairing: Pairing) -> NDArray[np.bool_]:
-    """(n,) the poses of a pairing."""
+    """Return a mask (n,) of the poses with a pairing."""
     return np.asarray((plan.bar == pairing.bar) & (plan.chuck == pairing.chuck) & (plan.sphere == pairing.sphere))
 
 
 def allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits | None = None) -> NDArray[np.bool_]:
-    """Whether joints q (n, j) keep within all limits, with the bar on or, for None, off."""
+    """Return whether joints q (n, j) are within all limits, with the bar on or, for None, removed."""
     limits = limits or site.limits
     good = _device_allows(site, q, pairing, limits)
     good[good] = _arm_allows(site, q[good], pairing, limits)
@@ -86,12 +86,12 @@ def allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits | Non
 
 
 def all_allowed(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> bool:
-    """Whether all of q (n, j) are; what is dear to compute is not where something cheap fails."""
+    """Return whether all of q (n, j) are allowed. Expensive checks are skipped if a cheap one fails."""
     return bool(_device_allows(site, q, pairing, limits).all() and _arm_allows(site, q, pairing, limits).all())
 
 
 def _device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
-    """Joints, the bar's length and its cups' angles."""
+    """Check the joints, the bar's length and the angles of its cups."""
     good = within_joints(site, q, limits)
     if pairing is None:
         return good
@@ -105,32 +105,32 @@ def _device_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limit
 
 
 def _arm_allows(site: Site, q: Floats, pairing: Pairing | None, limits: Limits) -> NDArray[np.bool_]:
-    """Singularities, which matter while the bar is on, and what must not touch."""
+    """Check for collisions and, with the bar on, for singularities."""
     if pairing is None:
         return clear(site.shapes, q, None)
     return clear(site.shapes, q, pairing.of(site.rig)[1]) & (smallest_singular_value(site, q) > limits.singular_value)
 
 
 def within_joints(site: Site, q: Floats, limits: Limits) -> NDArray[np.bool_]:
-    """(n,) inside the joints' limits by their margin."""
+    """Return a mask (n,) of the poses inside the joints' limits, with their margin."""
     joints = site.arm.chain.joints
     lower, upper = np.array([(j.lower, j.upper) for j in joints]).T
     return np.asarray(((q > lower + limits.joint_margin) & (q < upper - limits.joint_margin)).all(axis=-1))
 
 
 def smallest_singular_value(site: Site, q: Floats) -> Floats:
-    """(n,) of the end's Jacobian, with metres in LEVERs; 0 at a singularity."""
+    """Return the smallest singular value (n,) of the end's Jacobian, with metres in LEVERs; 0 at a singularity."""
     jacobian = joint_jacobian(site.arm.chain, site.arm.params, q)
     jacobian[:, :3] /= LEVER
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1])
 
 
 def free_travel(bar: BallBar, limits: Limits) -> float:
-    """How far from mid-travel the planned length may go, either way [m]."""
+    """Return how far the planned length may deviate from mid-travel in either direction [m]."""
     return 0.5 * abs(bar.gain) * bar.travel - limits.reserve
 
 
 def bar_vectors(site: Site, q: Floats, mounted: Mounted) -> tuple[Floats, Floats]:
-    """(n, 3) each: from chuck to sphere [m], and the end's z axis."""
+    """Return the vectors from chuck to sphere [m] and the end's z axes, each (n, 3)."""
     pose = forward(site.arm.chain, site.arm.params, q)
     return pose[:, :3, :3] @ mounted.p_sphere + pose[:, :3, 3] - mounted.p_chuck, pose[:, :3, 2]

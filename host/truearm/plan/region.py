@@ -1,4 +1,4 @@
-"""Where accuracy is wanted: a box in the base frame, and poses of the arm with its point of interest inside."""
+"""Where accuracy is wanted: a box in the base frame, and poses of the arm whose point of interest is inside."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ class Region:
 
 
 def around(points: Floats) -> Region:
-    """The smallest box around points (n, 3)."""
+    """Return the smallest box around points (n, 3)."""
     return Region(points.min(axis=0), points.max(axis=0))
 
 
 def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, seed: int = 0) -> Floats:
-    """(n, j) poses of the arm's branch, drawn at random, with a point (3,) of the end inside the region.
+    """Return random poses (n, j) of the arm's branch with a point (3,) of the end inside the region.
 
-    Raises PlanError where not one of 200,000 drawn is.
+    Raises PlanError if none of 200,000 random poses is.
     """
     rng, arm = np.random.default_rng([seed, 0x4E610]), site.arm
     kept = np.zeros((0, len(arm.chain.joints)))

@@ -1,8 +1,9 @@
-"""Detours with the bar on: over candidates of the same pairing, along a graph of neighbours (a probabilistic roadmap).
+"""Detours with the bar on: through candidates of the same pairing, along a graph of neighbours (a probabilistic
+roadmap).
 
-Straight ways fail where the tool would tip too far or touch something. The candidates fill what may be reached with the bar
-on, so a chain of them leads around. Edges are looked at in three points when the graph is made; the ways along the chain
-found are then checked at every sample, and an edge that fails is taken out of the graph.
+Straight paths fail where the tool would tilt too far or touch something. The candidates fill the space reachable with
+the bar on, so a chain of them leads around the obstacle. When the graph is built, each edge is checked at three points.
+The paths along the chain found are then checked at every sample, and an edge that fails is removed from the graph.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from truearm.types import Floats, Plan
 
 NEIGHBOURS = 8
 TRIES = 6  # chains
-SHARES = (0.25, 0.5, 0.75)  # of a way, where an edge is looked at
+SHARES = (0.25, 0.5, 0.75)  # of a path, where an edge is checked
 
 
 @dataclass(frozen=True)
 class Roadmap:
-    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of what seems passable, 0 for nothing."""
+    """The graph of one pairing: candidates (n, j), and lengths (n, n) [rad] of passable edges, 0 for no edge."""
 
     site: Site
     pairing: Pairing
@@ -36,13 +37,13 @@ class Roadmap:
     edges: Floats
 
     def way(self, start: Floats, end: Floats) -> Floats | None:
-        """Via points (v, j) of a way with the bar on, straight or over candidates; None where none is found."""
+        """Return via points (v, j) of a path with the bar on, straight or over candidates; None if there is none."""
         straight = way_with_bar(self.site, start, end, self.pairing)
         return straight if straight is not None else _around(self, start, end)
 
     @property
     def main(self) -> NDArray[np.bool_]:
-        """(n,) the largest set of candidates between which there seem to be ways."""
+        """Return the mask (n,) of the largest set of candidates that appear to be connected."""
         _, label = connected_components(csr_array(self.edges), directed=False)
         return np.asarray(label == np.argmax(np.bincount(label)))
 
@@ -52,7 +53,7 @@ def make_roadmap(site: Site, pairing: Pairing, stock: Floats) -> Roadmap:
 
 
 def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
-    """The candidates that can be reached from most others of their pairing with the bar on, and the graphs of them."""
+    """Return the candidates reachable from most others of their pairing with the bar on, and their graphs."""
     kept, graphs = [], {}
     pairings = list(dict.fromkeys(pairing_at(found, i) for i in range(len(found))))
     for pairing in steps_of(pairings, f"looking for ways between {len(found)} poses"):
@@ -94,7 +95,7 @@ def _around(roadmap: Roadmap, start: Floats, end: Floats) -> Floats | None:
 
 
 def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
-    """(n, n) lengths of what seems passable between near neighbours, 0 elsewhere."""
+    """Return the lengths (n, n) of apparently passable edges between near neighbours, 0 elsewhere."""
     edges = np.zeros((len(q), len(q)))
     if len(q) < 2:
         return edges
@@ -108,7 +109,7 @@ def _edges(site: Site, pairing: Pairing, q: Floats) -> Floats:
 
 
 def passable(site: Site, start: Floats, end: Floats, pairing: Pairing) -> NDArray[np.bool_]:
-    """(n,) whether straight moves seem free, but for the bar's length, which via points mend."""
+    """Return a mask (n,) of straight moves that appear free, ignoring the bar's length, which via points correct."""
     shares = np.array(SHARES)[:, None, None]
     between = (start + shares * (end - start)).reshape(-1, start.shape[1])
     any_length = replace(site.limits.tightened(), reserve=-np.inf)

@@ -1,4 +1,4 @@
-"""From chosen poses to a route: pairings together, short ways within them, via points, and how long it all takes."""
+"""From chosen poses to a route: grouped pairings, short paths within them, via points, and the total time."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from truearm.plan.visit_order import short_tour
 from truearm.progress import steps_of
 from truearm.types import BAR_MOUNTED, Floats, Move, Plan
 
-NEAR = 12  # poses to which the way is looked at before the order is chosen
+NEAR = 12  # poses to which the path is checked before the order is chosen
 
 
 class Visits(NamedTuple):
-    """How often mounts are visited, so that what drifts or slips shows (docs/how-to/rig.md).
+    """How often mounts are visited, so that drift or slip can be detected (docs/how-to/rig.md).
 
-    ``times``: every mount so many times, with its share of the poses each. ``check_poses``: so many poses of the first mount are
-    visited again when half the mounts are done, and at the end.
+    ``times``: visits of every mount, which share its poses. ``check_poses``: number of poses of the first mount that
+    are visited again when half the mounts are done, and at the end.
     """
 
     times: int = 1
@@ -38,13 +38,13 @@ ONCE = Visits()
 class Route(NamedTuple):
     """Stops in order: poses of a plan and via points between them.
 
-    All bars are off on the way to a ``mount``; where the pairing stays, there is a via point that says so.
+    All bars are removed on the way to a ``mount``. If the pairing stays the same, a via point records this.
     """
 
     plan: Plan  # in the order of the visits
     q: Floats  # (m, j) of every stop
     pose: NDArray[np.intp]  # (m,) of the plan, −1 for a via point
-    mount: NDArray[np.bool_]  # (m,) the bar is put on at this stop
+    mount: NDArray[np.bool_]  # (m,) the bar is mounted at this stop
     seconds: Floats  # (m,) of the move to the stop
     pace: Pace
 
@@ -54,13 +54,13 @@ class Route(NamedTuple):
 
     @property
     def minutes(self) -> float:
-        """Of an operator who stands by."""
+        """Return the minutes, with an operator present."""
         rest = len(self.plan) * self.pace.dwell + self.n_mounts * self.pace.mount
         return float(self.seconds.sum() + rest) / 60.0
 
     @property
     def visits(self) -> Plan:
-        """All stops as a plan, row by row: via points name what is mounted, or nothing on the way to a mount."""
+        """Return all stops as a plan, row by row: via points name what is mounted, or nothing on the way to a mount."""
         to = _next_pose(self.pose)
         mounts = np.zeros(len(self.plan), dtype=bool)
         mounts[self.pose[self.mount]] = True
@@ -72,9 +72,9 @@ class Route(NamedTuple):
 
     @property
     def stops(self) -> list[Stop]:
-        """For a program: the operator is asked to take the bar off before the way to a mount, and to put it on there."""
+        """Stops for a program: the operator removes the bar before the move to a mount, and mounts it there."""
         out: list[Stop] = []
-        left = 0  # the stop that the way to the next pose begins with
+        left = 0  # the first stop on the way to the next pose
         for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
             out.append(Stop(q, seconds, Move.DWELL if pose >= 0 else Move.VIA))
             if pose < 0:
@@ -95,10 +95,11 @@ def route(
     graphs: Mapping[Pairing, Roadmap] | None = None,
     visits: Visits = ONCE,
 ) -> Route:
-    """Visit all poses of a plan, in an order of its own, check poses more than once.
+    """Return a route through all poses of a plan, in an order that this chooses, with check poses visited more than
+    once.
 
-    Where a straight way fails it may go over candidates by the ``graphs`` of ``roadmaps``; default: over the plan's own.
-    Raises PlanError where no way to a pose is free.
+    Where a straight path fails, the route may pass through candidates by the ``graphs`` of ``roadmaps``; by default
+    through the plan's own poses. Raises PlanError if no path to a pose is free.
     """
     plan = ordered(site, plan, pace, visits)
     graphs = dict(graphs or {})
@@ -119,7 +120,7 @@ def route(
 
 
 def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
-    """The poses in the order of their visits: pairings together, neighbours in it sharing a chuck or a sphere."""
+    """Return the poses in the order of visits, by pairing; successive pairings share a chuck or a sphere."""
     here = 0.5 * (site.arm.branch.lower + site.arm.branch.upper)
     parts: list[NDArray[np.intp]] = []
     pairings = _pairings_in_order(site, plan)
@@ -141,26 +142,27 @@ def ordered(site: Site, plan: Plan, pace: Pace, visits: Visits = ONCE) -> Plan:
 
 
 def n_checks(site: Site, plan: Plan, visits: Visits) -> int:
-    """How many visits of check poses ``route`` adds to a plan."""
+    """Return the number of visits of check poses that ``route`` adds to a plan."""
     sizes = [int(of_pairing(plan, pairing).sum()) for pairing in _pairings_in_order(site, plan)]
     parts = [np.arange(size) for size in sizes] * visits.times
     return sum(part.size for part in _with_checks(parts, visits.check_poses)) - sum(sizes) * visits.times
 
 
 def _with_checks(parts: Sequence[NDArray[np.intp]], check_poses: int) -> list[NDArray[np.intp]]:
-    """The mounts' poses with those of the first visited again in the middle and at the end, spread over its tour."""
+    """Return the poses of the mounts, with some of the first repeated in the middle and at the end."""
     if check_poses == 0 or len(parts) < 2:
         return list(parts)
     some = np.unique(np.linspace(0, parts[0].size - 1, check_poses).astype(np.intp))
     middle = (len(parts) + 1) // 2
-    between = [parts[0][some]] if middle > 1 else []  # beside the first mount it would be one long visit
+    between = [parts[0][some]] if middle > 1 else []  # next to the first mount it would be one long visit
     return [*parts[:middle], *between, *parts[middle:], parts[0][some]]
 
 
 def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[np.bool_]:
-    """(n, n) whether a move between two near poses seems free, but for the bar's length, which via points mend.
+    """Return a mask (n, n) of moves between near poses that appear free, ignoring the bar's length, which via points
+    correct.
 
-    Looked at to each pose's NEAR nearest; others count as not free.
+    Each pose is checked against its NEAR nearest; other moves count as not free.
     """
     near = np.zeros(cost.shape, dtype=bool)
     nearest = np.argsort(cost, axis=1, kind="stable")[:, : NEAR + 1]
@@ -173,7 +175,7 @@ def _passable(site: Site, q: Floats, cost: Floats, pairing: Pairing) -> NDArray[
 
 
 def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
-    """Bars one after the other, chucks within them, spheres to and fro: one end of the bar stays where it was."""
+    """Order pairings by bar, then chuck, with spheres in alternating order, so that one end of the bar stays."""
     there = {pairing_at(plan, i) for i in range(len(plan))}
     out, forth = [], True
     for bar in site.rig.bars:
@@ -186,7 +188,7 @@ def _pairings_in_order(site: Site, plan: Plan) -> list[Pairing]:
 
 
 def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool]:
-    """Via points to pose i from the one before, and whether the bar has to come off."""
+    """Return via points to pose i from the previous one, and whether the bar must be removed."""
     pairing, start, end = pairing_at(plan, i), plan.q[i - 1], plan.q[i]
     if pairing == pairing_at(plan, i - 1):
         via = roadmap.way(start, end)
@@ -202,7 +204,7 @@ def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool
 
 
 def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: Pace) -> Floats:
-    """(m,) [s] so that neither a joint nor the sphere that the bar holds goes faster than the pace; 0 for the first."""
+    """Return durations (m,) [s] in which neither a joint nor the bar's sphere exceeds the pace; 0 for the first."""
     out = np.zeros(len(q))
     to = plan.sphere[_next_pose(pose)]
     for i in range(1, len(q)):
@@ -212,6 +214,6 @@ def _durations(site: Site, plan: Plan, q: Floats, pose: NDArray[np.intp], pace: 
 
 
 def _next_pose(pose: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(m,) the pose that each stop leads to; the last stop is one."""
+    """Return the pose (m,) to which each stop leads; the last stop is one."""
     where = np.flatnonzero(pose >= 0)
     return np.asarray(pose[where[np.searchsorted(where, np.arange(len(pose)))]])

@@ -1,4 +1,4 @@
-"""A route as a table (CSV), for a controller whose language truearm does not write."""
+"""A route as a table (CSV), for a controller whose language truearm does not support."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from truearm.units import MM_S
 
 
 def text(stops: Sequence[Stop], task: Task) -> str:
-    """Every stop a row, numbered as in the plan file.
+    """Return every stop as a row, numbered as in the plan file.
 
-    What is done there or on the way, the operator's part, seconds of the move (empty: of a line) and of the rest, a line's
-    speed, joints [rad].
+    The columns are the action there or on the way, the operator's task, the seconds of the move (empty for a line) and
+    of the dwell, the speed of a line, and the joints [rad].
     """
     rows = [["pose", "move", "before", "there", "move_s", "dwell_s", "speed_mm_s"]]
     rows[0] += [f"q{i + 1}_rad" for i in range(len(stops[0].q))]
@@ -24,7 +24,7 @@ def text(stops: Sequence[Stop], task: Task) -> str:
 
 
 def _pace(stop: Stop, task: Task) -> tuple[str, str, str]:
-    """Seconds of the move, seconds of the rest, speed of a line [mm/s]."""
+    """Return the seconds of the move, the seconds of the dwell, and the speed of a line [mm/s]."""
     match stop.move:
         case Move.DWELL:
             return f"{stop.seconds:.3f}", f"{task.dwell:g}", ""
@@ -37,5 +37,5 @@ def _pace(stop: Stop, task: Task) -> tuple[str, str, str]:
 
 
 def csv_of(rows: Iterable[Iterable[str]]) -> str:
-    """Cells without commas, quotes or line feeds, as all here are, as CSV."""
+    """Return CSV of cells without commas, quotes or line feeds, as all cells here are."""
     return "".join(",".join(cells) + "\n" for cells in rows)

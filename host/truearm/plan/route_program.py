@@ -1,13 +1,14 @@
-"""A route as a program: a language by the suffix of its file.
+"""A route as a program; the suffix of the file selects the language.
 
-Every move but the first, which starts anywhere and is slow, is straight in joint space and takes the seconds of the route, so
-that neither a joint nor the bar goes faster than planned. At a pose the program says "at rest" on an output, waits for the
-dwell, and takes the word back before it moves on. A line is driven straight in space, at the speed planned, with the output on
-from its one end to the other. With an ``input`` it also waits until the box has answered, at most TIMEOUT, and until the
-answer is gone. Before it leaves a pairing or a line it stops until the bar or the device is off, and at the next one until it is on.
+The first move starts anywhere and is slow. Every other move is straight in joint space and takes the seconds of the
+route, so that neither a joint nor the bar moves faster than planned. At a pose the program sets an output ("at rest"),
+waits for the dwell, and clears the output before it moves on. A line is driven straight in space at the planned speed,
+with the output set from one end to the other. With an ``input`` the program also waits until the box has answered, at
+most TIMEOUT, and until the answer is cleared. Before leaving a pairing or a line it stops until the bar or the device
+is removed, and at the next one until it is mounted.
 
-Imports nothing slow, so that ``--help`` can list the languages. To add one, write a module here with ``text(stops, task) -> str``
-and add its line to ``DIALECTS``.
+Imports nothing slow, so that ``--help`` can list the languages. To add one, write a module here with ``text(stops,
+task) -> str`` and add its line to ``DIALECTS``.
 """
 
 from __future__ import annotations
@@ -25,8 +26,7 @@ N_AXES = 6
 
 
 class Dialect(NamedTuple):
-    """A language of programs: its name, its module in this package, how each of its files begins, and whether arms of
-    other than six joints can have one."""
+    """A programming language: its name, its module here, how its files begin, whether any arm can use it."""
 
     name: str
     module: str
@@ -42,12 +42,12 @@ DIALECTS: Mapping[str, Dialect] = {
 
 
 def dialects_help() -> str:
-    """Return the suffixes and the languages behind them, as ``--help`` and messages show them."""
+    """Return the suffixes and their languages, as ``--help`` and messages show them."""
     return ", ".join(f"{suffix} ({dialect.name})" for suffix, dialect in DIALECTS.items())
 
 
 def program(stops: Sequence[Stop], suffix: str, task: Task) -> str:
-    """The text for a file's suffix, one of DIALECTS. Raises PlanError for another one, and for an arm of other than six joints."""
+    """Return the program for a suffix of DIALECTS. Raises PlanError for others, and for an arm without six joints."""
     check_suffix(suffix)
     dialect = DIALECTS[suffix]
     if not dialect.any_joints and len(stops[0].q) != N_AXES:
@@ -57,6 +57,6 @@ def program(stops: Sequence[Stop], suffix: str, task: Task) -> str:
 
 
 def check_suffix(suffix: str) -> None:
-    """Raise PlanError for a suffix that is none of DIALECTS."""
+    """Raise PlanError for a suffix that is not in DIALECTS."""
     if suffix not in DIALECTS:
         raise PlanError(f"programs cannot be written as {suffix or 'a file without suffix'!r}; use {dialects_help()}")

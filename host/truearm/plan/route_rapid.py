@@ -1,7 +1,8 @@
 """A route in RAPID.
 
-Signals ``doTruearm`` and ``diTruearm`` stand in the controller's configuration. Lines are driven to robtargets that the
-controller computes of the joints planned, ``CalcRobT``: so in the configuration planned, and by its own model.
+The signals ``doTruearm`` and ``diTruearm`` are defined in the controller's configuration. Lines are driven to
+robtargets that the controller computes from the planned joints (``CalcRobT``), and therefore in the planned
+configuration and by its own model.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ TOOL = "toTruearm"
 
 
 def text(stops: Sequence[Stop], task: Task) -> str:
-    """A module; joints in degrees."""
+    """Return a module; joints in degrees."""
     lines_too = any(stop.move is Move.LINE for stop in stops)
     tool = TOOL if lines_too else "tool0"
     lines = [f"MODULE {identifier(task.name)}", *_data(task, lines_too), "  PROC main()", *_begin(lines_too)]
@@ -79,7 +80,7 @@ def _at_rest(task: Task) -> list[str]:
 
 
 def _switched(task: Task, level: int) -> list[str]:
-    """The output, and where there is an input the wait until it follows."""
+    """Return the statements that set the output and, if there is an input, wait until it follows."""
     out = f"    SetDO doTruearm, {level};"
     if task.signals.input is None:
         return [out]

@@ -1,4 +1,4 @@
-"""What programs and plan files are made of: the stops of a robot in order."""
+"""The content of programs and plan files: the stops of a robot in order."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import NamedTuple
 
 from truearm.types import Floats, Move
 
-TIMEOUT = 5.0  # s that the box has to answer
-SETTLE = 0.3  # s between arriving and saying so
-SLOW = 0.2  # rad/s, rad/s² of the first move, from wherever the arm stands; RAPID: 50 mm/s
-LONGEST = 72  # characters of a text: RAPID's strings have 80, of which a program takes some
+TIMEOUT = 5.0  # s within which the box must answer
+SETTLE = 0.3  # s between arriving and signalling it
+SLOW = 0.2  # rad/s, rad/s² of the first move, from any position of the arm; RAPID: 50 mm/s
+LONGEST = 72  # characters of a text: RAPID's strings have 80, and a program needs some of them
 
 
 class Stop(NamedTuple):
     """One stop of a program, one row of the plan file.
 
-    Joints (j,); seconds of the move there (0 for the first); what is measured there or on the way (``Move``);
-    what the operator has to do before the arm sets out and when it is there ("" nothing, else as ``plain`` leaves it); the
-    speed [m/s] of a line.
+    Joints (j,); seconds of the move to it (0 for the first); what is measured there or on the way (``Move``); what the
+    operator must do before the arm moves off and when it has arrived ("" for nothing, otherwise as ``plain`` returns
+    it); the speed [m/s] of a line.
     """
 
     q: Floats
@@ -37,9 +37,9 @@ class Signals(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What a program says besides its stops.
+    """The content of a program other than its stops.
 
-    Rest at a pose [s]; the point (x, y, z) [m] of the end frame that lines keep straight.
+    Dwell at a pose [s]; the point (x, y, z) [m] of the end frame that lines keep straight.
     """
 
     name: str
@@ -49,10 +49,10 @@ class Task(NamedTuple):
 
 
 def plain(text: str) -> str:
-    """A text that no controller's language takes for anything else."""
+    """Return a text without characters that have a meaning in a controller's language."""
     return re.sub(r"[^\w: .-]", "_", text, flags=re.ASCII)[:LONGEST]
 
 
 def identifier(name: str) -> str:
-    """A name that both languages take, that is not a word of theirs, of at most the 32 characters of RAPID."""
+    """Return a name that is valid in both languages, is not one of their keywords, and fits RAPID's 32 characters."""
     return f"truearm_{re.sub(r'[^a-z0-9]+', '_', name.lower()).strip('_')}"[:32].rstrip("_")

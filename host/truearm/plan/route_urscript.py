@@ -1,8 +1,9 @@
 """A route in URScript.
 
-As Universal Robots' script manual wants it of what is sent to a controller (port 30002): a ``def`` in the first column, all
-else indented, ``end`` in the first column; it runs when that has arrived. A ``movel`` to joints goes straight in space to
-where the controller's own model has them: in the configuration that was planned, and to the calibrated arm's own pose.
+The format follows Universal Robots' script manual for programs sent to a controller (port 30002): ``def`` in the first
+column, everything else indented, ``end`` in the first column. The program runs once ``end`` has arrived. A ``movel`` to
+joints moves straight in space to where the controller's own model places them: in the planned configuration, and to the
+calibrated arm's own pose.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ ACCELERATION = 0.5  # m/s² at a line's ends
 
 
 def text(stops: Sequence[Stop], task: Task) -> str:
-    """A function; joints in rad, lines by standard digital numbers."""
+    """Return a function; joints in rad, digital lines by standard number."""
     lines = [f"def {identifier(task.name)}():", *_switched(task, False)[:1]]
     if any(task.tool):
         lines.append(f"  set_tcp(p[{', '.join(f'{v:.6f}' for v in task.tool)}, 0, 0, 0])")
@@ -65,7 +66,7 @@ def _at_rest(task: Task) -> list[str]:
 
 
 def _switched(task: Task, level: bool) -> list[str]:
-    """The output, and where there is an input the wait until it follows."""
+    """Return the statements that set the output and, if there is an input, wait until it follows."""
     out = f"  set_standard_digital_out({task.signals.output}, {level})"
     if task.signals.input is None:
         return [out]

@@ -1,10 +1,10 @@
-"""Poses on hemispherical shells about the chucks, planned on the design model, in an order that keeps moves short.
+"""Poses on hemispherical shells about the chucks, planned on the design model, in an order with short moves.
 
-A shell holds the places of a sphere that a ball-bar at mid-travel allows about a chuck: ``‖T(q)·s − c‖ = zero``. The
-measuring places are the crossings of a grid of latitudes and longitudes (Goswami, Quaid, Peshkin 1993, fig. 2), those
-that the arm reaches. At each place the tool faces the chuck, but for a tilt drawn up to ``MAX_TILT``, and is turned about
-that axis by an angle drawn over the whole turn: with a constant tool orientation relative to the base the measurements
-lose rank (28 of 36).
+A shell is the set of positions of a sphere about a chuck with the ball-bar at mid-travel: ``‖T(q)·s − c‖ = zero``. The
+measuring points are the crossings of a grid of latitudes and longitudes (Goswami, Quaid, Peshkin 1993, fig. 2) that the
+arm reaches. At each point the tool faces the chuck, except for a random tilt of up to ``MAX_TILT``, and is rotated
+about that axis by a random angle over the full turn. With a constant tool orientation relative to the base, the
+measurements lose rank (28 of 36).
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ from truearm.plan.visit_order import short_tour, untangled, without_dearest
 from truearm.progress import steps_of
 from truearm.types import BallBar, Floats, Plan, Point
 
-# Between the tool's axis and the direction to the chuck. It is what tells the radius of a shell from the robot's size:
-# with 35° the fit on 46 cm predicts 61 cm to 0.0890 mm (expected RMS, of 0.084 mm noise), in one of a hundred
-# runs to 0.103 mm; with 60° to 0.0875 mm and 0.095 mm.
+# Between the tool's axis and the direction to the chuck. It separates the radius of a shell from the robot's size: with
+# 35° the fit on 46 cm predicts 61 cm to 0.0890 mm (expected RMS, from 0.084 mm of noise), and to 0.103 mm in one run of
+# a hundred; with 60° to 0.0875 mm and 0.095 mm.
 MAX_TILT = np.deg2rad(60.0)
 # Below, the bar would touch the table; above, longitudes crowd at the pole.
 LOWEST, HIGHEST = np.deg2rad(12.0), np.deg2rad(84.0)
-CUP_MARGIN = np.deg2rad(4.0)  # left to the way between poses
-SURPLUS = 1.25  # poses sought for one visited: the dearest to visit are left out
-TRIES = 3  # orientations tried at a place before it counts as out of reach
+CUP_MARGIN = np.deg2rad(4.0)  # reserved for the path between poses
+SURPLUS = 1.25  # poses searched for per pose visited: those with the most expensive visits are dropped
+TRIES = 3  # orientations tried at a point before it counts as out of reach
 FREE_TRAVEL = 0.015  # m
-STRAIN_PER_SECOND = 0.008  # m: how much strain beyond that is as dear as a second of motion
+STRAIN_PER_SECOND = 0.008  # m: the excess strain that costs as much as a second of motion
 
 
 def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
-    """``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their visits.
+    """Return ``n_poses`` poses with one bar, spread evenly over all pairings of a chuck and a sphere, in order of their
+    visits.
 
-    ``speed`` (j,) [rad/s] weighs the joints where the order of visits is chosen. Shells are named ``<bar>-<chuck>``.
-    Raises PlanError where the arm has no branch or does not reach that many places.
+    ``speed`` (j,) [rad/s] weights the joints when the order of visits is chosen. Shells are named ``<bar>-<chuck>``.
+    Raises PlanError if the arm has no branch or cannot reach that many points.
     """
     rig = known.rig
     pairings = [(chuck, sphere) for chuck in rig.chucks.values() for sphere in rig.spheres.values()]
@@ -66,10 +67,11 @@ def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed
 
 
 def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, spread: float = 0.0) -> Plan:
-    """``n`` poses or a few more, spread over the pairings and places of their shells, that keep to the site's limits.
+    """Return ``n`` poses or a few more, spread over the pairings and their shells, within the site's limits.
 
-    A pairing whose shell the arm hardly reaches gives fewer. ``spread`` [m]: how far the bar's length is drawn from
-    mid-travel, either way, which tells a bar's gain from its zero. Raises PlanError where a pairing gives none.
+    A pairing whose shell the arm can hardly reach gives fewer. ``spread`` [m]: the random deviation of the bar's length
+    from mid-travel, in either direction, which separates a bar's gain from its zero. Raises PlanError if a pairing
+    gives none.
     """
     rng = np.random.default_rng(seed)
     count = -(-n // len(pairings))
@@ -86,7 +88,7 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
 
 
 def _out_of_reach(site: Site, pairing: Pairing) -> bool:
-    """Whether a chuck is farther away than the arm is long, stretched with sphere and bar: told before it is searched for."""
+    """Return whether a chuck is beyond the stretched arm with sphere and bar; checked before any search."""
     chain, params, zero = site.arm.chain, site.arm.params, np.zeros(len(site.arm.chain.joints))
     frames = [*joint_frames(chain, params, zero), forward(chain, params, zero)]
     length = sum(float(np.linalg.norm((b - a)[:3, 3])) for a, b in pairwise(frames))
@@ -103,7 +105,7 @@ def _unreached(pairing: Pairing) -> str:
 
 
 def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np.random.Generator) -> Floats:
-    """At most ``count`` joint vectors of one pairing; the grid is made finer until there are enough, to a limit."""
+    """Return at most ``count`` joint vectors of one pairing; the grid is refined, up to a limit, as needed."""
     bar, mounted = pairing.of(site.rig)
     tilt = site.limits.sphere_angle - CUP_MARGIN
     n_places, q = 2 * count, np.zeros((0, len(site.arm.chain.joints)))
@@ -127,9 +129,9 @@ def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np
 
 
 def grid_directions(n: int, lowest: float = LOWEST) -> Floats:
-    """About n unit vectors (m, 3), m ≥ n, from a chuck to the crossings of a latitude/longitude grid.
+    """Return about n unit vectors (m, 3), m ≥ n, from a chuck to the crossings of a latitude/longitude grid.
 
-    Rings of latitude are walked to and fro, so that neighbours in the list are neighbours on the shell.
+    Rings of latitude alternate in direction, so that neighbours in the list are neighbours on the shell.
     """
     n_latitudes = max(3, int(np.ceil(np.sqrt(n / 4.0))))
     n_longitudes = int(np.ceil(n / n_latitudes))
@@ -143,7 +145,7 @@ def grid_directions(n: int, lowest: float = LOWEST) -> Floats:
 def _reachable(
     arm: Arm, bar: BallBar, pairings: Sequence[tuple[Point, Point]], count: int, rng: np.random.Generator
 ) -> list[Floats]:
-    """``count`` joint vectors for each pairing; the grid is made finer until enough of it is in reach of all."""
+    """Return ``count`` joint vectors for each pairing; the grid is refined until all pairings reach enough of it."""
     p_chuck, p_sphere = np.array([(chuck.xyz, sphere.xyz) for chuck, sphere in pairings]).swapaxes(0, 1)
     n_places = 3 * count
     for _ in range(5):
@@ -173,7 +175,7 @@ def _tool_poses(
     rng: np.random.Generator,
     most: float = MAX_TILT,
 ) -> Floats:
-    """End poses (m, 4, 4) with the spheres on the shells and the tool's z axis towards the chuck, tilted and turned."""
+    """Return end poses (m, 4, 4) with spheres on the shells and the tool's z axis towards the chuck, tilted and turned."""
     m = len(directions)
     tilt, azimuth, turn = most * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
     lat, lon = np.arcsin(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
@@ -187,10 +189,11 @@ def _tool_poses(
 
 
 def move_costs(arm: Arm, q: Floats, weights: Floats, bar: BallBar, chuck: Point, sphere: Point) -> Floats:
-    """Cost (m, m) of a move between any two poses: its duration squared, and more where it strains the bar.
+    """Return the cost (m, m) of a move between any two poses: its duration squared, plus a penalty if it strains the
+    bar.
 
-    Halfway between two poses of a shell the bar is shorter or longer than on it. The true robot strays by up to 22 mm
-    from the design model (at Table II's values), which leaves FREE_TRAVEL of half the travel, 37.5 mm, to the moves.
+    Halfway between two poses of a shell the bar is shorter or longer than on it. The true robot deviates by up to 22 mm
+    from the design model (with Table II's values), which leaves FREE_TRAVEL of half the travel, 37.5 mm, for the moves.
     """
     duration = np.abs((q[:, None] - q[None]) * weights).max(axis=-1)
     first, second = np.triu_indices(len(q), 1)

@@ -1,4 +1,4 @@
-"""The order of visits: an open tour through points that keeps the sum of its moves' costs small."""
+"""The order of visits: an open tour through points that minimises the sum of its move costs approximately."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from truearm.types import Floats
 
 
 def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
-    """Order of n points that keeps the sum of ``cost`` (n, n) of the moves small; ``from_start`` (n,) picks the first."""
+    """Return an order of n points with a small sum of move ``cost`` (n, n); ``from_start`` (n,) selects the first."""
     order = [int(np.argmin(from_start))]
     left = np.ones(len(cost), dtype=bool)
     for _ in range(len(cost) - 1):
@@ -19,9 +19,9 @@ def short_tour(from_start: Floats, cost: Floats) -> NDArray[np.int64]:
 
 
 def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
-    """The tour after reversing stretches of it as long as that makes it cheaper (2-opt).
+    """Return the tour after reversing sections of it as long as this reduces the cost (2-opt).
 
-    Going always to the nearest point left ends with long moves back to what was skipped; this mends them.
+    Going always to the nearest remaining point ends with long moves back to skipped points; this corrects them.
     """
     order = order.copy()
     improved = True
@@ -40,7 +40,7 @@ def untangled(order: NDArray[np.int64], cost: Floats) -> NDArray[np.int64]:
 
 
 def without_dearest(order: NDArray[np.int64], cost: Floats, count: int) -> NDArray[np.int64]:
-    """The tour without those points whose visit costs most, one by one, until ``count`` are left."""
+    """Return the tour with the most expensive points removed one by one until ``count`` are left."""
     while len(order) > count:
         moves = np.concatenate([[0.0], cost[order[:-1], order[1:]], [0.0]])
         shortcuts = np.concatenate([[0.0], cost[order[:-2], order[2:]], [0.0]])
