@@ -1,8 +1,10 @@
-"""Where a controller's own base and flange are in the frames that a calibration names.
+"""The pose of a controller's own base and flange in the frames named by a calibration.
 
-Universal Robots' controllers count poses in ``base``, half a turn about z from ur_description's ``base_link``; their flange is ``tool0``. ABB's count in the base
-frame, ROS-Industrial's ``base`` or ``base_link``, and their ``tool0`` is the flange with z out of it. ROS's ``flange`` has x out of the flange (REP 199). Robots
-that are not URDFs, as those that truearm brings, are in the controller's own frames. Other names say nothing of where a frame is.
+Universal Robots' controllers express poses in ``base``, rotated by half a turn about z from ur_description's
+``base_link``; their flange is ``tool0``. ABB's controllers use the base frame, ROS-Industrial's ``base`` or
+``base_link``, and their ``tool0`` is the flange with z pointing out of it. ROS's ``flange`` has x pointing out of the
+flange (REP 199). Robots that are not URDFs, such as truearm's built-in ones, use the controller's own frames. Other
+names do not determine the pose of a frame.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from truearm.types import Floats
 
 
 class Frame(NamedTuple):
-    """A controller's frame in a frame of the calibration, (4, 4), and how it is said."""
+    """A controller's frame in a frame of the calibration, (4, 4), and its description in words."""
 
     pose: Floats
     words: str
@@ -48,10 +50,13 @@ FLANGES = {
 
 
 def base_of(language: str, frame: str, brought: bool) -> Frame | None:
-    """The controller's base in the calibration's base frame; None where the name does not say. ``brought``: the robot is not a URDF."""
+    """Return the controller's base in the calibration's base frame, or None if the name does not determine it.
+
+    ``brought``: the robot is not a URDF.
+    """
     return SAME if brought and frame == "base" else BASES[language].get(frame)
 
 
 def flange_of(language: str, frame: str, brought: bool) -> Frame | None:
-    """The controller's flange in the calibration's end frame; None where the name does not say."""
+    """Return the controller's flange in the calibration's end frame, or None if the name does not determine it."""
     return SAME if brought and frame in ("flange", "tool0") else FLANGES[language].get(frame)

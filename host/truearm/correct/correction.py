@@ -1,10 +1,11 @@
-"""Targets corrected: what to tell the controller, what error that leaves, and which targets must be refused.
+"""Corrected targets: what to command, the remaining error, and which targets must be rejected.
 
 ``newton`` is the full inverse of the identified model; ``false-target`` (32), ``joints`` (34) and ``offsets`` (35) are
-the paper's. Each ends with joint readings q. A controller that takes poses is told f_n(q), which it turns back into q.
+the paper's methods. Each yields joint readings q. A controller that accepts poses is given f_n(q), which it converts
+back into q.
 
-Refused is, never guessed at: a target that the nominal or the identified robot does not reach within the joint limits, one
-nearer to a singularity than ``margin``, and one where an iteration makes the error larger instead of smaller.
+Three kinds of targets are rejected, without a guess: a target that the nominal or the identified robot cannot reach
+within the joint limits, one closer to a singularity than ``margin``, and one where an iteration increases the error.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from truearm.correct.offsets import offsets
 from truearm.model.poses import apart
 from truearm.types import Floats
 
-MARGIN = 0.05  # smallest singular value: an error of 20 mm then asks for at most 0.8 rad
-ROUNDING = 1e-9  # m, rad: below, an iteration only stirs the last digits
-MOST_TURN = 0.5  # rad, m: a correction that moves a joint by more leads to another configuration
+MARGIN = 0.05  # smallest singular value: an error of 20 mm then requires at most 0.8 rad
+ROUNDING = 1e-9  # m, rad: below this, an iteration only changes the last digits
+MOST_TURN = 0.5  # rad, m: a correction that moves a joint further leads to another configuration
 
 
 class Configuration(NamedTuple):
-    """Which of the arm's configurations the controller takes.
+    """Which of the arm's configurations the controller uses.
 
-    ``q_start``: (n, j) near the joints that it will take; without, they are searched for (``inverse.search``), near ``home`` (j,)
-    first, within ``quadrants`` (n, j), each nearest to where the robot comes from by ``origins``.
+    ``q_start``: (n, j) near the joints that it will use. Without it they are searched for (``inverse.search``), near
+    ``home`` (j,) first, within ``quadrants`` (n, j), each nearest to the robot's previous position by ``origins``.
     """
 
     q_start: Floats | None = None
@@ -46,7 +47,7 @@ SEARCHED = Configuration()
 
 
 class Correction(NamedTuple):
-    """n targets corrected; a row with a ``problem`` is not to be used.
+    """n corrected targets; a row with a ``problem`` must not be used.
 
     Examples
     --------
@@ -59,10 +60,10 @@ class Correction(NamedTuple):
     ((1, 6), ('',))
     """
 
-    q_nominal: Floats  # (n, j) what the controller would have done
-    q: Floats  # (n, j) what it shall do
+    q_nominal: Floats  # (n, j) what the controller would have used
+    q: Floats  # (n, j) what it should use
     commanded: Floats  # (n, 4, 4) the pose to command
-    before: Floats  # (n, 2) m, rad: how far the end would have been off
+    before: Floats  # (n, 2) m, rad: error of the end without the correction
     after: Floats  # (n, 2)
     problem: tuple[str, ...]  # n, "" where there is none
 
@@ -79,8 +80,8 @@ def correct(
 ) -> Correction:
     """Correct targets (n, 4, 4), x_d.
 
-    steps : how often (32) and (34) are applied. oriented : False where only positions matter. margin : the smallest singular
-    value of targets that are not refused. Raises ValueError for an unknown method.
+    steps : how often (32) and (34) are applied. oriented : False if only positions matter. margin : smallest singular
+        value of targets that are accepted. Raises ValueError for an unknown method.
     """
     nominal = _nominal(pair, targets, oriented, configuration)
     q, near, singular = nominal
@@ -102,7 +103,7 @@ def correct(
 
 
 def joined(parts: Sequence[Correction]) -> Correction:
-    """The targets of one part after those of the other."""
+    """Return the targets of one part followed by those of the other."""
     return Correction(
         np.concatenate([part.q_nominal for part in parts]),
         np.concatenate([part.q for part in parts]),
@@ -116,7 +117,7 @@ def joined(parts: Sequence[Correction]) -> Correction:
 def _at(
     pair: ModelPair, targets: Floats, nominal: Inverse, method: Method, steps: int, oriented: bool, margin: float
 ) -> Correction:
-    """``correct`` from where the controller would go."""
+    """Return ``correct`` for joints where the controller would go."""
     q_nominal = nominal.q
     before = _error(pair, targets, q_nominal, oriented)
     q, grew, known = _corrected(pair, targets, q_nominal, method, steps, oriented)
@@ -138,7 +139,7 @@ def _at(
 
 
 def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Configuration) -> Inverse:
-    """f_n⁻¹(x_d)"""
+    """Return f_n⁻¹(x_d)."""
     q_start, home, quadrants, origins = configuration
     if q_start is None:
         return search(pair.chain, pair.nominal, targets, oriented, home, quadrants, origins)
@@ -149,7 +150,11 @@ def _nominal(pair: ModelPair, targets: Floats, oriented: bool, configuration: Co
 def _corrected(
     pair: ModelPair, targets: Floats, q_nominal: Floats, method: Method, steps: int, oriented: bool
 ) -> tuple[Floats, NDArray[np.bool_], Floats | None]:
-    """q (n, j), where no correction was found that makes the error smaller, and the smallest singular values (n,) where they are known already."""
+    """Return corrected joints q (n, j), where no correction reduces the error (n,), and the smallest singular values
+    (n,).
+
+    The singular values are None unless they are already known.
+    """
     match method:
         case Method.OFFSETS:
             q = offsets(pair, q_nominal)
@@ -174,7 +179,7 @@ def _repeated(
     steps: int,
     oriented: bool,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """``_corrected`` by a method that is applied ``steps`` times, each from where the one before led to."""
+    """Return ``_corrected`` for a method applied ``steps`` times, each time to the previous result."""
     q, grew = q_nominal, np.zeros(len(q_nominal), dtype=bool)
     size: Floats = _size(_error(pair, targets, q, oriented))
     for _ in range(steps):
@@ -188,7 +193,7 @@ def _repeated(
 
 
 def _error(pair: ModelPair, targets: Floats, q: Floats, oriented: bool) -> Floats:
-    """(n, 2) distance [m] and angle [rad] between targets and where the end is; no angle where none matters."""
+    """Return distance [m] and angle [rad] (n, 2) from targets to the end; NaN for the angle if it does not matter."""
     error = apart(targets, reached(pair, q))
     angle = np.linalg.norm(error[:, 3:], axis=-1) if oriented else np.full(len(q), np.nan)
     return np.stack([np.linalg.norm(error[:, :3], axis=-1), angle], axis=-1)

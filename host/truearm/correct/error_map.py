@@ -1,14 +1,14 @@
-"""How far the end errs over a section of the workspace, and how well that is known (Renders 1991, IV-A and Fig. 5).
+"""The error of the end over a section of the workspace, and its uncertainty (Renders 1991, IV-A and Fig. 5).
 
     e(q) = ‖f_i(q) − f_n(q)‖                                  (31)
 
-Two joints with parallel axes move the end in a plane; all others stand still (Fig. 5: θ_1 = θ_4 = θ_6 = 0, elbow up). The
-plane is cut into square cells, and each takes the joint vector that brings the nominal end to its middle; where the middle is
-out of reach, one that brings it into the cell, if one is known. Elbow up
-and down are distinguished by the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
+Two joints with parallel axes move the end in a plane; all others are at rest (Fig. 5: θ_1 = θ_4 = θ_6 = 0, elbow up).
+The plane is divided into square cells. Each cell gets the joint vector that brings the nominal end to its middle or, if
+the middle is out of reach, one that brings it into the cell, if one is known. Elbow up and down are distinguished by
+the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
 
-The map's own uncertainty: with the parameters' covariance P the identified end has the mean square error tr(J P Jᵀ).
-Where a direction that the observations did not see would move the end, no figure would be honest, and there is none.
+The map's own uncertainty: with the covariance P of the parameters, the identified end has the mean square error tr(J P
+Jᵀ). Where a null direction of the observations would move the end, no meaningful figure exists, and none is given.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from truearm.errors import RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats, rms
 
-SAMPLES = 100  # of each of the two joints: cells to begin with
+SAMPLES = 100  # of each of the two joints: initial cells
 MOST_CELLS = 250_000
-NEWTON_STEPS = 6  # from a neighbour a cell away it squares its error, 25 mm, down to rounding
+NEWTON_STEPS = 6  # from a neighbour one cell away they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
-MOVES = 1e-6  # m by a null direction whose largest weight is 1
-ROUNDING = 1e-9  # m, at a cell's edge
-STRETCHED = 1e-3  # m²/rad²: below, elbow up and down are hardly distinguished
+MOVES = 1e-6  # m by a null direction with a largest weight of 1
+ROUNDING = 1e-9  # m, at the edge of a cell
+STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distinguishable
 
 
 class ErrorMap(NamedTuple):
-    """Cells (v, u) of a section; what no joint vector reaches is NaN.
+    """Cells (v, u) of a section; cells that no joint vector reaches are NaN.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class ErrorMap(NamedTuple):
 
 
 class Region(NamedTuple):
-    """The cells of a rectangle in which the largest error is smallest."""
+    """The cells of the rectangle with the smallest largest error."""
 
     u: tuple[float, float]  # m
     v: tuple[float, float]  # m
@@ -73,11 +73,11 @@ def error_map(
     unseen: Floats,
     elbow_up: bool = True,
 ) -> ErrorMap:
-    """The map over the section that two joints (indices) span while the others stand at q (j,).
+    """Return the map over the section that two joints (indices) span while the others stay at q (j,).
 
-    cell : m. covariance : (p, p). unseen : (p, d) null directions, the largest weight of each being 1.
+    cell : m. covariance : (p, p). unseen : (p, d) null directions, each with a largest weight of 1.
 
-    Raises RobotError where the two joints do not turn about parallel axes across which the end lies.
+    Raises RobotError unless the two joints turn about parallel axes and the end lies off them.
     """
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
@@ -102,9 +102,11 @@ def error_map(
 
 
 def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Floats) -> None:
-    """Move the joints of every cell (l, k, j) to its middle, and go from there to neighbours that are empty yet.
+    """Move the joints of every cell (l, k, j) to its middle, and continue from there to neighbours that are still
+    empty.
 
-    ``reach`` gives the joints at which the end is at a goal, starting near by, NaN where it cannot be.
+    ``reach`` returns the joints at which the end is at a goal, starting from nearby joints; NaN if it cannot be
+    reached.
     """
     full = np.nonzero(~np.isnan(q[..., 0]))
     moved = reach(q[full], middles[full])
@@ -125,7 +127,7 @@ def _spread(reach: Callable[[Floats, Floats], Floats], q: Floats, middles: Float
 def _reach(
     pair: ModelPair, start: Floats, goal: Floats, joints: tuple[int, int], axes: Floats, side: float, cell: float
 ) -> Floats:
-    """Joints (n, j) that bring the nominal end to places (n, 2) of the plane, by Newton's method in the two joints."""
+    """Return joints (n, j) that bring the nominal end to points (n, 2) of the plane, by Newton's method in both."""
     q, two = start.copy(), list(joints)
     for _ in range(NEWTON_STEPS):
         error = goal - believed(pair, q)[:, :3, 3] @ axes.T
@@ -141,7 +143,7 @@ def _reach(
 
 
 def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
-    """Unit vectors across the first joint's axis: the second one as far up (or along y) as it goes."""
+    """Return unit vectors across the first joint's axis: the second one points up (or along y) as far as possible."""
     frames = joint_frames(pair.chain, pair.nominal, q)
     motions = [pair.chain.motions[i] for i in joints]
     turning = all(motion[0] == "r" for motion in motions)
@@ -170,13 +172,13 @@ def _samples(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
 
 
 def _plane_determinant(pair: ModelPair, q: Floats, joints: tuple[int, int], axes: Floats) -> Floats:
-    """(n,) m²/rad², the determinant of the plane's Jacobian."""
+    """Return the determinant of the plane's Jacobian (n,) [m²/rad²]."""
     jac = axes @ joint_jacobian(pair.chain, pair.nominal, q)[:, :3, list(joints)]
     return np.asarray(np.linalg.det(jac))
 
 
 def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floats, up: bool) -> float:
-    """The sign that the determinant has where the elbow lies, on the whole, higher (lower); the only one if there is one."""
+    """Return the sign of the determinant where the elbow is mostly higher (lower); the only sign if there is one."""
     determinant = _plane_determinant(pair, samples, joints, axes)
     frames = joint_frames(pair.chain, pair.nominal, samples)
     middle = 0.5 * (frames[:, joints[0], :3, 3] + believed(pair, samples)[:, :3, 3])
@@ -192,7 +194,7 @@ def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floa
 
 
 def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Floats:
-    """(n,) m; NaN where it cannot be told."""
+    """Return the standard deviation (n,) [m] of the identified end; NaN where it is undetermined."""
     _, jac, _ = point_jacobians(pair.chain, pair.identified, q, np.zeros(3))
     variance = np.einsum("nip,pr,nir->n", jac, covariance, jac, optimize=True)
     moved = np.abs(jac @ unseen).max(axis=(1, 2), initial=0.0)
@@ -202,10 +204,11 @@ def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Fl
 def best_region(
     found: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
 ) -> Region | None:
-    """Where a task of this size (along u and v) [m] errs least at its worst place; None where it fits nowhere.
+    """Return the rectangle of this size (along u and v) [m] with the smallest largest error, or None if it fits
+    nowhere.
 
-    ``within``: u0, u1, v0, v1 [m], the part of the section that it may lie in. The map knows nothing of what the arm
-    would touch, itself and the table among it.
+    ``within``: u0, u1, v0, v1 [m], the part of the section in which it may lie. The map does not account for
+    collisions, of the arm with itself or with the table for example.
     """
     cell = found.u[1] - found.u[0] if found.u.size > 1 else np.inf
     k, n = max(1, int(np.ceil(width / cell - 1e-9))), max(1, int(np.ceil(height / cell - 1e-9)))

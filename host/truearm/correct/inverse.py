@@ -4,12 +4,13 @@ Levenberg–Marquardt on the pose error e (position, rotation vector), all targe
 
     Δq = Jᵀ·(J·Jᵀ + λ²·I)⁻¹·e ,
 
-with a λ of its own for each target: a tenth after a step that lowered ‖e‖, ten times after one that did not. Near the
-solution λ vanishes and the steps are Newton's: the error squares, down to rounding. A robot with more joints than
-needed, and a target without orientation, take the smallest joint motion from where they start.
+with a separate λ for each target, divided by ten after a step that reduced ‖e‖ and multiplied by ten after any other.
+Near the solution λ vanishes and the steps are Newton's: the error is squared at each step, down to rounding. For a
+robot with more joints than needed, and for a target without orientation, the joint motion from the starting point is
+the smallest.
 
-The Jacobian's smallest singular value says how near a singularity is: the joints move 1/σ for an error of one. Metres
-count in units of LEVER there, so that a turn of the wrist and a motion of the arm compare.
+The smallest singular value of the Jacobian shows how close a singularity is: an error of one moves the joints by 1/σ.
+Here metres count in units of LEVER, to make a rotation of the wrist comparable with a motion of the arm.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ from truearm.types import Floats
 
 LEVER = 0.5  # m
 MAX_STEPS = 100
-TOLERANCE = 1e-12  # LEVERs and rad, of ‖e‖; rounding leaves some 1e-16 of an arm of a metre
-GOOD = 1e-10  # of ‖e‖, 0.05 nm: what counts as reached
+TOLERANCE = 1e-12  # LEVERs and rad, of ‖e‖; rounding leaves about 1e-16 for an arm of one metre
+GOOD = 1e-10  # of ‖e‖, 0.05 nm: counts as reached
 LARGEST_STEP = 0.5  # rad, m
 DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-9, 1e3
-N_SAMPLES = 20_000  # random joint vectors to start a search from
-N_NEAR = 150  # of them that are looked at for each target, and
-N_STARTS = 24  # started from: those most unlike each other, since an arm of six joints has up to 16 configurations
-PASSES = 6  # of going on from the solution before, whose configuration may be none of those that were found
-EDGE = 0.01  # rad beyond a quarter turn: an axis at 0 stands there to the digits of the program's numbers
+N_SAMPLES = 20_000  # random joint vectors as candidates to start a search from
+N_NEAR = 150  # of these, the ones considered for each target, and
+N_STARTS = 24  # used as starts: the most different ones, since an arm with six joints has up to 16 configurations
+PASSES = 6  # continuations from the previous solution, whose configuration may be missing among those found
+EDGE = 0.01  # rad beyond a quarter turn: an axis at 0 is there to within the digits of the program's numbers
 SAME = 1e-6  # rad, m between solutions
-ROOM = 0.05  # rad, m: what a correction moves a joint by, as a rule
+ROOM = 0.05  # rad, m: typical motion of a joint by a correction
 PART = 2_000  # targets whose solutions are compared at once
-CELL = 0.1  # LEVERs and of axes: targets in one cell begin at each other's solutions
-NEXT = 0.5  # rad, m from where the robot comes: a nearer solution may have been missed
+CELL = 0.1  # LEVERs and of axes: targets in one cell start from each other's solutions
+NEXT = 0.5  # rad, m from the robot's previous position: beyond this, a nearer solution may have been missed
 SINGULAR = 0.1  # twice the margin of corrections
 CHUNK = 2_000  # targets solved at once: Jacobians of 1 MB
 
@@ -50,20 +51,23 @@ class Inverse(NamedTuple):
 
     q: Floats  # (n, j)
     reached: NDArray[np.bool_]  # (n,)
-    singular_value: Floats  # (n,) smallest, of the Jacobian there
+    singular_value: Floats  # (n,) smallest, of the Jacobian at q
 
 
 class Origins(NamedTuple):
-    """Where the robot comes from to each of n targets: another target (n,), -1 for the one before; or joint readings (n, j), NaN where it is a target."""
+    """The robot's previous position for each of n targets.
+
+    Either another target (n,), -1 for the one before, or joint readings (n, j), NaN where it is a target.
+    """
 
     target: NDArray[np.int_]
     q: Floats
 
 
 def inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True) -> Inverse:
-    """The solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j); limits are not looked at.
+    """Return the solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j); limits are ignored.
 
-    oriented : False where only the origin matters.
+    oriented : False if only the origin matters.
     """
     parts = [slice(at, at + CHUNK) for at in range(0, max(len(targets), 1), CHUNK)]
     parts_done = steps_of(parts, f"solving for the joints of {len(targets)} targets")
@@ -93,26 +97,26 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
 def _error_and_jacobian(
     chain: Chain, params: Floats, targets: Floats, q: Floats, oriented: bool
 ) -> tuple[Floats, Floats]:
-    """What leads to the targets (n, 6), and ``jacobian``."""
+    """Return the error towards the targets (n, 6), and ``jacobian``."""
     pose, jac = end_and_jacobian(chain, params, q)
     jac[:, :3] /= LEVER
     return scaled(apart(targets, pose), oriented), jac if oriented else jac[:, :3]
 
 
 def jacobian(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """(n, 6, j), or (n, 3, j) of the position alone, with positions in LEVERs."""
+    """Return the Jacobian (n, 6, j), or (n, 3, j) for the position alone, with positions in LEVERs."""
     jac = joint_jacobian(chain, params, q)
     jac[..., :3, :] /= LEVER
     return jac if oriented else jac[..., :3, :]
 
 
 def singular_value(chain: Chain, params: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """(n,) the smallest of ``jacobian``."""
+    """Return the smallest singular value (n,) of ``jacobian``."""
     return np.asarray(np.linalg.svd(jacobian(chain, params, q, oriented), compute_uv=False)[..., -1])
 
 
 def scaled(error: Floats, oriented: bool = True) -> Floats:
-    """A difference (n, 6) as ``jacobian`` has its rows."""
+    """Return a difference (n, 6) scaled like the rows of ``jacobian``."""
     error = np.concatenate([error[..., :3] / LEVER, error[..., 3:]], axis=-1)
     return error if oriented else error[..., :3]
 
@@ -132,13 +136,14 @@ def search(
     quadrants: Floats | None = None,
     origins: Origins | None = None,
 ) -> Inverse:
-    """Solutions within the joint limits for targets (n, 4, 4).
+    """Return solutions within the joint limits for targets (n, 4, 4).
 
-    Each from the solution before and from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors. Of an arm's
-    configurations that is taken which is nearest to where the robot comes from, by ``origins`` or the solution before, of the first target nearest to ``home`` (j,)
-    (default: the middle of the limits); joints with more than a turn take as many turns as bring them near. ``quadrants``
-    (n, j), NaN where it does not matter, is stronger: the quarter turn that a reading shall lie in, as ⌊q/90°⌋. Where
-    no target is reached, what came nearest is returned.
+    Each is sought from the previous solution and from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors. Among an
+    arm's configurations, the one nearest to the robot's previous position is taken. That position is given by
+    ``origins`` or is the previous solution; for the first target it is ``home`` (j,) (default: the middle of the
+    limits). Joints with a range of more than one turn use the number of turns that brings them nearest. ``quadrants``
+    (n, j), NaN where it does not matter, has priority: the quarter turn in which a reading must lie, as ⌊q/90°⌋. For a
+    target that is not reached, the nearest result is returned.
     """
     stock, (lower, upper) = _solutions(chain, params, targets, oriented), _sampled_range(chain)
     n, _, j = stock.q.shape
@@ -146,7 +151,7 @@ def search(
     asked = np.full((n, j), np.nan) if quadrants is None else quadrants
     begun = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
     chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
-    for _ in range(PASSES if oriented else 0):  # without orientation the joints are ours to choose
+    for _ in range(PASSES if oriented else 0):  # without orientation there is a free choice of joints
         far = np.flatnonzero(~chosen.reached | (np.abs(chosen.q - near).max(axis=-1) > NEXT))
         if not far.size:
             break
@@ -162,7 +167,7 @@ def search(
 
 
 def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
-    """Solutions (n, k) for targets, whatever the limits; those of targets near another begin at that one's."""
+    """Return solutions (n, k) for targets, ignoring limits; those of targets near another start from its solutions."""
     lower, upper = _sampled_range(chain)
     q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))
     tree = KDTree(_features(forward(chain, params, q_seeds), oriented))
@@ -196,7 +201,7 @@ def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) ->
         for part, found in zip(near, inverse(chain, params, targets[rows[which]], begin.q[which, slot]), strict=True):
             part[which, slot] = found
         near = _distinct(chain, params, near)
-        # on the way a solution may be lost: one that joins another, or begins between the two targets
+        # A solution may be lost on the way if it merges with another, or begins between the two targets.
         lost = near.reached.sum(axis=1) < begin.reached.sum(axis=1)
         lost |= np.where(begin.reached, begin.singular_value, np.inf).min(axis=1) < SINGULAR
         stock += [_rows(near, ~lost), searched(rows[lost])]
@@ -210,7 +215,10 @@ def _rows(of: Inverse, rows: NDArray[Any]) -> Inverse:
 
 
 def _distinct(chain: Chain, params: Floats, found: Inverse) -> Inverse:
-    """Of solutions (n, k) those that were reached, each once: whole turns of a joint are no other solution. At least one of each target."""
+    """Return the reached solutions of (n, k), each once, and at least one for each target.
+
+    Solutions that differ by whole turns of a joint count as one.
+    """
     turn = 2.0 * np.pi / np.abs(chain.law.gain.of(params))
     same = np.broadcast_to(found.reached[:, None], (*found.reached.shape, found.reached.shape[1]))
     for i, joint in enumerate(chain.joints):
@@ -229,7 +237,7 @@ def _distinct(chain: Chain, params: Floats, found: Inverse) -> Inverse:
 
 
 def _stacked(parts: list[Inverse]) -> Inverse:
-    """Solutions of several sets of targets, as many a target as the one with most has."""
+    """Return the solutions of several sets of targets, padded to the largest number per target."""
     width = max(part.q.shape[1] for part in parts)
     wide = [
         Inverse(*(np.concatenate([of, np.repeat(of[:, :1], width - of.shape[1], axis=1)], axis=1) for of in part))
@@ -243,7 +251,7 @@ def _stacked(parts: list[Inverse]) -> Inverse:
 def _chosen(
     chain: Chain, params: Floats, stock: Inverse, first: Floats, asked: Floats, oriented: bool, origins: Origins
 ) -> tuple[Inverse, Floats]:
-    """Of k solutions (n, k) for each target the one nearest to where the robot comes from, and where that was (n, j)."""
+    """Return, of k solutions (n, k), those nearest to the robot's previous positions, and these positions (n, j)."""
     near, chosen = np.empty_like(asked), np.empty_like(asked)
     good, margin = np.zeros(len(asked), dtype=bool), np.zeros(len(asked))
     here = first
@@ -268,7 +276,7 @@ def _chosen(
 
 
 def _followed(origin: NDArray[np.int_]) -> list[int]:
-    """The targets in an order in which each stands behind the one that the robot comes from, where that is not a circle."""
+    """Return the targets in an order in which each follows the robot's previous target, unless that is circular."""
     order: list[int] = []
     seen = np.zeros(len(origin), dtype=bool)
     for i in range(len(origin)):
@@ -283,7 +291,7 @@ def _followed(origin: NDArray[np.int_]) -> list[int]:
 
 
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
-    """Joint readings (…, j) by whole turns of the joint as near to ``near`` (j,) as the limits allow."""
+    """Return joint readings (…, j) shifted by whole turns as close to ``near`` (j,) as the limits allow."""
     turn, law = 2.0 * np.pi / np.abs(chain.law.gain.of(params)), chain.law
     lower, upper = limits_of(chain)
     turning = np.array([joint.kind == "revolute" for joint in chain.joints])
@@ -297,25 +305,25 @@ def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
 
 
 def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:
-    """(…,) whether joint readings (…, j) lie within the limits, by ``room`` [rad, m]."""
+    """Return whether joint readings (…, j) are inside the limits by ``room`` [rad, m]."""
     lower, upper = limits_of(chain)
     return np.asarray(((q >= lower + room) & (q <= upper - room)).all(axis=-1))
 
 
 def limits_of(chain: Chain) -> tuple[Floats, Floats]:
-    """The joints' limits (j,) [rad or m]; infinite where there is none."""
+    """Return the joints' limits (j,) [rad or m]; infinite where there is none."""
     return np.array([joint.lower for joint in chain.joints]), np.array([joint.upper for joint in chain.joints])
 
 
 def _sampled_range(chain: Chain) -> tuple[Floats, Floats]:
-    """The limits; a turning joint without, or with more than a turn, is sampled over one."""
+    """Return the limits for sampling: one turn for a revolute joint without limits or with a larger range."""
     middle = [0.5 * (j.lower + j.upper) if np.isfinite(j.lower + j.upper) else 0.0 for j in chain.joints]
     half = [min(0.5 * (j.upper - j.lower), np.pi) for j in chain.joints]
     return np.array(middle) - half, np.array(middle) + half
 
 
 def _unlike(q: Floats) -> Floats:
-    """(n, N_STARTS, j) of q (n, k, j): the first, then always the one farthest from all that were taken."""
+    """Return (n, N_STARTS, j) of q (n, k, j): the first, then repeatedly the one farthest from all taken before."""
     each = np.arange(len(q))
     taken = [np.zeros(len(q), dtype=int)]
     apart_from = np.full(q.shape[:2], np.inf)
@@ -327,12 +335,12 @@ def _unlike(q: Floats) -> Floats:
 
 
 def _misplaced(q: Floats, quadrants: Floats) -> Floats:
-    """(k,) how many joints of q (k, j) are in another quarter turn than they shall be (j,), NaN where it does not matter."""
-    beyond = np.abs(q - 0.5 * np.pi * (quadrants + 0.5)) > 0.25 * np.pi + EDGE  # no NaN is
+    """Return the number (k,) of joints of q (k, j) outside the required quarter turn (j,), NaN where any will do."""
+    beyond = np.abs(q - 0.5 * np.pi * (quadrants + 0.5)) > 0.25 * np.pi + EDGE  # never true for NaN
     return np.asarray(beyond.sum(axis=-1), dtype=float)
 
 
 def _features(poses: Floats, oriented: bool) -> Floats:
-    """Positions in LEVERs, and two axes: the distance of two poses as inverse kinematics feels it."""
+    """Return positions in LEVERs and two axes: the distance between two poses for inverse kinematics."""
     position = poses[..., :3, 3] / LEVER
     return np.concatenate([position, poses[..., :3, 2], poses[..., :3, 0]], axis=-1) if oriented else position

@@ -1,4 +1,4 @@
-"""What is done with the moves of a program that go to joint readings. Imports nothing slow, so that ``--help`` can list the choices."""
+"""How a program's moves to joint readings are treated. Imports nothing slow: ``--help`` lists the choices."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class JointMoves(StrEnum):
-    """Keep them as they are, or correct their readings too."""
+    """Keep the moves as they are, or correct their readings too."""
 
     KEEP = "keep"
     CORRECT = "correct"

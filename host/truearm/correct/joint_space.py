@@ -1,8 +1,8 @@
-"""Correction in joint space, where the controller takes joint readings (Renders 1991, IV-C)::
+"""Correction in joint space, for a controller that accepts joint readings (Renders 1991, IV-C)::
 
     q_i = f_n⁻¹(x_d) + J_n⁻¹·(x_d − x_n) ,    x_n = f_i(f_n⁻¹(x_d))        (34)
 
-J_n is the nominal manipulator's Jacobian, its pseudo-inverse where the robot has other than six joints or only the
+J_n is the Jacobian of the nominal manipulator, or its pseudo-inverse if the robot does not have six joints or only the
 position matters. One step leaves an error of second order; it is repeated from q_i.
 """
 
@@ -17,7 +17,7 @@ from truearm.types import Floats
 
 
 def joint_space(pair: ModelPair, targets: Floats, q: Floats, oriented: bool = True) -> Floats:
-    """One step of (34) for targets (n, 4, 4) from q (n, j), f_n⁻¹(x_d) at first."""
+    """Apply one step of (34) for targets (n, 4, 4) from q (n, j), initially f_n⁻¹(x_d)."""
     error = scaled(apart(targets, reached(pair, q)), oriented)
     inverse_jac = np.linalg.pinv(jacobian(pair.chain, pair.nominal, q, oriented))
     return np.asarray(q + (inverse_jac @ error[..., None])[..., 0])

@@ -1,4 +1,4 @@
-"""How a target is corrected. Imports nothing slow, so that ``--help`` can list the methods."""
+"""The methods to correct a target. Imports nothing slow, so that ``--help`` can list them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple, assert_never
 
 
 class Method(StrEnum):
-    """What makes the joint readings of a target; the numbers are those of Renders et al. 1991."""
+    """How the joint readings of a target are computed; the numbers are those of Renders et al. 1991."""
 
     NEWTON = "newton"
     FALSE_TARGET = "false-target"
@@ -16,10 +16,10 @@ class Method(StrEnum):
 
 
 class MethodEntry(NamedTuple):
-    """What ``--help`` says of a method, and what it corrects.
+    """The text that ``--help`` shows for a method, and what the method corrects.
 
-    ``links``: errors of the links between the joints; every method corrects the whole joint law. ``steps``: it can be
-    applied several times.
+    ``links``: errors of the links between the joints; every method corrects the complete joint law. ``steps``: the
+    method can be applied several times.
     """
 
     summary: str
@@ -28,7 +28,7 @@ class MethodEntry(NamedTuple):
 
 
 def entry(method: Method) -> MethodEntry:
-    """Return what is declared of a method."""
+    """Return the entry of a method."""
     match method:
         case Method.NEWTON:
             return MethodEntry("full inverse of the identified robot")
@@ -44,7 +44,7 @@ def entry(method: Method) -> MethodEntry:
 
 
 def methods_help() -> str:
-    """Return one sentence a method."""
+    """Return one sentence per method."""
     return " ".join(f"{method}: {entry(method).summary}." for method in Method)
 
 

@@ -1,4 +1,4 @@
-"""What a correction works with: one robot twice, as its controller believes it to be and as it was identified."""
+"""The models of a correction: the same robot with the controller's parameters and with the identified ones."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from truearm.types import Floats
 class ModelPair(NamedTuple):
     """A chain with nominal and identified parameters (p,).
 
-    ``mountings`` that are not the identity are taken out: targets are then poses of the robot's own flange in its own
-    base frame. Else they lie between the base and the end frame of the calibration.
+    ``mountings`` other than the identity are removed: targets are then poses of the robot's own flange in its own base
+    frame. Otherwise they are poses of the calibration's end frame in its base frame.
     """
 
     chain: Chain
@@ -26,16 +26,16 @@ class ModelPair(NamedTuple):
 
 
 def believed(pair: ModelPair, q: Floats) -> Floats:
-    """f_n(q), (n, 4, 4): where the controller believes the end to be (Renders 1991, (29))."""
+    """Return f_n(q), (n, 4, 4): the pose of the end in the controller's model (Renders 1991, (29))."""
     return forward(pair.chain, pair.nominal, q)
 
 
 def reached(pair: ModelPair, q: Floats) -> Floats:
-    """f_i(q), (n, 4, 4): where the end is (Renders 1991, (30))."""
+    """Return f_i(q), (n, 4, 4): the actual pose of the end (Renders 1991, (30))."""
     there = forward(pair.chain, pair.identified, q)
     return np.asarray(inverted(pair.mountings.base) @ there @ inverted(pair.mountings.tool))
 
 
 def in_rig(pair: ModelPair, targets: Floats) -> Floats:
-    """Targets (n, 4, 4) as poses of the identified chain's own frames."""
+    """Return targets (n, 4, 4) as poses in the identified chain's own frames."""
     return np.asarray(pair.mountings.base @ targets @ pair.mountings.tool)

@@ -1,7 +1,8 @@
-"""What a straight move does between two corrected targets.
+"""The deviation from a straight line between two corrected targets.
 
-Only the ends of a move are corrected. Between them the controller drives its own model along a line: position evenly, orientation about one axis. Where the
-correction differs from one end to the other the true tool leaves the line between the ends; by how much is computed here at SAMPLES places.
+Only the ends of a move are corrected. Between them the controller drives its own model along a line: evenly in
+position, and about one axis in orientation. If the correction differs from one end to the other, the true tool leaves
+the line between the ends. This module computes the deviation at SAMPLES points.
 """
 
 from __future__ import annotations
@@ -17,27 +18,28 @@ from truearm.model.chain import Chain
 from truearm.model.poses import apart, inverted, moved
 from truearm.types import Floats
 
-SAMPLES = 9  # places between the ends: the deviation is smooth, largest near the middle
+SAMPLES = 9  # points between the ends: the deviation is smooth, largest near the middle
 
 
 class StraightMoves(NamedTuple):
-    """n moves: the largest deviation of the true tool from the line, and the least margins on the way, both ends included."""
+    """n moves: the largest deviation of the true tool from the line, and the smallest margins, with both ends."""
 
     deviation: Floats  # (n,) m
     singular_value: Floats  # (n,) of the nominal robot
-    limits: Floats  # (n, j) rad or m from each joint's nearest limit, negative beyond it
+    limits: Floats  # (n, j) rad or m to each joint's nearest limit, negative beyond it
     drivable: NDArray[
         np.bool_
     ]  # (n,) False where the controller's model cannot follow the line without a jump of a joint
 
 
-JUMP = (
-    1.0  # rad, m of a joint from one sample to the next: more is another configuration, or a passage of a singularity
-)
+JUMP = 1.0  # rad, m of a joint between samples: more means another configuration, or passing a singularity
 
 
 def straight_moves(pair: ModelPair, q_start: Floats, told: Floats, tool: Floats) -> StraightMoves:
-    """Drive straight from joint readings (n, j) to commanded poses ``told`` (n, 4, 4) of the end; ``tool`` (n, 4, 4) is the tool's pose in the end frame."""
+    """Drive straight from joint readings (n, j) to commanded poses ``told`` (n, 4, 4) of the end.
+
+    ``tool`` (n, 4, 4) is the pose of the tool in the end frame.
+    """
     begin = believed(pair, q_start) @ tool
     way = apart(told @ tool, begin)
     back = inverted(tool)
@@ -55,7 +57,10 @@ def straight_moves(pair: ModelPair, q_start: Floats, told: Floats, tool: Floats)
 
 
 def limit_margins(chain: Chain, q: Floats) -> Floats:
-    """(…, j) rad or m from joint readings (…, j) to the nearest limit of each; negative outside, inf where there is none."""
+    """Return the distance (…, j) [rad or m] of joint readings (…, j) to the nearest limit of each.
+
+    It is negative outside the limits, and inf where there is none.
+    """
     lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
     return np.asarray(np.minimum(q - lower, upper - q))
 
@@ -65,7 +70,7 @@ def _tool_points(pair: ModelPair, q: Floats, tool: Floats) -> Floats:
 
 
 def _deviation(places: Floats) -> Floats:
-    """(n,) of places (samples, n, 3) the largest distance from the line between the first and the last."""
+    """Return the largest distance (n,) of points (samples, n, 3) from the line between the first and the last."""
     chord = places[-1] - places[0]
     length = np.linalg.norm(chord, axis=-1, keepdims=True)
     along = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)

@@ -1,11 +1,13 @@
-"""Denavit–Hartenberg rows of any robot with turning joints, from where its axes lie.
+"""Denavit–Hartenberg rows of any robot with revolute joints, computed from the poses of its axes.
 
-Frame 0 lies on the first axis, where the robot's base is nearest; frame i on axis i + 1 at the foot of the common normal
-from axis i, its x along that normal; frame n on the last axis where the flange is nearest. What is left at both ends goes into
-base and tool. Which way x points is taken from the nominal robot: there so that θ is smallest, as makers do.
+Frame 0 lies on the first axis, at the point nearest to the robot's base. Frame i lies on axis i + 1 at the foot of the
+common normal from axis i, with x along that normal. Frame n lies on the last axis, at the point nearest to the flange.
+The remaining transforms at both ends go into base and tool. The direction of x follows the nominal robot, where it is
+chosen to make θ smallest, as manufacturers do.
 
-Nearly parallel axes have no normal to speak of: with a tilt of δ an error e moves its foot by e/δ. Such a table says nothing
-to a reader and loses digits; it is refused, or written with Hayati's β and d = 0 (``model.dh``). Exactly parallel axes have d = 0.
+Nearly parallel axes have no well-defined normal: with an angle of δ between them, an error e moves its foot by e/δ.
+Such a table is meaningless to a reader and loses digits. It is rejected, or written with Hayati's β and d = 0
+(``model.dh``). Exactly parallel axes have d = 0.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ from truearm.types import Floats
 from truearm.units import DEG
 
 PARALLEL = 1e-9  # sine of the angle below which axes are parallel
-NEARLY = math.sin(math.radians(1.0))  # a millimetre is then 57 mm of d
+NEARLY = math.sin(math.radians(1.0))  # one millimetre then becomes 57 mm of d
 
 
 class Rows(NamedTuple):
-    """Distal rows between base and tool; ``beta`` is NaN where a row has none."""
+    """Distal rows between base and tool; ``beta`` is NaN for a row without it."""
 
     theta: Floats  # (j,) at joint variable 0
     d: Floats  # (j,)
@@ -38,7 +40,7 @@ class Rows(NamedTuple):
 
 
 def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> Rows:
-    """The rows of a robot. ``hayati``: with β where axes are nearly parallel; else these are refused (RobotError)."""
+    """Return the rows of a robot. ``hayati``: with β where axes are nearly parallel; otherwise RobotError is raised."""
     ways = _ways(nominal)
     axes = _axes(robot)
     base = _frame_on(axes[0], np.eye(4))
@@ -55,13 +57,13 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> Row
 
 
 def _ways(nominal: LinkFrames) -> list[Floats]:
-    """The nominal x axes of frames 1 to n − 1, pointing so that θ is smallest."""
+    """Return the nominal x axes of frames 1 to n − 1, in the direction with the smallest θ."""
     axes = _axes(nominal)
     frame, ways = _frame_on(axes[0], np.eye(4)), []
     for i in range(len(nominal.joints) - 1):
         ways.append(_normal(frame, axes[i + 1])[1])
         theta = _angle_about(frame, ways[i])
-        # a quarter turn either way is as small: then a is positive
+        # A quarter turn either way is equally small: then choose a positive a.
         if abs(theta) > 0.5 * math.pi + 1e-6:
             ways[i] = -ways[i]
         frame = _row(i, frame, axes[i + 1], ways[i], hayati=True)[1]
@@ -69,7 +71,7 @@ def _ways(nominal: LinkFrames) -> list[Floats]:
 
 
 def _axes(robot: LinkFrames) -> list[Floats]:
-    """Frames (4, 4) whose z axes are the joints', in the robot's base frame, at joint variables 0."""
+    """Return frames (4, 4) whose z axes are those of the joints, in the robot's base frame, at joint variables 0."""
     here, out = np.eye(4), []
     for link in robot.links[:-1]:
         here = here @ link
@@ -85,7 +87,7 @@ def _end(robot: LinkFrames) -> Floats:
 
 
 def _frame_on(axis: Floats, near: Floats) -> Floats:
-    """The frame on an axis nearest to another frame: its origin's foot, its x (or y) axis as far as it is across."""
+    """Return the frame on an axis nearest to another frame: at its origin's foot, x along its x (or y) projected."""
     z = axis[:3, 2]
     origin = axis[:3, 3] + z * (z @ (near[:3, 3] - axis[:3, 3]))
     x = near[:3, 0] - z * (z @ near[:3, 0])
@@ -101,7 +103,7 @@ def _frame(origin: Floats, x: Floats, z: Floats) -> Floats:
 
 
 def _normal(frame: Floats, axis: Floats) -> tuple[Floats, Floats, float]:
-    """Where the common normal leaves the frame's z axis, its direction towards the other axis, the sine between both."""
+    """Return where the common normal leaves the frame's z axis, its direction to the axis, the sine between both."""
     z, z_next = frame[:3, 2], axis[:3, 2]
     across = np.cross(z, z_next)
     sine = float(np.linalg.norm(across))
@@ -116,7 +118,7 @@ def _normal(frame: Floats, axis: Floats) -> tuple[Floats, Floats, float]:
 
 
 def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tuple[tuple[float, ...], Floats]:
-    """θ, d, a, α, β of joint i, and the frame behind it; its x axis points the nominal way."""
+    """Return θ, d, a, α, β of joint i, and the frame after it, whose x axis points in the nominal direction."""
     foot, x, sine = _normal(frame, axis)
     z, z_next = frame[:3, 2], axis[:3, 2]
     near = PARALLEL <= sine < NEARLY
@@ -139,13 +141,13 @@ def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tupl
 
 
 def _foot_along(to_axis: Floats, z: Floats, z_next: Floats) -> float:
-    """How far along the next axis from its frame's origin the common normal meets it; the normal begins at to_axis = 0."""
+    """Return where the common normal meets the next axis, from its frame's origin; the normal begins at to_axis = 0."""
     across = np.cross(z, z_next)
     return float(np.cross(to_axis, z) @ across / (across @ across))
 
 
 def _hayati_row(frame: Floats, axis: Floats, way: Floats) -> tuple[tuple[float, ...], Floats]:
-    """d = 0: the next axis meets the plane across this one, and x points from here to there."""
+    """Return a row with d = 0: the next axis meets the plane across this one, and x points from here to that point."""
     z, z_next = frame[:3, 2], axis[:3, 2]
     origin = axis[:3, 3] + z_next * (z @ (frame[:3, 3] - axis[:3, 3])) / (z @ z_next)
     x = origin - frame[:3, 3]
@@ -160,5 +162,5 @@ def _hayati_row(frame: Floats, axis: Floats, way: Floats) -> tuple[tuple[float, 
 
 
 def _angle_about(frame: Floats, x: Floats) -> float:
-    """From the frame's x axis to another direction across its z axis."""
+    """Return the angle from the frame's x axis to another direction across its z axis."""
     return math.atan2(float(frame[:3, 1] @ x), float(frame[:3, 0] @ x))

@@ -1,7 +1,7 @@
 """The formats to export by name. Imports nothing slow, so that ``--help`` can list them.
 
-To add a format, write a module with a function that returns the text of a ``writing.RobotToWrite``, and add its line to FORMATS. The
-module is imported when it is used.
+To add a format, write a module with a function that returns the text of a ``writing.RobotToWrite``, and add its line to
+FORMATS. The module is imported when it is used.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 class Format(NamedTuple):
-    """A format: its writer as "module:function" of this package, what ``--help`` says of it, and what it can hold.
+    """A format: its writer as "module:function" of this package, its text in ``--help``, and what it can hold.
 
-    ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.TERMS``) that its writer writes. A term that it
-    does not hold is neutral in what the writer gets; the rest of the parameters is refitted, and what that leaves is computed
-    and printed. ``mountings``: it has a place for how base and tool were mounted.
+    ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.TERMS``) that its writer writes. Other
+    terms are neutral in the robot passed to the writer: the remaining parameters are refitted, and the remaining error
+    is computed and printed. ``mountings``: the format can store the mountings of base and tool.
     """
 
     writer: str
@@ -52,5 +52,5 @@ def writer(name: str) -> Writer:
 
 
 def formats_help() -> str:
-    """Return one sentence a format."""
+    """Return one sentence per format."""
     return " ".join(f"{name}: {form.summary} ({form.suffix})." for name, form in FORMATS.items())

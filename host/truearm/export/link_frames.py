@@ -1,9 +1,9 @@
-"""The robot as formats want it: every joint about or along the z axis of its own frame, mountings apart.
+"""The robot in the form that formats need: every joint about or along the z axis of its own frame, without mountings.
 
     T(q) = B · S_0 · Z_1(θ_1) · S_1 · … · Z_j(θ_j) · S_j · E
 
-B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a turn about z or a motion along it, and θ the true
-joint angles by the joint law.
+B and E are the mountings (``model.mountings``), S_i rigid constants, Z_i a rotation about z or a motion along it, and θ
+the true joint angles by the joint law.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from truearm.model.mountings import mountings, own_law, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 
-# what turns z into the axis of a motion
+# transforms that turn z into the axis of a motion
 _TO_AXIS = {"x": elementary("ry", 0.5 * np.pi), "y": elementary("rx", -0.5 * np.pi), "z": np.eye(4)}
 
 
@@ -32,7 +32,7 @@ class LinkFrames(NamedTuple):
     joints: tuple[Joint, ...]
     links: Floats  # (j + 1, 4, 4) S
     law: JointLaw
-    params: Floats  # (p,) of the law; offsets that are mountings are not in them
+    params: Floats  # (p,) of the law, without offsets that are mountings
     base: Floats  # (4, 4) B
     tool: Floats  # (4, 4) E
     base_frame: str
@@ -40,34 +40,34 @@ class LinkFrames(NamedTuple):
 
     @property
     def offsets(self) -> Floats:
-        """(j,) rad or m"""
+        """Offsets (j,) [rad or m]."""
         return self.law.offset.of(self.params)
 
     @property
     def gains(self) -> Floats:
-        """(j,)"""
+        """Gains (j,)."""
         return self.law.gain.of(self.params)
 
     @property
     def further_terms(self) -> tuple[Term, ...]:
-        """The terms of the law besides offset and gain; ``params[term.parameters]`` are those of the joints ``term.joints``."""
+        """The terms of the law other than offset and gain; ``params[term.parameters]`` are for ``term.joints``."""
         return tuple(term for term in self.law.terms if term not in (self.law.offset, self.law.gain))
 
     @property
     def first(self) -> Floats:
-        """What precedes the first joint, mounting included."""
+        """The transform before the first joint, including the mounting."""
         return np.asarray(self.base @ self.links[0])
 
     @property
     def last(self) -> Floats:
-        """What follows the last joint, mounting included."""
+        """The transform after the last joint, including the mounting."""
         return np.asarray(self.links[-1] @ self.tool)
 
 
 def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> LinkFrames:
-    """The robot with calibrated parameters (p,); its mountings are those that the nominal ones (p,) do not have.
+    """Return the robot with calibrated parameters (p,); its mountings are relative to the nominal parameters (p,).
 
-    ``with_mountings`` False leaves them out: B and E are then identities.
+    With ``with_mountings`` False they are left out: B and E are then identities.
     """
     links = own_links(chain, nominal, calibrated)
     axes = [_TO_AXIS[motion[1]] for motion in chain.motions]
@@ -89,19 +89,19 @@ def link_frames(chain: Chain, nominal: Floats, calibrated: Floats, with_mounting
 
 
 def predicted(robot: LinkFrames, q: Floats) -> Floats:
-    """T(q), (n, 4, 4), at joint readings q (n, j)."""
+    """Return T(q), (n, 4, 4), at joint readings q (n, j)."""
     links = np.stack([robot.first, *robot.links[1:-1], robot.last])
     motions = ["tz" if joint.kind == "prismatic" else "rz" for joint in robot.joints]
     return far_frames(links, motions, robot.law.angles(robot.params, q))[-1]
 
 
 def joint_motion(joint: Joint, amount: float) -> Floats:
-    """Z (4, 4)"""
+    """Return Z (4, 4)."""
     return elementary("tz" if joint.kind == "prismatic" else "rz", amount)
 
 
 def check_gains(robot: LinkFrames, what: str) -> None:
-    """Raise RobotError for a gain that is not 1: ``what`` has no place for it."""
+    """Raise RobotError for a gain other than 1, which ``what`` cannot store."""
     for joint, gain in zip(robot.joints, robot.gains, strict=True):
         if gain != 1.0:
             raise RobotError(f"joint {joint.name} has gain {gain:g}, but {what} has no gains; refit with gain 1")

@@ -1,9 +1,10 @@
-"""A calibrated robot in a format that cannot hold all of it: the adjustable parameters are fitted to the whole.
+"""A calibrated robot in a format that cannot hold all of it: the adjustable parameters are fitted to the complete
+robot.
 
-Renders (1991, III-F) identifies only what the controller lets its user adjust. Here the robot that was identified is the
-data: of all values of the adjustable parameters those are taken that bring the end nearest to where the identified robot
-has it, over given poses. Where parameters stand for each other the smallest change is taken. Least squares over four marks
-on the end, LEVER apart, so that turns of the end count as well; parameters count in units of a drawing's tolerances.
+Renders (1991, III-F) identifies only what the controller lets its user adjust. Here the identified robot provides the
+data: the values of the adjustable parameters are those that bring the end closest to the identified robot's over given
+poses. Where parameters are interchangeable, the smallest change is taken. This is least squares over four marks on the
+end, LEVER apart, so that rotations of the end count as well. Parameters count in units of a drawing's tolerances.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from truearm.units import UNITS
 
 LEVER = 0.1  # m
 MARKS = LEVER * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-SINGULAR = 1e-7  # of the largest singular value: below it a direction moves the end less than the arithmetic
+SINGULAR = 1e-7  # relative to the largest singular value: below this, a direction moves the end less than rounding
 MAX_STEPS = 30
-STEP_END = 1e-9  # of the units above: a pm, 5 prad
+STEP_END = 1e-9  # in the units above: 1 pm, 5 prad
 
 
 def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Floats:
-    """Return parameters (p,): the adjustable ones (p,) fitted, from ``start`` (p,), to the identified robot over poses q (n, j)."""
+    """Return parameters (p,), the adjustable ones (p,) fitted from ``start`` (p,) to the robot over poses q (n, j)."""
     params = np.array(start, dtype=float)
     unit = np.array([UNITS[p.unit].weak_sigma for p in chain.parameters])[adjustable]
     wanted = _marks(chain, identified, q)

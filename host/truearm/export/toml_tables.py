@@ -1,7 +1,8 @@
 """Calibrated robots as robot files (TOML, docs/reference/robot-format.md): tables to read, and to identify from again.
 
-Every convention has its table: ``dh`` and ``modified_dh`` rows between base and tool, ``sheth_uicker`` links of six. The
-mountings stand in base and tool, or in the first and the last link; the comment at the top has them by themselves.
+Every convention has its table: ``dh`` and ``modified_dh`` rows between base and tool, ``sheth_uicker`` links of six
+constants. The mountings are part of base and tool, or of the first and the last link; the comment at the top lists them
+separately.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def write_mdh(what: RobotToWrite) -> str:
 
 
 def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
-    """Links of six constants, joints about or along z; of any robot."""
+    """Return links of six constants, joints about or along z, for any robot."""
     links = [robot.first, *robot.links[1:-1], robot.last]
     lines = _head(robot, "sheth_uicker", comment)
     for i, link in enumerate(links):
@@ -57,7 +58,7 @@ def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
 
 
 def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comment: str = "") -> str:
-    """Distal rows, with β if ``hayati`` and needed. Raises RobotError for what rows cannot say well."""
+    """Return distal rows, with β if ``hayati`` and needed. Raises RobotError for a robot that rows describe poorly."""
     _check_turning(robot)
     rows = dh_rows(robot, nominal, hayati)
     lines = [*_head(robot, "dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
@@ -71,7 +72,7 @@ def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comme
 
 
 def modified_dh_table(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
-    """Craig's rows: a and α of a row are those that the distal form has one row earlier."""
+    """Return Craig's rows: a and α of a row are those of the distal form one row earlier."""
     _check_turning(robot)
     rows = dh_rows(robot, nominal)
     lines = [*_head(robot, "modified_dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
@@ -104,7 +105,7 @@ def _head(robot: LinkFrames, convention: str, comment: str) -> list[str]:
 
 
 def _text(text: str) -> str:
-    """A TOML basic string; JSON's escapes are TOML's."""
+    """Return a TOML basic string; JSON's escapes are TOML's."""
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -129,7 +130,7 @@ def _joint(i: int, robot: LinkFrames, offset: float) -> list[str]:
 
 
 def _further_terms(i: int, robot: LinkFrames) -> list[str]:
-    """What the joint law has of a joint besides offset and gain, unless it says nothing."""
+    """Return the terms of a joint's law other than offset and gain, unless they are neutral."""
     return [
         _parameter(f"{term.name}_{term.unit_of(robot.joints[i].kind)}".removesuffix("_1"), robot.params[at])
         for term in robot.further_terms
@@ -147,5 +148,5 @@ def _parameter(key: str, value: float) -> str:
 
 
 def one_line(text: str) -> str:
-    """A name as it may stand in a comment."""
+    """Return a name as it may appear in a comment."""
     return "".join(c for c in text if c.isprintable())[:100]

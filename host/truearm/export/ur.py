@@ -1,10 +1,10 @@
-"""Universal Robots' kinematics file (YAML), as ``ur_description`` and ``ur_calibration`` have it.
+"""Universal Robots' kinematics file (YAML), as used by ``ur_description`` and ``ur_calibration``.
 
     T(q) = Π U_i · Rz(q_i) ,    U_i = Trans(x, y, z)·Rz(yaw)·Ry(pitch)·Rx(roll)
 
-for shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3. The frame behind a joint lies on its axis where the way to the
-next axis begins (for the design values: where the published file has it). The format begins at the controller's base and
-ends at its flange: mountings have no place in it and are not written.
+for shoulder, upper_arm, forearm, wrist_1, wrist_2, wrist_3. The frame after a joint lies on its axis where the path to
+the next axis begins (for the design values: where the published file has it). The format begins at the controller's
+base and ends at its flange. It cannot store mountings, so they are not written.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def write(what: RobotToWrite) -> str:
 
 
 def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
-    """U (6, 4, 4), and (4, 4) what is left between the last of them and the robot's flange."""
+    """Return U (6, 4, 4), and the remaining transform (4, 4) from the last of them to the robot's flange."""
     check_gains(robot, "a kinematics file")
     if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
         raise RobotError(f"robot {robot.name}: a Universal Robots kinematics file has six revolute joints")
@@ -43,7 +43,7 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
 
 
 def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
-    """The text of a kinematics file. Raises RobotError for a robot whose nominal geometry is none of Universal Robots'."""
+    """Return the text of a kinematics file. Raises RobotError unless nominally a Universal Robots arm."""
     described, rest = ur_segments(nominal)
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
     if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:

@@ -1,13 +1,14 @@
-"""A calibrated robot as URDF: a text whose joint origins are changed and nothing else, or a new one of any chain.
+"""A calibrated robot as URDF: an existing text with only its joint origins changed, or a new text for any chain.
 
-*In place.* The robot was identified from a URDF, and that text is changed: ``xyz`` and ``rpy`` of the origins on the path
-from base to tip; every other character stays, comments and spaces too. A URDF has no joint offsets: an offset is a motion
-along the joint's own axis, and goes into the joint's origin. The mountings go to the ends: the base's into the first
-joint of the path, the tool's into the last one if that is fixed; between the ends only the robot itself has changed.
+*In place.* The robot was identified from a URDF, and that text is changed: ``xyz`` and ``rpy`` of the origins on the
+path from base to tip. Every other character stays, including comments and spaces. A URDF has no joint offsets: an
+offset is a motion along the joint's own axis, and goes into the joint's origin. The mountings go to the ends: that of
+the base into the first joint of the path, that of the tool into the last one if that is fixed. Between the ends only
+the robot itself has changed.
 
-*New.* Of any other chain a URDF of links without shape: base frame, mounting, joints, flange, mounting, end frame.
+*New.* For any other chain, a URDF of links without shape: base frame, mounting, joints, flange, mounting, end frame.
 
-The text was parsed by ``model.urdf``, which refuses document types, before it comes here.
+``model.urdf`` has already parsed the text; it rejects document type declarations.
 """
 
 from __future__ import annotations
@@ -40,16 +41,16 @@ class _PathJoint(NamedTuple):
 
 
 def write(what: RobotToWrite) -> str:
-    """Return the URDF that the robot came from with other origins, or a new one. Raises RobotError for what neither can say."""
+    """Return the robot's URDF with other origins, or a new one. Raises RobotError for what neither can express."""
     if what.urdf is None:
         return new_urdf(what.robot, what.comment)
     return edited(what.urdf, joint_origins(what.chain, what.nominal, what.params, what.mountings))
 
 
 def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mountings: bool = True) -> dict[str, Floats]:
-    """Origin (4, 4) of every joint on the path of a chain from ``chain_from_urdf``, gains being 1.
+    """Return the origin (4, 4) of every joint on the path of a chain from ``chain_from_urdf``; gains must be 1.
 
-    ``with_mountings`` False leaves both ends as they were.
+    With ``with_mountings`` False, both ends are unchanged.
     """
     path = _path(chain)
     moving = [i for i, joint in enumerate(path) if joint.motion]
@@ -60,7 +61,7 @@ def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mounti
     first, last = moving[0], moving[-1]
     has_tail = last + 1 < len(path)
     out = [a @ b for a, b in zip(origins_i, offsets, strict=True)]
-    if has_tail:  # a turn of the last joint cannot be told from one of the tool
+    if has_tail:  # a rotation of the last joint is indistinguishable from one of the tool
         out[last] = origins_i[last] if last != first else out[last]
         tail_i = (offsets[last] if last != first else np.eye(4)) @ _chained(origins_i[last + 1 :])
         tool = inverted(_chained(origins_n[last + 1 :])) @ tail_i
@@ -73,7 +74,7 @@ def joint_origins(chain: Chain, nominal: Floats, calibrated: Floats, with_mounti
 
 
 def _path(chain: Chain) -> list[_PathJoint]:
-    """The joints of the path by the names of their parameters, ``<joint>.x`` and so on."""
+    """Return the joints of the path by the names of their parameters, ``<joint>.x`` and so on."""
     path: list[_PathJoint] = []
     at, elements = 0, chain.elements
     while at < len(elements):
@@ -91,13 +92,13 @@ def _path(chain: Chain) -> list[_PathJoint]:
 
 
 def _product(elements: tuple[Element, ...], params: Floats) -> Floats:
-    """The product of elements that are not joints."""
+    """Return the product of elements that are not joints."""
     amounts = [e.value if e.parameter is None else params[e.parameter] for e in elements]
     return _chained([elementary(e.motion, amount) for e, amount in zip(elements, amounts, strict=True)])
 
 
 def _moved(joint: _PathJoint, offset: Floats) -> Floats:
-    """A joint's motion, between its alignments, by the offsets (j,)."""
+    """Return a joint's motion by the offsets (j,), between its alignments."""
     amounts = [e.value if e.joint is None else offset[e.joint] for e in joint.motion]
     return _chained([elementary(e.motion, amount) for e, amount in zip(joint.motion, amounts, strict=True)])
 
@@ -110,9 +111,9 @@ def _chained(motions: list[Floats]) -> Floats:
 
 
 def edited(text: str, origins: Mapping[str, Floats]) -> str:
-    """The URDF text with other origins of the named joints. Raises RobotError for a joint that it does not have.
+    """Return the URDF text with other origins of the named joints. Raises RobotError for a joint missing in the text.
 
-    An origin whose six numbers stay the same to 1e-15 is left as it is written.
+    An origin whose six numbers are the same to 1e-15 is not rewritten.
     """
     data = text.encode()
     places = _origin_places(data)
@@ -131,14 +132,14 @@ def edited(text: str, origins: Mapping[str, Floats]) -> str:
 
 
 class _Place(NamedTuple):
-    """Where a joint's <origin …> tag stands, or, with start = end, where one can be put [bytes]."""
+    """The position of a joint's <origin …> tag or, with start = end, where one can be inserted [bytes]."""
 
     start: int
     end: int
 
 
 def _origin_places(data: bytes) -> dict[str, _Place]:
-    """Of all joints that are direct children of the robot."""
+    """Return the places for all joints that are direct children of the robot."""
     parser = expat.ParserCreate("utf-8")
     stack: list[str] = []
     places: dict[str, _Place] = {}
@@ -171,7 +172,7 @@ def _origin_places(data: bytes) -> dict[str, _Place]:
 
 
 def _tag_end(data: bytes, start: int) -> int:
-    """Behind the > of the tag that begins at start; > may stand in quotes."""
+    """Return the position after the > of the tag that begins at start; quotes may contain >."""
     match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(data, start)
     if match is None:
         raise RobotError("URDF: a tag is not closed")
@@ -179,7 +180,7 @@ def _tag_end(data: bytes, start: int) -> int:
 
 
 def _with_origin(tag: str, origin: Floats) -> str:
-    """An <origin …> tag with other numbers; "" becomes a new tag."""
+    """Return an <origin …> tag with other numbers; "" becomes a new tag."""
     x, y, z, yaw, pitch, roll = six_of(origin)
     values = {"xyz": (x, y, z), "rpy": (roll, pitch, yaw)}
     if not tag:
@@ -199,7 +200,7 @@ def _with_origin(tag: str, origin: Floats) -> str:
 
 
 def _read(text: str) -> Floats:
-    """Three numbers, NaN where they are written as character references, which are then written plainly."""
+    """Return three numbers; NaN if they contain character references, and they are then rewritten."""
     words = text.split()
     try:
         return np.array([float(word) for word in words]) if len(words) == 3 else np.full(3, np.nan)
@@ -213,12 +214,12 @@ def _turn(rpy: Floats) -> Floats:
 
 
 def _numbers(values: tuple[float, ...]) -> str:
-    """Three numbers in quotes, each as short as it comes back exactly."""
+    """Return three numbers in quotes, each in the shortest form that is read back exactly."""
     return '"' + " ".join(repr(float(value) + 0.0) for value in values) + '"'
 
 
 def new_urdf(robot: LinkFrames, comment: str = "") -> str:
-    """A URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
+    """Return a URDF of a chain of any convention. Raises RobotError for gains, which a URDF cannot hold."""
     check_gains(robot, "a URDF")
     names = _link_names(robot)
     origins = [robot.links[0], *robot.links[1:-1]]
@@ -246,7 +247,7 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
 
 
 def _link_names(robot: LinkFrames) -> list[str]:
-    """Base frame, robot base, a link behind each joint, flange, end frame; all different."""
+    """Return base frame, robot base, a link after each joint, flange and end frame; all different."""
     inner = ["robot_base", *(f"link{i + 1}" for i in range(len(robot.joints))), "robot_flange"]
     first = _other_than(set(inner), robot.base_frame)
     return [first, *inner, _other_than({first, *inner}, robot.end_frame)]

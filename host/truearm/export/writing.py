@@ -1,7 +1,8 @@
-"""A calibrated robot made ready for a format: refitted for what the format cannot hold, and what that costs.
+"""Prepare a calibrated robot for a format: refit it for what the format cannot hold, and compute the remaining error.
 
-What is said of a file is computed from what its writer gets: the links and the joint law of ``link_frames`` predict poses, and these
-are compared with the identified robot's. A format that declares a term of the law and writes nothing of it is refused.
+Statements about a file are computed from the input of its writer: the links and the joint law of ``link_frames``
+predict poses, and these are compared with those of the identified robot. A format that declares a term of the law but
+writes no such term is rejected.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from truearm.model.chain import GEOMETRY, Chain, Parameter, forward
 from truearm.model.mountings import mountings
 from truearm.types import Floats
 
-EXACT = 1e-9  # m, and of a rotation matrix: a file that predicts so well holds everything
+EXACT = 1e-9  # m, and of a rotation matrix: a file with such predictions holds everything
 NAMED = 8  # parameters that a message names
 
 
 @dataclass(frozen=True)
 class RobotToWrite:
-    """What a format's writer gets: a robot whose joint law has nothing but what the format holds.
+    """The input of a format's writer: a robot whose joint law contains only what the format holds.
 
-    ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as they are described. ``comment``: text for
-    the head of the file. ``urdf``: the text that the robot came from, None where that is not a URDF.
+    ``nominal`` and ``params`` are parameters (p,). ``mountings`` False: both ends as nominal. ``comment``: text for the
+    head of the file. ``urdf``: the robot's original text, None if that is not a URDF.
     """
 
     chain: Chain
@@ -49,7 +50,7 @@ class RobotToWrite:
 
     @cached_property
     def described(self) -> LinkFrames:
-        """The nominal robot, for what is chosen as its maker did: directions of axes, say."""
+        """The nominal robot, for choices that follow its manufacturer, such as the directions of axes."""
         return link_frames(self.chain, self.nominal, self.nominal)
 
 
@@ -57,14 +58,14 @@ Writer = Callable[[RobotToWrite], str]
 
 
 class Fitted(NamedTuple):
-    """Parameters that a format holds, and what they cost against the identified ones over n poses."""
+    """The parameters that a format holds, and their error relative to the identified ones over n poses."""
 
     params: Floats  # (p,)
-    missing: tuple[str, ...]  # identified parameters that the format has no place for; a curve or a sag as one
+    missing: tuple[str, ...]  # identified parameters that the format cannot hold; a curve or a sag as one
     refitted: bool
-    dropped: Floats  # (n,) m, position error if what does not fit were simply left out
+    dropped: Floats  # (n,) m, position error if these were simply left out
     left: Floats  # (n,) m, position error of what is written
-    exact: bool  # the file holds all that was identified
+    exact: bool  # the file holds everything that was identified
 
 
 def written(name: str, robot: RobotToWrite) -> str:
@@ -79,7 +80,7 @@ def written(name: str, robot: RobotToWrite) -> str:
 
 
 def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
-    """(p,) the parameters that a format has a place for. Raises ValueError where it declares a term that there is not."""
+    """Return a mask (p,) of the parameters that a format can hold. Raises ValueError if it declares an unknown term."""
     unknown = set(form.holds) - {term.name for term in joint_law.TERMS}
     if unknown:
         raise ValueError(f"a format holds {', '.join(sorted(unknown))}, which no term of the joint law is called")
@@ -89,10 +90,10 @@ def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
 def fit_to(
     name: str, chain: Chain, nominal: Floats, identified: Floats, adjustable: NDArray[np.bool_], q: Floats
 ) -> Fitted:
-    """Fit what the format called ``name`` holds and is ``adjustable`` (p,) to the identified robot over poses q (n, j).
+    """Fit the parameters that a format holds and are ``adjustable`` (p,) to the identified robot over poses q (n, j).
 
-    Parameters that are not adjustable stay nominal. Raises RobotError without poses, and where no value of the others makes
-    the file better than the nominal robot.
+    Parameters that are not adjustable stay nominal. Raises RobotError without poses, and if no values of the others
+    make the file better than the nominal robot.
     """
     if not len(q):
         raise RobotError("there are no poses to compare the file with")
@@ -120,7 +121,7 @@ def fit_to(
 
 
 def _called(parameter: Parameter) -> str:
-    """Its name; of a coefficient that of its joint's curve or sag: "joint2.sag"."""
+    """Return a parameter's name; for a coefficient, the name of its joint's curve or sag, "joint2.sag"."""
     learned = {term.name for term in joint_law.TERMS if term.learned}
     return parameter.name.rpartition(".")[0] if parameter.term in learned else parameter.name
 
@@ -139,9 +140,9 @@ def _check_worth(
     lost: Sequence[Parameter],
     q: Floats,
 ) -> None:
-    """Raise RobotError unless a file's poses (n, 4, 4) are nearer to the identified robot's than those of the nominal one.
+    """Raise RobotError unless a file's poses (n, 4, 4) are closer to the identified robot's than the nominal ones.
 
-    Without a gain of −1, say, no links are of any use.
+    Without a gain of −1, for example, no links are useful.
     """
     wanted, mounted = forward(chain, identified, q), mountings(chain, nominal, identified)
     as_described = mounted.base @ forward(chain, nominal, q) @ mounted.tool
@@ -156,7 +157,7 @@ def _check_worth(
 
 
 def _marks_apart(a: Floats, b: Floats) -> float:
-    """The sum of squares that ``refit`` makes small."""
+    """Return the sum of squares that ``refit`` minimises."""
     return float(np.sum(((a - b) @ np.concatenate([MARKS.T, np.ones((1, len(MARKS)))])) ** 2))
 
 
