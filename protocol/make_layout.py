@@ -8,7 +8,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 GRAMMAR, LAYOUT = FOLDER / "frames.cddl", FOLDER / "truearm_wire" / "layout.py"
-# types that a reader has to know: fixed widths, and what becomes of an element over the heartbeats of a session
+# types that a reader must know: fixed widths, and how an element is accumulated over the heartbeats of a session
 KEPT = ("u32", "u64", "counter", "largest", "smallest")
 HEAD = '''"""The elements of every frame after its type. Written by protocol/make_layout.py from frames.cddl: do not edit.
 
@@ -20,7 +20,7 @@ HEAD = '''"""The elements of every frame after its type. Written by protocol/mak
 
 
 def frames(grammar: str) -> dict[int, tuple[list[str], int]]:
-    """By frame type: the elements after the type, and how many of them at the end were appended by minor versions."""
+    """Return, by frame type, the elements after the type and how many at the end were appended by minor versions."""
     found = {}
     text = re.sub(r";.*", "", grammar)
     for kind, body in re.findall(r"^[\w-]+ = \[(\d+), (.*?)\]$", text, re.MULTILINE | re.DOTALL):
@@ -32,7 +32,7 @@ def frames(grammar: str) -> dict[int, tuple[list[str], int]]:
 
 
 def layout(grammar: str) -> str:
-    """The text of layout.py."""
+    """Return the text of layout.py."""
     lines = ["LAYOUT = {"]
     of = frames(grammar)
     for kind, (entries, _) in of.items():

@@ -1,9 +1,9 @@
-"""Write the golden vectors of SPEC.md from an independent derivation: struct, cbor2, cobs and zlib, nothing of ours.
+"""Write the golden vectors of SPEC.md from an independent derivation: struct, cbor2, cobs and zlib, no truearm code.
 
-    python protocol/make_vectors.py        # rewrites protocol/vectors/; a changed file is a changed protocol
+python protocol/make_vectors.py        # rewrites protocol/vectors/; a changed file is a changed protocol
 
 vectors/frames.json      name, values (the frame's array; bytes as {"hex"}, tags as {"tag", "hex"}), file
-vectors/corrupted.json   name, why, file: what no receiver may take for a frame
+vectors/corrupted.json   name, why, file: what no receiver may accept as a frame
 vectors/*.bin            the bytes on the wire, delimiters included (corrupted: as received)
 """
 
@@ -28,7 +28,7 @@ def u64(n: int) -> bytes:
 
 
 def array(*items: bytes | int) -> bytes:
-    """A CBOR array of ready-made items and of integers in their shortest form."""
+    """Return a CBOR array of encoded items and of integers in their shortest form."""
     head = bytes([0x80 | len(items)])  # up to 23 elements
     return head + b"".join(i if isinstance(i, bytes) else cbor2.dumps(i) for i in items)
 
@@ -38,13 +38,13 @@ def on_wire(payload: bytes) -> bytes:
 
 
 def counts(n: int, start: int) -> bytes:
-    """n samples of 4 channels that touch the extremes of 24 bit and hold runs of zero bytes."""
+    """Return n samples of 4 channels that include the extremes of 24 bits and runs of zero bytes."""
     rows = [(start + i, -(start + i), 2**23 - 1 - i, -(2**23) + i) for i in range(n)]
     return b"".join(struct.pack("<4i", *row) for row in rows)
 
 
 def flights(n: int, start: int) -> bytes:
-    """n samples of stream 1: 100 to 400 µs in ticks of 8 ns, every seventh without a stop."""
+    """Return n samples of stream 1: 100 to 400 µs in ticks of 8 ns, every seventh without a stop."""
     return b"".join(struct.pack("<i", 0 if k % 7 == 3 else 12500 + 997 * k % 37500) for k in range(start, start + n))
 
 

@@ -1,4 +1,4 @@
-"""The truearm wire (protocol/SPEC.md) for CPython and MicroPython alike; it imports nothing of ours.
+"""The truearm wire (protocol/SPEC.md) for CPython and MicroPython; it imports no other part of truearm.
 
 fast      CRC-32, COBS and byte counters in place, without allocation (viper on MicroPython)
 cbor      the subset of CBOR that the wire uses, both ways

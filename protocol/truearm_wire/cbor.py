@@ -1,13 +1,13 @@
-"""The subset of CBOR (RFC 8949) that the wire uses, for CPython and MicroPython.
+"""The subset of CBOR (RFC 8949) used on the wire, for CPython and MicroPython.
 
 Values: int (64 bit), bytes, str, list, dict with str keys, `U32`/`U64` (integers of fixed width, see below) and `Tag`.
 No floats, no indefinite lengths, no simple values. The `put_*` functions write into a preallocated buffer without
-allocating, as long as integers are small (below 2^30 on the chip); `encode` and `decode` are for documents and tests.
+allocating, as long as integers are small (below 2^30 on the chip). `encode` and `decode` are for documents and tests.
 """
 
 
 class CborError(ValueError):
-    """Not CBOR, or not of the subset."""
+    """Not CBOR, or not in the subset."""
 
 
 class U32(int):
@@ -40,7 +40,7 @@ SINT32_LE = 78
 
 
 def put_head(buf, at, major, n):
-    """Write a head with argument 0 ≤ n < 2^30 in its shortest form; return the offset behind it."""
+    """Write a head with argument 0 ≤ n < 2^30 in its shortest form; return the offset after it."""
     major <<= 5
     if n < 24:
         buf[at] = major | n
@@ -63,14 +63,14 @@ def put_head(buf, at, major, n):
 
 
 def put_int(buf, at, n):
-    """Write an integer of magnitude below 2^30; return the offset behind it."""
+    """Write an integer of magnitude below 2^30; return the offset after it."""
     if n < 0:
         return put_head(buf, at, 1, -1 - n)
     return put_head(buf, at, 0, n)
 
 
 def encode(value):
-    """CBOR bytes of a value. Raises CborError."""
+    """Return the CBOR bytes of a value. Raises CborError."""
     out = bytearray()
     encode_into(value, out)
     return bytes(out)
@@ -136,7 +136,7 @@ def _encode(value, out, depth):
 
 
 def decode(data):
-    """The value of CBOR bytes, all of them. Raises CborError."""
+    """Return the value of CBOR bytes, all of them. Raises CborError."""
     value, end = _decode(data, 0, DEPTH_MAX)
     if end != len(data):
         raise CborError("%d bytes behind the value" % (len(data) - end))
@@ -182,7 +182,7 @@ def _decode(data, at, depth):
         except UnicodeError:
             raise CborError("text is not UTF-8")
     if major == 4 or major == 5:
-        if n > len(data) - behind:  # every item takes a byte at least: refuses absurd lengths before looping
+        if n > len(data) - behind:  # every item has at least one byte: rejects absurd lengths before looping
             raise CborError("ends in the middle")
         items = []
         for _ in range(n * (major - 3)):

@@ -1,9 +1,10 @@
-"""Byte work in place, without allocation: CRC-32, COBS, 64-bit counters, copies.
+"""In-place byte operations without allocation: CRC-32, COBS, 64-bit counters, copies.
 
-One source for both interpreters: under MicroPython the decorated functions become native code (viper), under
-CPython the decorators and `ptr8` do nothing; the drivers take them from here. Only single bytes are touched, so the word size (31-bit small integers on
-the chip) never shows; only the CRC's table is of words. MicroPython keeps a function's first three locals in registers: what a loop
-changes and reads most comes first. A frame of 250 bytes is sealed in 0.15 ms on the emulated Pico.
+One source for both interpreters. Under MicroPython the decorated functions become native code (viper); under CPython
+the decorators and `ptr8` do nothing. The drivers import them from here. Only single bytes are accessed, so the word
+size (31-bit small integers on the chip) does not matter; only the CRC's table has words. MicroPython keeps a function's
+first three locals in registers: those that a loop changes and reads most come first. Sealing a frame of 250 bytes takes
+0.15 ms on the emulated Pico.
 """
 
 import sys
@@ -12,11 +13,11 @@ from array import array
 if sys.implementation.name == "micropython":
     import micropython
 
-    # The compiler knows these, and the decorators, by their names alone: they are here so that they can be imported.
+    # The compiler recognises these and the decorators by name alone: they are here so that they can be imported.
     ptr8 = ptr16 = ptr32 = uint = None
 else:
 
-    class micropython:  # the decorator is matched by its text, so the name must be this one
+    class micropython:  # the decorator is matched by its text, so this name is required
         @staticmethod
         def viper(function):
             return function
@@ -80,8 +81,9 @@ def _seal(crc: uint, i: int, buf: ptr8, end: int, table: ptr32):
 
 
 def seal(buf, start, end):
-    """Append the CRC-32, little endian, to buf[start:end], at most 250 bytes, and stuff the whole in place (COBS): buf[start - 1]
-    becomes the first code byte, what was stuffed ends at end + 4.
+    """Append the CRC-32, little endian, to buf[start:end], at most 250 bytes, and stuff all of it in place (COBS).
+
+    buf[start - 1] becomes the first code byte; the stuffed data ends at end + 4.
     """
     _seal(_ALL_ONES, start, buf, end, _TABLE)
 
@@ -90,7 +92,7 @@ _check = bytearray(4)
 
 
 def crc32_ok(buf, start, end):
-    """Whether buf[end - 4:end] is the CRC-32 of buf[start:end - 4]."""
+    """Return whether buf[end - 4:end] is the CRC-32 of buf[start:end - 4]."""
     if end - start < 4:
         return False
     _crc32(_ALL_ONES, start, buf, end - 4, _TABLE, _check)
@@ -107,7 +109,7 @@ def _same(a: ptr8, i: int, b: ptr8, k: int, n: int) -> int:
 
 
 def same(a, i, b, k, n):
-    """Whether n bytes of a from i equal those of b from k."""
+    """Return whether n bytes of a from i equal those of b from k."""
     return _same(a, i, b, k, n) == 1
 
 
@@ -122,7 +124,7 @@ def _less(a: ptr8, b: ptr8, n: int) -> int:
 
 
 def less(a, b, n):
-    """Whether the big-endian number a[:n] is below b[:n]."""
+    """Return whether the big-endian number a[:n] is below b[:n]."""
     return _less(a, b, n) == 1
 
 
@@ -136,9 +138,10 @@ def copy(dst: ptr8, i: int, src: ptr8, k: int, n: int):
 
 @micropython.viper
 def cobs_decode(buf: ptr8, start: int, end: int) -> int:
-    """Unstuff buf[start:end] in place (code byte first); the data is then buf[start + 1:end]. Returns 1, or 0 if it is not COBS.
+    """Unstuff buf[start:end] in place (code byte first); the data is then buf[start + 1:end].
 
-    Only frames of this wire: at most 255 bytes, no zero inside, the code chain ends exactly at `end`.
+    Returns 1, or 0 if it is not COBS. Accepts only frames of this wire: at most 255 bytes, no zero inside, the code
+    chain ends exactly at `end`.
     """
     n = end - start
     if n < 2 or n > 255:

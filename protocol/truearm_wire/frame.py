@@ -1,16 +1,16 @@
-"""Payload ↔ frame, and the splitter of a byte stream; for the box and for tests. The host has its own, faster one."""
+"""Payload ↔ frame, and a splitter for a byte stream; for the box and for tests. The host has its own, faster one."""
 
 from .cbor import CborError
 from .fast import cobs_decode, crc32_ok, seal
 
 PAYLOAD_MAX = 250
 FRAME_MAX = PAYLOAD_MAX + 4 + 1 + 2
-HEAD = 2  # delimiter and first code byte stand before the payload
-TAIL = 5  # CRC and delimiter behind it
+HEAD = 2  # delimiter and first code byte precede the payload
+TAIL = 5  # CRC and delimiter follow it
 
 
 def close(buf, at, end):
-    """Finish a frame in place: buf[at + 2:end] holds its payload, six bytes behind it are free. Returns the end.
+    """Finish a frame in place: buf[at + 2:end] holds its payload, followed by six free bytes. Return the end.
 
     Allocates nothing.
     """
@@ -21,7 +21,7 @@ def close(buf, at, end):
 
 
 def frame(payload):
-    """The frame of a payload. Raises CborError if it is too long."""
+    """Return the frame of a payload. Raises CborError if it is too long."""
     if len(payload) > PAYLOAD_MAX:
         raise CborError("a payload of %d bytes; %d fit a frame" % (len(payload), PAYLOAD_MAX))
     buf = bytearray(len(payload) + 7)
@@ -31,7 +31,7 @@ def frame(payload):
 
 
 def unframe(run):
-    """The payload of the bytes between two delimiters, or None if they are not a frame."""
+    """Return the payload of the bytes between two delimiters, or None if they are not a frame."""
     buf = bytearray(run)
     n = len(buf)
     if n < 6 or not cobs_decode(buf, 0, n) or not crc32_ok(buf, 1, n):
@@ -40,9 +40,9 @@ def unframe(run):
 
 
 class Splitter:
-    """Finds frames in the bytes that the box receives, in a fixed buffer; longer runs are counted as bad.
+    """Find frames in the bytes that the box receives, in a fixed buffer; longer runs are counted as bad.
 
-    After `push(byte)` returned True the payload is buf[1:end] until the next push. Allocates nothing.
+    After `push(byte)` returned True, the payload is buf[1:end] until the next push. Allocates nothing.
     """
 
     def __init__(self):

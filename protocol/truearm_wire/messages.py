@@ -1,4 +1,4 @@
-"""Every frame by the layout of its elements (SPEC §4 and §6), which is generated from frames.cddl."""
+"""Every frame by the layout of its elements (SPEC §4 and §6); the layout is generated from frames.cddl."""
 
 from . import layout
 from .cbor import U32, U64, CborError, Tag, decode, encode, encode_into
@@ -30,7 +30,7 @@ ERROR_RANGE = 3
 ERROR_STREAMING = 4
 ERROR_STORAGE = 5
 
-COUNTER = (1 << 30) - 1  # counters wrap there: beyond, an integer of the chip would be allocated at every step
+COUNTER = (1 << 30) - 1  # counters wrap here: above, the chip would allocate an integer at every step
 
 FLAG_OVERRUN = 1
 FLAG_CONVERTER = 2
@@ -52,17 +52,17 @@ APPENDED = layout.APPENDED
 
 
 def names(frame_type):
-    """Names of the elements after the type."""
+    """Return the names of the elements after the type."""
     return [entry.split(":")[0] for entry in LAYOUT[frame_type]]
 
 
 def needed(frame_type):
-    """How many elements after the type every minor version sends."""
+    """Return how many elements after the type every minor version sends."""
     return len(LAYOUT[frame_type]) - APPENDED.get(frame_type, 0)
 
 
 def encode_payload(values):
-    """Payload of [type, element …] with the widths of LAYOUT; elements beyond the layout are written shortest.
+    """Return the payload of [type, element …] with the widths of LAYOUT; extra elements are written shortest.
 
     Raises CborError if the type is unknown or elements are missing.
     """
@@ -86,10 +86,10 @@ def encode_payload(values):
 
 
 def decode_payload(payload):
-    """[type, element …] of a payload. Raises CborError if it is not a frame of a known layout.
+    """Return [type, element …] of a payload. Raises CborError if it is not a frame of a known layout.
 
-    Unknown frame types are returned as they are (SPEC §7); known ones must have the elements of their layout, but for those
-    that came with a minor version.
+    Unknown frame types are returned unchanged (SPEC §7). Known ones must have the elements of their layout, except for
+    those that a minor version added.
     """
     values = decode(payload)
     if not isinstance(values, list) or not values or not isinstance(values[0], int) or values[0] < 0:
@@ -120,7 +120,7 @@ def _accepted(entry):
 
 
 def pages(document):
-    """The pages of a document's CBOR bytes, as (page, pages, bytes). Raises CborError if it needs more than 32."""
+    """Return the pages of a document's CBOR bytes, as (page, pages, bytes). Raises CborError for more than 32."""
     count = (len(document) + PAGE_BYTES - 1) // PAGE_BYTES or 1
     if count > PAGES_MAX:
         raise CborError("a document of %d bytes does not fit %d pages" % (len(document), PAGES_MAX))
@@ -128,7 +128,7 @@ def pages(document):
 
 
 def pages_of(value):
-    """As `pages` of a document that is yet to be encoded, which at no time stands in one piece: the chip's heap has none for 4 kB.
+    """Return `pages` of a document that is not encoded yet, never in one piece: the chip's heap has no 4 kB block.
 
     Raises CborError.
     """
@@ -141,7 +141,7 @@ def pages_of(value):
 
 
 class _Cut:
-    """What is encoded into: pages as they fill."""
+    """The destination of an encoding: collects pages as they fill."""
 
     def __init__(self):
         self._full = []

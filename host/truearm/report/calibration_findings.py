@@ -1,5 +1,7 @@
-"""What an identification found beside the parameters, as tables and sentences: residuals of each kind and rig, χ², rows to
-distrust, how well the parameters are seen, what to measure next, and how far the tool may be off.
+"""The findings of an identification other than the parameters, as tables and sentences.
+
+These are the residuals of each kind and rig, χ², suspect rows, the identifiability of the parameters, suggested further
+measurements, and the predicted error of the tool.
 """
 
 from __future__ import annotations
@@ -18,12 +20,12 @@ from truearm.text import counted
 from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError
 from truearm.units import shown, symbol, title, tolerances
 
-MAX_ROWS = 40  # suspects that are named
+MAX_ROWS = 40  # suspect rows that are listed
 MAX_NAMES = 12
 
 
 def residual_table(found: Sequence[Summary]) -> str:
-    """A table a unit: RMS and largest residual of each kind, and of each rig where there are several; what a residual is."""
+    """Return a table per unit: RMS and largest residual of each kind, by rig if there are several, with definitions."""
     tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
     words = " ".join(residual_words(kind) for kind in NAMES if any(s.kind == kind for s in found))
     return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
@@ -48,7 +50,7 @@ def _residuals_in(si: str, found: Sequence[Summary]) -> str:
 
 
 def chi2_words(e: Estimate) -> str:
-    """χ² against its band, in a sentence; "" where there is none."""
+    """Return a sentence that compares χ² with its range; "" where there is none."""
     low, high = e.chi2_band
     if not math.isfinite(e.chi2_reduced):
         return ""
@@ -66,7 +68,7 @@ def chi2_words(e: Estimate) -> str:
 
 
 def suspect_table(e: Estimate, table: ObservationTable) -> str:
-    """The fitted rows that disagree with all others, the farthest first."""
+    """Return the fitted rows that disagree with all others, the farthest first."""
     rows = np.flatnonzero(e.suspect)
     if not rows.size:
         return "<p>No fitted row disagrees with all others beyond chance (one clean row in a million would).</p>"
@@ -93,7 +95,7 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
 
 
 def observability_table(e: Estimate) -> str:
-    """The four indices of the suggested free set; "" where they were not computed."""
+    """Return the four indices of the suggested free set; "" if they were not computed."""
     if e.observability is None or not e.suggested_free.any():
         return ""
     names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
@@ -109,7 +111,7 @@ def observability_table(e: Estimate) -> str:
 
 
 def _suggested(e: Estimate, names: Sequence[str]) -> str:
-    """The set that can be distinguished, where more was free."""
+    """Return the distinguishable set, if more parameters were free."""
     if len(names) == int(e.free[: e.n_robot_parameters].sum()):
         return ""
     listed = escape(", ".join(names), 4000)
@@ -117,7 +119,7 @@ def _suggested(e: Estimate, names: Sequence[str]) -> str:
 
 
 def addition_list(additions: Sequence[Addition]) -> str:
-    """What more to measure, the most useful first; "" where all is seen."""
+    """Return the suggested further measurements, the most useful first; "" if everything is identifiable."""
     if not additions:
         return ""
     items = []
@@ -132,7 +134,7 @@ def addition_list(additions: Sequence[Addition]) -> str:
 
 
 def predicted_words(predicted: PredictedError) -> str:
-    """How far the tool may be off, in a sentence of plain text."""
+    """Return the predicted error of the tool as a sentence of plain text."""
     where = (
         "relative to all poses together, as the base's own place is not measured"
         if predicted.relative

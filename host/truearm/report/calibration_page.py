@@ -1,6 +1,7 @@
-"""One HTML page about one calibration: the verdict, the pictures, the parameters, what was not seen, how it was made.
+"""The HTML report of a calibration: the verdict, the pictures, the parameters, unidentifiable directions, how it was
+made.
 
-Names and notes may come from strangers' files; all text passes ``truearm.report.page_text.escape``.
+Names and notes may come from external files; all text passes through ``truearm.report.page_text.escape``.
 """
 
 from __future__ import annotations
@@ -42,15 +43,15 @@ HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
 
 @dataclass(frozen=True)
 class CalibrationPage:
-    """Everything that stands on the page.
+    """The content of the page.
 
-    ``estimate`` was made from ``table``, whose n rows are fitting and held-out ones. ``longitude`` (n,) [rad] is that
-    of the sphere about its chuck, NaN where a row has none. ``facts`` are labels and values about the recording,
-    ``steps`` names and seconds, ``command`` what to type to make the page again. ``validation`` is the error on rows
-    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is the name
-    of the robot's, ``predicted`` how far the tool may be off by the parameters' covariance.
+    ``estimate`` was made from ``table``, whose n rows include fitted and held-out ones. ``longitude`` (n,) [rad] is
+    that of the sphere about its chuck, NaN for rows without one. ``facts`` are labels and values about the recording,
+    ``steps`` names and seconds, ``command`` the command that makes the page again. ``validation`` is the error on rows
+    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is
+    the name of the robot's prior, ``predicted`` the predicted error of the tool from the parameters' covariance.
 
-    Raises ValueError where the rows of table, longitude and estimate differ in number.
+    Raises ValueError if table, longitude and estimate have different numbers of rows.
     """
 
     title: str
@@ -69,8 +70,8 @@ class CalibrationPage:
     laws: tuple[str, ...] = ()  # sentences
     law_steps: tuple[tuple[str, str, str, str], ...] = ()  # unit, fit, fitted RMS, held-out mean
     curves: tuple[SampledCurve, ...] = ()
-    certificate: Certificate | None = None  # stands on page one
-    usability: tuple[str, ...] = ()  # sentences: why the fit is not usable, what explains the observations
+    certificate: Certificate | None = None  # shown on page one
+    usability: tuple[str, ...] = ()  # sentences: why the fit is not usable, what would explain the observations
 
     def __post_init__(self) -> None:
         n = len(self.table)
@@ -86,7 +87,7 @@ class CalibrationPage:
 
 
 def render(page: CalibrationPage) -> str:
-    """The page as HTML text, to be written as UTF-8."""
+    """Return the page as HTML text, to be written as UTF-8."""
     sections = (
         certificate_section(page.certificate, page.estimate, page.judged, page.predicted) if page.certificate else "",
         _verdict(page),
@@ -128,7 +129,10 @@ def _verdict(page: CalibrationPage) -> str:
 
 
 def verdict(page: CalibrationPage) -> str:
-    """The result in one line of plain text, a sentence for each unit of the residuals; of a fit that is not usable, that it is not."""
+    """Return the result in one line of plain text, with a sentence for each unit of the residuals.
+
+    For a fit that is not usable, the line states this.
+    """
     e = page.estimate
     if e.unusable:
         return page.usability[0] if page.usability else "This fit is not usable."
@@ -143,7 +147,7 @@ def verdict(page: CalibrationPage) -> str:
 
 
 def _kinds(page: CalibrationPage, si: str) -> str:
-    """The kinds of observation that have residuals in a unit, with a space behind them; nothing where no row has one."""
+    """Return the kinds of observation with residuals in a unit, followed by a space; "" if no row has one."""
     rows = ~np.isnan(page.estimate.residual[si])
     names = [kind_name(str(kind)) for kind in np.unique(page.table.kind[rows])]
     if not names:
@@ -153,7 +157,7 @@ def _kinds(page: CalibrationPage, si: str) -> str:
 
 
 def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
-    """What became of the error in one unit."""
+    """Return how the error changed in one unit."""
     before, after = e.rms_before[si], e.rms_after[si]
     factor = before / after if after > 0.0 else math.inf
     better = f"{figures(factor, 2)} times smaller" if factor >= 1.0 and math.isfinite(factor) else "changed"
@@ -163,7 +167,7 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
 
 
 def doubts(page: CalibrationPage) -> list[str]:
-    """Reasons not to trust the figures, a sentence each."""
+    """Return the reasons to distrust the figures, one sentence each."""
     e, judged = page.estimate, page.judged
     found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]
     if e.status != "converged" and not e.unusable:
@@ -185,7 +189,7 @@ def doubts(page: CalibrationPage) -> list[str]:
 
 
 def _held_out_ratio(e: Estimate, judged: HeldOut) -> float:
-    """Held-out over fitted RMS, of the unit in which it is worst."""
+    """Return the ratio of held-out to fitted RMS, in the unit where it is worst."""
     rms = [(error.rms, e.rms_after[si]) for si, error in judged.figures.items() if si in e.rms_after]
     return max(
         (held / fitted if fitted > 0.0 else math.inf if held > 0.0 else 0.0 for held, fitted in rms), default=0.0
@@ -193,7 +197,7 @@ def _held_out_ratio(e: Estimate, judged: HeldOut) -> float:
 
 
 def _tile(name: str, rms: Mapping[str, float], note: str, css: str) -> str:
-    """A figure a unit, by SI unit."""
+    """Return a tile with one figure per SI unit."""
     sizes = "".join(
         f'<p class="figure">{size(value, si, "")}<span> {symbol(si)}</span></p>' for si, value in rms.items()
     )
@@ -235,7 +239,7 @@ def _parameters(e: Estimate) -> str:
 
 
 def _laws(page: CalibrationPage) -> str:
-    """Error curves and sag; "" where they were not asked for."""
+    """Return error curves and sag; "" if they were not requested."""
     if not page.laws:
         return ""
     rows = [(escape(name), fitted, held, escape(unit)) for unit, name, fitted, held in page.law_steps]

@@ -1,6 +1,7 @@
-"""Page one of a report: the certificate, which says what was calibrated, by whom, with what, how, and what came out.
+"""Page one of a report, the certificate: what was calibrated, by whom, with what equipment, how, and the result.
 
-It fits a sheet of A4; what does not fit (many sessions, many sensors) is counted, and stands on the pages behind.
+It fits on a sheet of A4. Items that do not fit (many sessions, many sensors) are counted, and listed on the following
+pages.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from truearm.types import Estimate, HeldOut, PredictedError
 from truearm.units import US
 
 K = 2.0  # coverage factor: 95 % of a normal error
-MOST = 6  # sessions, sensors and files that page one names
+MOST = 6  # sessions, sensors and files listed on page one
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A calibrated channel of a box, as the box says it."""
+    """A calibrated channel of a box, as reported by the box."""
 
     name: str
     serial: str
@@ -30,7 +31,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a session says of how it was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown."""
+    """How a session was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown."""
 
     name: str
     begun: str
@@ -39,7 +40,7 @@ class Recording:
     sensors: tuple[Sensor, ...]
     dwells: int
     mountings: int  # stops for mounting, which are not dwells
-    rejected: tuple[tuple[str, int], ...]  # how many by reason
+    rejected: tuple[tuple[str, int], ...]  # number by reason
     passes: int
     samples: int
     samples_lost: int
@@ -49,7 +50,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What stands on page one. ``files``: role, name and SHA-256 of what was read; ``method``: label and value."""
+    """The content of page one. ``files``: role, name and SHA-256 of what was read; ``method``: label and value."""
 
     name: str
     robot: str
@@ -62,7 +63,7 @@ class Certificate:
 
 
 def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
-    """Label and value of how each session was recorded; with several the session's name stands in front."""
+    """Return labels and values of how sessions were recorded; of several, labels start with the session's name."""
     facts = []
     for one in recordings:
         of = f"{one.name}: " if len(recordings) > 1 else ""
@@ -82,7 +83,7 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
 def certificate_section(
     certificate: Certificate, e: Estimate, judged: HeldOut | None, predicted: PredictedError | None
 ) -> str:
-    """Page one as HTML."""
+    """Return page one as HTML."""
     robot = certificate.robot + (f", serial {certificate.serial}" if certificate.serial else "")
     what = [
         ("calibrated", certificate.name or robot),

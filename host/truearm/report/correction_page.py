@@ -1,6 +1,7 @@
-"""One HTML page about one correction: what moved by how much, what error is left to expect, what to look at before the program is run.
+"""The HTML report of a correction: the shifts, the expected remaining error, and what to check before running the
+program.
 
-Made like the other pages: a single file without a script. Lengths are in mm and angles in mrad here: this is the border.
+Like the other pages it is a single file without a script. Lengths are in mm and angles in mrad here, for display.
 """
 
 from __future__ import annotations
@@ -18,18 +19,20 @@ from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.types import Floats, rms
 from truearm.units import MM, MRAD
 
-MOST_ROWS = 400  # of a table; the JSON document has all
+MOST_ROWS = 400  # of a table; the JSON document has all of them
 MOST_ARROWS = 2000
-ARROW = 0.06  # of the larger side of the picture that a median shift is drawn as
+ARROW = 0.06  # of the longer side of the picture: length at which a median shift is drawn
 
 
 @dataclass(frozen=True)
 class CorrectionPage:
-    """Everything that stands on the page about n targets.
+    """The content of a page about n targets.
 
-    ``asked`` and ``shift`` (n, 3) [m] are the targets' positions and how far the command moved; ``sizes`` (n, 2) [m, rad] the sizes of the shifts. ``before``
-    (n,) [m] is the error without correction, ``expected`` (n, 2) [m, rad] the expanded uncertainty with it, NaN where it is not known. ``limits`` are the margins to joint
-    limits in words, ``singular_value`` (n,). ``moves`` are rows of cells of straight moves: from, to, deviation, margins, and a remark; ``refused`` line, statement, reason.
+    ``asked`` and ``shift`` (n, 3) [m] are the targets' positions and the shifts of the command; ``sizes`` (n, 2) [m,
+    rad] the sizes of the shifts. ``before`` (n,) [m] is the error without correction, ``expected`` (n, 2) [m, rad] the
+    expanded uncertainty with it, NaN where unknown. ``limits`` are the margins to joint limits in words,
+    ``singular_value`` is (n,). ``moves`` are rows of cells for straight moves: from, to, deviation, margins, and a
+    remark. ``refused`` has line, statement, reason.
     """
 
     title: str
@@ -50,7 +53,7 @@ class CorrectionPage:
 
 
 def render(page: CorrectionPage) -> str:
-    """The page as HTML text, to be written as UTF-8."""
+    """Return the page as HTML text, to be written as UTF-8."""
     sections = [
         _summary(page),
         section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "moves not corrected"))
@@ -107,7 +110,7 @@ _TARGETS = (
 
 
 def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, total: int = 0) -> str:
-    """A table of plain cells, cut at MOST_ROWS."""
+    """Return a table of plain cells, cut at MOST_ROWS."""
     total = total or len(rows)
     more = f"<p>and {total - MOST_ROWS} more; the JSON document has all</p>" if total > MOST_ROWS else ""
     cells = ([escape(cell) for cell in row] for row in rows[:MOST_ROWS])
@@ -121,7 +124,7 @@ def _pictures(page: CorrectionPage) -> list[Figure]:
 
 
 def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str, axes: tuple[int, int]) -> Figure:
-    """Positions in two axes of the file's frame with their shifts, drawn larger by a round factor."""
+    """Return positions in two axes of the file's frame with their shifts, enlarged by a round factor."""
     at, by = (MM.of(values[chosen][:, axes]) for values in (page.asked, page.shift))
     span = max(float(np.ptp(at, axis=0).max()), 100.0)
     median = float(np.median(np.linalg.norm(by, axis=1)))
@@ -141,7 +144,7 @@ def _arrows(page: CorrectionPage, chosen: Sequence[int] | np.ndarray, title: str
 
 
 def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
-    """The error without and the expected error with correction, in the order of the file."""
+    """Return the errors without correction and the expected errors with it, in the order of the file."""
     order = np.asarray(chosen, dtype=float) + 1.0
     before, due = MM.of(page.before[chosen]), MM.of(page.expected[chosen, 0])
     known = np.isfinite(due)

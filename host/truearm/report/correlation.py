@@ -1,4 +1,4 @@
-"""The correlations of the identified parameters as a picture: which of them the data can hardly distinguish."""
+"""The correlations of the identified parameters as a picture of what the data can hardly distinguish."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from truearm.types import Estimate, Floats
 
 
 def correlation(estimate: Estimate, most: int = 60) -> Figure | None:
-    """Correlations of the robot's identified parameters, the lower triangle; None unless there are 2 to ``most``."""
+    """Return the lower triangle of the robot's parameter correlations; None unless there are 2 to ``most``."""
     seen = estimate.free & estimate.identifiable & (np.diag(estimate.covariance) > 0.0)
     seen[estimate.n_robot_parameters :] = False
     names = [name for name, is_seen in zip(estimate.parameter_names, seen, strict=True) if is_seen]
@@ -23,7 +23,7 @@ def correlation(estimate: Estimate, most: int = 60) -> Figure | None:
     rho = estimate.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
     cell, left, top = 16.0, 118.0, 8.0
     size = cell * len(names)
-    width = max(left + size, 640.0) + 8.0  # room for the key beside a small triangle
+    width = max(left + size, 640.0) + 8.0  # room for the key next to a small triangle
     parts = [
         _cell(rho[i, j], left + cell * j, top + cell * i, cell, names[i], names[j])
         for i, j in zip(*np.tril_indices(len(names), -1))

@@ -1,6 +1,6 @@
-"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, and what else tells a good fit from a bad one.
+"""The pictures of a calibration: Fig. 3 and 4 of Goswami 1993, and others that separate a good fit from a bad one.
 
-Numbers are as a person sees them here (units.py): this is the border.
+Numbers here are in display units (units.py).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from truearm.text import counted
 from truearm.types import Estimate, Floats, rms
 from truearm.units import shown, symbol, title
 
-MAX_TIPS = 3000  # points with a tooltip each (about 120 B); beyond, points are bare
-MAX_POINTS = 12000  # points drawn at all; beyond, the largest tenth and an even choice of the others
+MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
+MAX_POINTS = 12000  # points drawn at all; with more, the largest tenth and an even selection of the others
 MAX_GROUPS = 24
 MAX_MARKS = 100  # changes of mount or session that are marked
-STRETCHES = 24  # of the order of measurement, each with its mean
-LETTER = 8.8  # width of a label's letter, of a phone's large ones
-FINEST_BIN = 1e-6  # as shown; noise-free residuals are rounding, or exactly zero
+STRETCHES = 24  # sections of the order of measurement, each with its mean
+LETTER = 8.8  # width of a letter in a label, with the large letters of a phone
+FINEST_BIN = 1e-6  # in display units; noise-free residuals are rounding errors or exactly zero
 LONGITUDE_BIN_DEG = 30.0
 FEWEST_IN_BIN = 5
 
@@ -41,7 +41,7 @@ class Figure(NamedTuple):
 
 
 def figures_of(rows: Rows) -> list[Figure]:
-    """All pictures of the rows of one kind; those that the data do not allow are left out."""
+    """Return all pictures of the rows of one kind, except those for which data are missing."""
     makers: tuple[Callable[[Rows], Figure | None], ...] = (
         histogram,
         by_longitude,
@@ -56,7 +56,7 @@ def figures_of(rows: Rows) -> list[Figure]:
 
 
 def histogram(rows: Rows) -> Figure:
-    """Residuals of the fitting rows with the fitted law (Goswami 1993, Fig. 4)."""
+    """Return the residuals of the fitted rows with the fitted distribution (Goswami 1993, Fig. 4)."""
     r, law = rows.residual[rows.fitted], law_of(rows)
     edges = _bin_edges(r)
     count, _ = np.histogram(r, edges)
@@ -84,8 +84,8 @@ def histogram(rows: Rows) -> Figure:
 
 
 def _bin_edges(r: Floats) -> Floats:
-    """Edges at round multiples of a round width, the first below and the last above all values."""
-    # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, should one row lie far out.
+    """Return edges at round multiples of a round width, the first below and the last above all values."""
+    # Half of Scott's rule, rounded up to between 0.5 and 1.25 of it; 60 bins at most, in case one row is far out.
     scott = 3.49 * r.std() * r.size ** (-1 / 3)
     width = svg.round_step(max(0.5 * scott, np.ptp(r) / 60.0, 1e-3 * np.abs(r).max(), FINEST_BIN))
     first = math.floor(r.min() / width - 1e-9)
@@ -97,7 +97,7 @@ def _grid(edges: Floats) -> Floats:
 
 
 def by_order(rows: Rows) -> Figure:
-    """Residual against the order of measurement, with sessions and mounts: what drifted or slipped shows here."""
+    """Return residuals in the order of measurement, with sessions and mounts, to show drift or slip."""
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
     floor, top = plot.y.low, plot.y.high
@@ -126,13 +126,13 @@ def by_order(rows: Rows) -> Figure:
 
 
 def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
-    """Centre, mean and standard error of the mean of stretches of equally many rows."""
+    """Return centre, mean and standard error of the mean of sections with equally many rows."""
     parts = [at for at in np.array_split(np.arange(x.size), STRETCHES) if at.size >= FEWEST_IN_BIN]
     return [(float(x[at].mean()), float(y[at].mean()), float(y[at].std(ddof=1) / math.sqrt(at.size))) for at in parts]
 
 
 def by_longitude(rows: Rows) -> Figure | None:
-    """Residual against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
+    """Return residuals against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
     known = np.isfinite(rows.longitude)
     if not (known & rows.fitted).any():
         return None
@@ -161,13 +161,13 @@ def _deg_range(longitude: Floats) -> tuple[float, float]:
 
 
 def _reach(values: Floats) -> tuple[float, float]:
-    """Zero in the middle for signed values, else at the bottom."""
+    """Return the range of an axis: zero in the middle for signed values, otherwise at the bottom."""
     top = 1.02 * float(np.abs(values).max())
     return (-top if values.min() < 0.0 else 0.0), top
 
 
 def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
-    """Centre, mean and standard error of the mean for each bin of longitude with enough rows."""
+    """Return centre, mean and standard error of the mean for each bin of longitude with enough rows."""
     number_of_bin = np.floor(x / LONGITUDE_BIN_DEG)
     found = []
     for k in np.unique(number_of_bin):
@@ -179,13 +179,13 @@ def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
 
 
 def _sets(rows: Rows) -> list[tuple[str, str, NDArray[np.bool_]]]:
-    """Class, name and mask of the fitting and the validation rows, as far as there are any."""
+    """Return class, name and mask of the fitted and the validation rows, for those that exist."""
     sets = [("fit", "fitting rows", rows.fitted), ("val", "validation rows", ~rows.fitted)]
     return [entry for entry in sets if entry[2].any()]
 
 
 def _drawn(values: Floats, chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Indices of the chosen rows; of very many the largest tenth of MAX_POINTS and an even choice of the others."""
+    """Return indices of chosen rows; of too many, the largest tenth of MAX_POINTS and an even selection of the rest."""
     index = np.flatnonzero(chosen)
     if index.size <= MAX_POINTS:
         return index
@@ -205,11 +205,11 @@ def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.s
 
 
 def before_after(rows: Rows) -> Figure:
-    """Share of the rows whose |residual| is below a length, before and after."""
+    """Return the share of the rows with |residual| below a length, before and after."""
     lines = [(css, name + ", after", rows.residual[at]) for css, name, at in _sets(rows)]
     lines = [("old", "all rows, before", rows.before), *lines]
     size = np.abs(np.concatenate([rows.before, rows.residual]))
-    # A residual near zero by chance would stretch the axis by decades; the lowest rows are drawn at its end.
+    # A residual that happens to be near zero would stretch the axis by decades; the lowest rows are drawn at its end.
     reach = np.percentile(size, [2.0, 100.0])
     plot = svg.Plot(
         svg.log_axis(title("|residual|", rows.si), reach), svg.linear_axis("share of rows [%]", 0.0, 100.0, 20.0)
@@ -224,7 +224,7 @@ def before_after(rows: Rows) -> Figure:
 
 
 def by_group(rows: Rows) -> Figure | None:
-    """Quartile boxes for each pairing of chuck and sphere, or each place: does one stand out?"""
+    """Return quartile boxes for each pairing of chuck and sphere, or each place, to show whether one stands out."""
     names, inverse = np.unique(rows.group, return_inverse=True)
     if names.size < 2:
         return None
@@ -273,7 +273,7 @@ def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: 
 
 
 def quantiles(rows: Rows) -> Figure | None:
-    """Sorted residuals against the quantiles of the law (normal probability plot)."""
+    """Return sorted residuals against the quantiles of the distribution (normal probability plot)."""
     r, law = np.sort(rows.residual[rows.fitted]), law_of(rows)
     if r.size < 10 or law.sigma < svg.SMALLEST:
         return None
@@ -296,7 +296,7 @@ def quantiles(rows: Rows) -> Figure | None:
 
 
 def convergences(estimate: Estimate) -> list[Figure]:
-    """RMS after every iteration of the solver, a picture a unit."""
+    """Return the RMS after every iteration of the solver, one picture per unit."""
     return [_convergence(estimate, si) for si in estimate.rms_history]
 
 
@@ -320,5 +320,5 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
 
 
 def drawn(plot: svg.Plot, title: str, caption: str, parts: Sequence[str]) -> Figure:
-    """The figure of a plot; a screen reader says title and caption in its place."""
+    """Return the figure of a plot; screen readers read title and caption instead."""
     return Figure(title, caption, svg.drawing(plot.width, plot.height, parts, f"{title}. {caption}"))

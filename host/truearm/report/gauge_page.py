@@ -1,6 +1,6 @@
-"""One small HTML page about the calibration of a sensor: what is left at each place, and why this order.
+"""A small HTML page about the calibration of a sensor: the residual at each point, and the reason for the order.
 
-Lengths are in mm and µm here: this is the border.
+Lengths are in mm and µm here, for display.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
 from truearm.units import MM, UM
 
-MARK = "<!-- truearm box gauge -->"  # by which a page of ours is known
+MARK = "<!-- truearm box gauge -->"  # identifies a page written by truearm
 
 
 @dataclass(frozen=True)
 class GaugePage:
-    """``reference`` (n,), ``residual`` (n,) and ``left_out`` (n,) [m], ``reading`` (n,) in ``unit`` with ``noise`` (n,), the
-    standard deviation of each mean; ``orders`` (k,) and ``press`` (k,) [m] of the polynomials that were tried."""
+    """The content of the page.
+
+    ``reference`` (n,), ``residual`` (n,) and ``left_out`` (n,) [m]; ``reading`` (n,) in ``unit`` with ``noise`` (n,),
+    the standard deviation of each mean; ``orders`` (k,) and ``press`` (k,) [m] of the polynomials that were tried.
+    """
 
     title: str
     subtitle: str
@@ -37,11 +40,11 @@ class GaugePage:
     orders: tuple[int, ...]
     press: Floats
     order: int
-    certificate: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = ()  # of page one: groups of label and value
+    certificate: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = ()  # for page one: groups of label and value
 
 
 def render(page: GaugePage) -> str:
-    """The page as HTML text, to be written as UTF-8."""
+    """Return the page as HTML text, to be written as UTF-8."""
     shown = [_residuals(page), *([_orders(page)] if len(page.orders) > 1 else [])]
     body = "".join(f"<h3>{title}</h3>{fact_list(facts)}" for title, facts in page.certificate)
     sections = (

@@ -13,7 +13,7 @@ from truearm.units import DEG, MRAD
 
 
 def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
-    """Two pictures a curve: over the joint's readings, and over cycles a turn."""
+    """Return two pictures per curve: over the joint's readings, and over cycles per turn."""
     return [figure for curve in curves for figure in (_over_readings(curve), _over_cycles(curve))]
 
 
@@ -57,6 +57,6 @@ def _over_cycles(curve: SampledCurve) -> Figure:
 
 
 def _runs(flags: np.ndarray) -> list[slice]:
-    """Runs of True."""
+    """Return runs of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [slice(start, stop) for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]

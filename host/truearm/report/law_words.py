@@ -13,7 +13,7 @@ STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves"}
 
 
 def law_sentences(document: Document) -> list[str]:
-    """What was learned of joint laws; empty where they were not asked for."""
+    """Return what was learned about joint laws; empty if they were not requested."""
     found = document["joint_laws"]
     if found is None:
         return []
@@ -51,7 +51,7 @@ def _kept(law: Mapping[str, Any]) -> str:
 
 
 def law_steps(document: Document, suffix: str) -> list[tuple[str, str, str]]:
-    """Each fit's name, fitted RMS and held-out mean in the unit of a suffix; empty where only the geometry was fitted."""
+    """Return each fit's name, fitted RMS and held-out mean in a suffix's unit; empty if only geometry was fitted."""
     found = document["joint_laws"]
     steps = found["steps"] if found else []
     rows = []

@@ -1,4 +1,4 @@
-"""An error map as a picture: one coloured square a cell, a scale, the best region for a task."""
+"""An error map as a picture: one coloured square per cell, a scale, and the best region for a task."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from truearm.report.svg import Plot, axes, drawing, label, linear_axis, num, rect
 from truearm.types import Floats
 
-# Dark to light, each lighter than the one before, so that the picture survives a printer without colours.
+# Dark to light, each lighter than the previous one, so that the picture is readable when printed without colours.
 COLOURS = np.array([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=float)
 STYLE = (
     "text{font:12px sans-serif;fill:#222}.mid{text-anchor:middle}.end{text-anchor:end}.name{font-weight:bold}"
@@ -27,7 +27,7 @@ def map_picture(
     task_mm: tuple[float, float, float, float] | None = None,
     labels: Sequence[str] = ("u [mm]", "v [mm]"),
 ) -> str:
-    """The SVG file of errors (v, u); ``task_mm`` is a rectangle u0, u1, v0, v1."""
+    """Return the SVG file of errors (v, u); ``task_mm`` is a rectangle u0, u1, v0, v1."""
     cell = float(u_mm[1] - u_mm[0]) if u_mm.size > 1 else 1.0
     x = linear_axis(labels[0], float(u_mm[0]) - cell, float(u_mm[-1]) + cell)
     y = linear_axis(labels[1], float(v_mm[0]) - cell, float(v_mm[-1]) + cell)
@@ -52,7 +52,7 @@ def map_picture(
 
 
 def _scale(plot: Plot, low: float, high: float) -> list[str]:
-    """The colours from low to high, with five numbers."""
+    """Return the colours from low to high, with five numbers."""
     left, top, floor, steps = plot.width - 100.0, plot.top, plot.height - plot.bottom, 60
     side = (floor - top) / steps
     parts = [

@@ -1,7 +1,8 @@
-"""What every page is made of: its frame, sections, tables and pictures.
+"""The parts of every page: its frame, sections, tables and pictures.
 
-A page is a single HTML file: style and pictures are inside, there is no script, and a Content-Security-Policy forbids the browser to load anything.
-It opens from a disk without a network, follows the reader's light or dark setting, prints, and fits a phone.
+A page is a single HTML file: style and pictures are included, there is no script, and a Content-Security-Policy
+prevents the browser from loading anything. It opens from disk without a network, follows the reader's light or dark
+setting, can be printed, and fits a phone.
 """
 
 from __future__ import annotations
@@ -13,11 +14,14 @@ from truearm.report.figures import Figure
 from truearm.report.page_text import escape
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-GENERATOR = '<meta name="generator" content="truearm">'  # by which a page of ours is known
+GENERATOR = '<meta name="generator" content="truearm">'  # identifies a page written by truearm
 
 
 def html_page(program: str, title: str, subtitle: str, sections: Iterable[str], mark: str = "") -> str:
-    """Return a whole page as HTML text, to be written as UTF-8; ``program`` stands above its title, ``mark`` before everything."""
+    """Return a complete page as HTML text, to be written as UTF-8.
+
+    ``program`` is shown above its title; ``mark`` precedes everything.
+    """
     style = files("truearm.report").joinpath("page.css").read_text(encoding="utf-8")
     return (
         f'<!DOCTYPE html>\n{mark}<html lang="en">\n<head>\n<meta charset="utf-8">\n{GENERATOR}\n'
@@ -32,23 +36,23 @@ def html_page(program: str, title: str, subtitle: str, sections: Iterable[str], 
 
 
 def looks_like_page(head: bytes) -> bool:
-    """Whether a file that begins so is a page of ours, or empty."""
+    """Return whether a file with this beginning is a page written by truearm, or empty."""
     return not head.strip() or GENERATOR.encode() in head
 
 
 def section(title: str, content: str) -> str:
-    """Return a section of a page; ``title`` and ``content`` are HTML already."""
+    """Return a section of a page; ``title`` and ``content`` are HTML."""
     return f"<section><h2>{title}</h2>{content}</section>\n"
 
 
 def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
-    """Return a list of sentences, each cut at ``limit``; "" of none."""
+    """Return a list of sentences, each cut at ``limit``; "" if there are none."""
     items = "".join(f"<li>{escape(text, limit)}</li>" for text in texts)
     return f'<ul class="{css}">{items}</ul>' if items else ""
 
 
 def command_block(command: str) -> str:
-    """Return the command that makes a page again; "" of none."""
+    """Return the command that makes a page again; "" if there is none."""
     return f'<pre tabindex="0"><code>{escape(command, 2000)}</code></pre>' if command else ""
 
 
@@ -64,22 +68,22 @@ def row_of(cells: Sequence[str]) -> str:
 
 
 def table_of(titles: Sequence[str], rows: Iterable[Sequence[str]], label: str, css: str = "plain") -> str:
-    """Return a table that scrolls on a phone. Its cells are HTML already; the first column names the row."""
+    """Return a table that scrolls on a phone. Its cells are HTML; the first column names the row."""
     return table(titles, "".join(map(row_of, rows)), label, css)
 
 
 def table(titles: Sequence[str], body: str, label: str, css: str = "plain") -> str:
-    """Return a table that scrolls on a phone, with rows that are HTML already."""
+    """Return a table that scrolls on a phone, with rows that are HTML."""
     return scrolled(f'<table class="{css}">{head_of(titles)}<tbody>{body}</tbody></table>', label)
 
 
 def scrolled(content: str, label: str) -> str:
-    """Return what may be wider than a phone, in a part that scrolls by itself and can be reached by keyboard."""
+    """Return content that may be wider than a phone, in a separately scrolling part that the keyboard can reach."""
     return f'<div class="scroll" tabindex="0" role="region" aria-label="{label}">{content}</div>'
 
 
 def picture(figure: Figure, kind: str = "") -> str:
-    """Return a picture with title and caption; ``kind`` is added to its title where there are several."""
+    """Return a picture with title and caption; ``kind`` is added to its title if there are several."""
     title = escape(figure.title + (f" · {kind}" if kind else ""))
     drawing = scrolled(figure.drawing, title) if figure.wide else figure.drawing
     caption = f"<figcaption>{escape(figure.caption, 800)}</figcaption>"
@@ -88,5 +92,5 @@ def picture(figure: Figure, kind: str = "") -> str:
 
 
 def pictures(shown: Iterable[str]) -> str:
-    """Return several pictures side by side where there is room."""
+    """Return several pictures side by side where there is space."""
     return f'<div class="pictures">{"".join(shown)}</div>'

@@ -1,4 +1,4 @@
-"""The tables and sentences of a page: parameters, what the data cannot see, facts, steps."""
+"""The tables and sentences of a page: parameters, unidentifiable directions, facts, steps."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from truearm.units import UNITS
 
 MAX_DIRECTIONS = 40
 MAX_TERMS = 6
-SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
+SMALLEST_WEIGHT = 0.005  # below this, "0.00" would be shown
 
 
 def parameter_table(estimate: Estimate, which: range) -> str:
-    """Nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
+    """Return nominal, identified, change and σ of the parameters ``which``, in mm, deg or 1."""
     titles = ("parameter", "nominal", "identified", "change", "σ", "unit", "")
     return table(titles, "".join(_parameter_row(estimate, i) for i in which), "parameters", "numbers")
 
@@ -27,7 +27,7 @@ def _parameter_row(estimate: Estimate, i: int) -> str:
     unit = UNITS[estimate.units[i]]
     nominal, value, sigma = (unit.factor * float(v[i]) for v in (estimate.nominal, estimate.value, estimate.sigma))
     free, seen = bool(estimate.free[i]), bool(estimate.free[i] and estimate.identifiable[i])
-    said = free and (seen or estimate.units[i] != "s")  # a time offset that is not seen may be anything
+    said = free and (seen or estimate.units[i] != "s")  # an unidentifiable time offset may have any value
     cells = [
         number(nominal, unit.decimals),
         number(value, unit.decimals) if said else ABSENT,
@@ -47,12 +47,12 @@ def _owner(name: str) -> str:
 
 
 def _sigma(sigma: float, decimals: int) -> str:
-    """With the decimals of the value, unless nothing would be left of it."""
+    """Return σ with the decimals of the value, or more if that would show zero."""
     return number(sigma, decimals) if not sigma < 5.0 * 10.0**-decimals else figures(sigma, 2)
 
 
 def visibility(estimate: Estimate) -> str:
-    """Rank and null space in words, as HTML."""
+    """Return rank and null space in words, as HTML."""
     of = int(estimate.free[: estimate.n_robot_parameters].sum())
     held = estimate.n_robot_parameters - of
     gap = (
@@ -77,7 +77,7 @@ def visibility(estimate: Estimate) -> str:
 
 
 def _hardly(directions: Sequence[NullDirection]) -> str:
-    """What is seen, but less well than a drawing tells it; "" where there is nothing of the kind."""
+    """Return what is determined less well than by a drawing; "" if there is nothing of this kind."""
     if not directions:
         return ""
     one = len(directions) == 1
@@ -96,7 +96,7 @@ def _directions(directions: Sequence[NullDirection], single: str = "not seen at 
 
 
 def direction_words(direction: NullDirection, single: str = "not seen at all") -> str:
-    """A direction in words: "link2.z up, link3.z down by as much"; ``single`` is said of one parameter alone."""
+    """Return a direction in words: "link2.z up, link3.z down by as much"; ``single`` describes a lone parameter."""
     terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda t: -abs(t[0]))
     terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]
     if len(terms) == 1:
@@ -110,13 +110,13 @@ def direction_words(direction: NullDirection, single: str = "not seen at all") -
 
 
 def fact_list(facts: Sequence[tuple[str, str]]) -> str:
-    """Labels and values as a definition list."""
+    """Return labels and values as a definition list."""
     entries = (f"<div><dt>{escape(name)}</dt><dd>{escape(value, 400)}</dd></div>" for name, value in facts)
     return f'<dl class="facts">{"".join(entries)}</dl>'
 
 
 def step_table(steps: Sequence[tuple[str, float]]) -> str:
-    """Steps with their seconds and a bar in proportion."""
+    """Return steps with their seconds and a bar in proportion."""
     total = sum(seconds for _, seconds in steps)
     longest = max((seconds for _, seconds in steps), default=0.0) or 1.0
     rows = "".join(

@@ -1,4 +1,4 @@
-"""Numbers and strangers' strings as text of a page: units of the border (mm, deg), everything escaped."""
+"""Numbers and external strings as text of a page: display units (mm, deg), everything escaped."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def escape(text: str, limit: int = 200) -> str:
-    """``text`` for HTML content and attributes: markup escaped, what cannot be printed replaced, cut at ``limit``.
+    """Return ``text`` for HTML content and attributes: markup escaped, unprintable characters replaced, cut at
+    ``limit``.
 
-    Replacing takes care of control characters, of marks that reverse the writing direction, and of lone surrogates
-    (from file names), which UTF-8 cannot hold.
+    The replaced characters are control characters, marks that reverse the writing direction, and lone surrogates (from
+    file names), which UTF-8 cannot hold.
     """
     short = text if len(text) <= limit else text[: limit - 1] + "…"
     return html.escape("".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in short))
 
 
 def number(value: float, decimals: int, sign: bool = False) -> str:
-    """A fixed number of decimals with a true minus, none before zero; a dash where the number does not exist."""
+    """Return a fixed number of decimals with a true minus, none before zero; a dash if the number does not exist."""
     if not math.isfinite(value):
         return ABSENT
     value = round(value, decimals) + 0.0  # no minus before a zero
@@ -31,7 +32,7 @@ def number(value: float, decimals: int, sign: bool = False) -> str:
 
 
 def figures(value: float, count: int = 3) -> str:
-    """``count`` significant figures, with a power of ten below 1e-4 and from 1e6: 10.2, 0.0821, 2.8·10¹²."""
+    """Return ``count`` significant figures, with a power of ten below 1e-4 and from 1e6: 10.2, 0.0821, 2.8·10¹²."""
     if not math.isfinite(value):
         return ABSENT
     if value == 0.0:
@@ -44,5 +45,5 @@ def figures(value: float, count: int = 3) -> str:
 
 
 def size(value: float, si: str, unit: str | None = None) -> str:
-    """A value in SI with three significant figures, as a person sees it; ``unit`` in place of the symbol behind it."""
+    """Return an SI value with three significant figures in its display unit; ``unit`` replaces the symbol after it."""
     return f"{figures(shown(value, si))} {symbol(si) if unit is None else unit}".rstrip()

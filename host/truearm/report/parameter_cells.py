@@ -1,4 +1,4 @@
-"""A parameter of a result as a person reads it."""
+"""A parameter of a result as text."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from truearm.units import UNITS, number
 
 
 def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
-    """Name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
+    """Return name, nominal, value, change, sigma and unit of a parameter as text, in mm, deg or 1."""
     unit = UNITS[parameter["unit"]]
     nominal, value, sigma = (parameter[key] for key in ("nominal", "value", "sigma"))
     if parameter["unit"] == "s" and sigma is None:
-        value = None  # a time offset that is not seen may be anything
+        value = None  # an unidentifiable time offset may have any value
     change = value - nominal if None not in (nominal, value) else None
     numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
     numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")

@@ -1,9 +1,9 @@
-"""One HTML page that lays a paper's numbers beside those of this program, for ``truearm reproduce``.
+"""An HTML page that compares a paper's numbers with those of this program, for ``truearm reproduce``.
 
-A claim is a number of the paper (or none, where only we have one), ours, and what theory expects. Its verdict is not
-written by anyone but follows from the numbers: reproduced where they agree within the tolerance, which must be given
-with its reason; in kind where the paper leaves open what would be needed to compute its number; not judged where so few
-experiments were made that chance would decide.
+A claim has a number from the paper (or none, if only truearm has one), truearm's number, and the theoretical
+expectation. Its verdict follows from the numbers: reproduced if they agree within the tolerance, which must be given
+with its reason; in kind if the paper does not give what is needed to compute its number; not judged if there are so few
+experiments that the result depends on chance.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ NOT_JUDGED = "not judged"
 
 @dataclass(frozen=True)
 class Claim:
-    """One number. ``expected`` is what theory says of ours; ``why`` explains a difference, or how ours came about."""
+    """One number. ``expected`` is the theoretical value of truearm's; ``why`` explains a difference or the method."""
 
     what: str
     unit: str  # "mm", "rad", "1" …; "" for a count
     paper: float | None
     ours: float
     expected: float | None = None
-    tolerance: float | None = 0.0  # of ours about the paper's number; None: the paper does not say enough
+    tolerance: float | None = 0.0  # about the paper's number; None: the paper gives too little
     why: str = ""
-    judged: bool = True  # False: too few experiments were made
+    judged: bool = True  # False: there are too few experiments
 
     @property
     def verdict(self) -> str:
@@ -48,7 +48,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of cells that are text already; the first column names its row."""
+    """A table whose cells are already text; the first column names its row."""
 
     title: str
     head: tuple[str, ...]
@@ -57,7 +57,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Chapter:
-    """A table or figure of the paper, or a paragraph's worth of numbers."""
+    """A table or figure of the paper, or the numbers of a paragraph."""
 
     title: str
     text: str
@@ -68,7 +68,7 @@ class Chapter:
 
 @dataclass(frozen=True)
 class ReproducePage:
-    """A paper, chapter by chapter; ``steps`` are names and seconds, ``command`` what makes the page again."""
+    """A paper, chapter by chapter; ``steps`` are names and seconds, ``command`` makes the page again."""
 
     title: str
     source: str
@@ -78,14 +78,14 @@ class ReproducePage:
 
 
 def counts(page: ReproducePage) -> dict[str, int]:
-    """How many claims have which verdict; not judged only where there are any."""
+    """Return the number of claims per verdict; "not judged" only if there are any."""
     every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]
     verdicts = (REPRODUCED, IN_KIND, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), OURS)
     return {verdict: every.count(verdict) for verdict in verdicts}
 
 
 def document(page: ReproducePage) -> dict[str, Any]:
-    """All numbers of the page, for JSON."""
+    """Return all numbers of the page, for JSON."""
     return {
         "format": "truearm-reproduce-1",
         "paper": page.source,
@@ -102,13 +102,13 @@ def document(page: ReproducePage) -> dict[str, Any]:
 
 
 def _claim_document(claim: Claim) -> dict[str, Any]:
-    """JSON has no NaN: a number that does not exist is null."""
+    """Return a claim for JSON, which has no NaN: a number that does not exist is null."""
     fields = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in vars(claim).items()}
     return fields | {"verdict": claim.verdict}
 
 
 def render(page: ReproducePage) -> str:
-    """The page as HTML text, to be written as UTF-8."""
+    """Return the page as HTML text, to be written as UTF-8."""
     sections = (_summary(page), *map(_chapter, page.chapters), _making(page))
     return html_page("truearm reproduce", page.title, page.source, sections)
 
@@ -147,7 +147,7 @@ def _claims(claims: Sequence[Claim]) -> str:
 
 
 def _claim(claim: Claim) -> str:
-    paper = ABSENT if claim.paper is None else f"{claim.paper:.4g}"  # as printed: no figures that it does not have
+    paper = ABSENT if claim.paper is None else f"{claim.paper:.4g}"  # as printed, without extra figures
     cells = "".join(f"<td>{v}</td>" for v in (paper, _number(claim.ours), _number(claim.expected)))
     css = claim.verdict.replace(" ", "-")
     why = f'<tr class="why"><td colspan="6">{escape(claim.why, 800)}</td></tr>' if claim.why else ""

@@ -1,9 +1,10 @@
-"""Rows of an estimate by kind, in the border's units, and the law that their residuals would follow.
+"""The rows of an estimate by kind, in display units, and the expected distribution of their residuals.
 
-A residual of one component has a sign, as a ball-bar's; one of several is their norm, as a line's. If the errors are white
-and Gaussian with one σ, the first follow a Gaussian, the second σ times the root of a χ² with a degree of freedom a component
-(of three: a Maxwell distribution). ``Law`` is that distinction; histogram and quantile plot are drawn against it.
-Residuals of several units, a pose's position and its rotation, are several sets of rows.
+A residual with one component has a sign, like a ball-bar's. One with several is their norm, like a line's. If the
+errors are white and Gaussian with one σ, the former follow a Gaussian distribution. The latter follow σ times the root
+of χ² with one degree of freedom per component (for three: a Maxwell distribution). ``Law`` represents this distinction;
+histogram and quantile plot are drawn against it. Residuals in several units, such as a pose's position and rotation,
+form several sets of rows.
 """
 
 from __future__ import annotations
@@ -24,24 +25,24 @@ from truearm.units import DEG, shown, symbol, title
 
 
 class Rows(NamedTuple):
-    """Observations of one kind, finite ones only."""
+    """Observations of one kind, only finite ones."""
 
     kind: str
     si: str  # unit of the residuals
-    residual: Floats  # (n,) as shown, signed or norm
+    residual: Floats  # (n,) in display units, signed or norm
     before: Floats  # (n,) likewise
     longitude: Floats  # (n,) deg, NaN where there is none
     fitted: NDArray[np.bool_]  # (n,)
     group: NDArray[np.str_]  # (n,)
     source: NDArray[np.str_]  # (n,)
     number: Indices  # (n,) of the row in the table, from 1
-    session: Indices  # (n,) of the session or file that it came from, from 0
-    mount: Indices  # (n,) counts on where something else is mounted
-    part: str = ""  # where the kind has residuals of several units: which
+    session: Indices  # (n,) of the session or file it came from, from 0
+    mount: Indices  # (n,) increases when something else is mounted
+    part: str = ""  # which part, if the kind has residuals in several units
 
     @property
     def width(self) -> int:
-        """How many components the residual has: 1 for one number with a sign, else it is their norm."""
+        """Return the number of components of the residual: 1 for a number with a sign, otherwise it is their norm."""
         return kinds()[self.kind].components.count(self.si)
 
     @property
@@ -54,19 +55,19 @@ class Rows(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The kind, and where it has several units which part."""
+        """Return the kind and, if it has several units, the part."""
         return f"{kind_name(self.kind)}, {self.part}" if self.part else kind_name(self.kind)
 
     @property
     def name(self) -> str:
-        """What the residual is, for an axis."""
+        """Return the name of the residual, for an axis."""
         if self.signed:
             return title("residual", self.si)
         return title("angle of the residual" if self.si == "rad" else "norm of the residual", self.si)
 
 
 class Law(NamedTuple):
-    """The distribution that residuals would follow: Gaussian for ``width`` 1, else the norm's, with ``mean`` 0."""
+    """The expected distribution of residuals: Gaussian for ``width`` 1, otherwise that of the norm, with ``mean`` 0."""
 
     width: int  # components
     mean: float
@@ -74,7 +75,7 @@ class Law(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What statisticians call it."""
+        """Return its name in statistics."""
         return {1: "Gaussian", 2: "Rayleigh law", 3: "Maxwell law"}.get(self.width, f"χ law of {self.width} components")
 
     def density(self, x: Floats) -> Floats:
@@ -91,21 +92,21 @@ class Law(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The residuals of one kind and SI unit at one rig: how many rows, RMS and largest; NaN where there are none."""
+    """The residuals of one kind and SI unit at one rig: number of rows, RMS and largest; NaN where there are none."""
 
     rig: str
     kind: str
     si: str
     fitted: int
     held_out: int
-    before: float  # RMS of the fitting rows
+    before: float  # RMS of the fitted rows
     after: float
-    largest: float  # of the fitting rows after
+    largest: float  # of the fitted rows after
     validation: float  # RMS of the held-out rows after
 
 
 def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[Rows]:
-    """The observations of each kind and unit as they are shown; rows without a finite residual are left out."""
+    """Return the observations of each kind and unit for display, without rows that have no finite residual."""
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
     order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
     wrapped = DEG.of(np.arctan2(np.sin(longitude), np.cos(longitude)))
@@ -125,12 +126,12 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
 
 
 def row_name(source: str) -> str:
-    """Where a row comes from without folders, as in result.json: they say where somebody works."""
+    """Return the source of a row without folders, as in result.json: they reveal where someone works."""
     return str(source).rpartition("/")[2]
 
 
 def _groups(table: ObservationTable) -> NDArray[np.str_]:
-    """What each row belongs to, by its kind; the rig in front where there are several."""
+    """Return the group of each row, by its kind; it starts with the rig if there are several."""
     names = np.full(len(table), "", dtype=object)
     for key in np.unique(table.kind):
         rows = np.flatnonzero(table.kind == key)
@@ -142,7 +143,7 @@ def _groups(table: ObservationTable) -> NDArray[np.str_]:
 
 
 def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
-    """A line for each rig, kind and unit, in the order of their names."""
+    """Return a line for each rig, kind and unit, in the order of their names."""
     found = []
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
         mine = (table.rig == rig) & (table.kind == kind)
@@ -156,7 +157,7 @@ def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
 
 
 def law_of(rows: Rows) -> Law:
-    """The law fitted to the residuals of the fitting rows."""
+    """Return the distribution fitted to the residuals of the fitted rows."""
     r = rows.residual[rows.fitted]
     if rows.signed:
         return Law(1, float(r.mean()), float(r.std(ddof=1)) if r.size > 1 else 0.0)

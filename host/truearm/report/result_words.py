@@ -1,4 +1,4 @@
-"""What the results of an identification are called where people read of them: kinds of observation, observability indices, errors that remain."""
+"""Words for the results of an identification: kinds of observation, observability indices, remaining errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from truearm.text import with_article
 from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
-PARTS = {"m": "position", "rad": "rotation"}  # of a kind that has residuals of both units
+PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
 OBSERVABILITY = {
@@ -21,7 +21,7 @@ OBSERVABILITY = {
 
 
 def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
-    """What was found of the time between the joints and their readings; without a σ it was not seen."""
+    """Return what was found about the time between joints and readings; without a σ it is unidentifiable."""
     if value_s is None or sigma_s is None:
         return (
             f"{name}: how late the joint readings are is not seen; along a line driven one way it cannot be told from the "
@@ -35,7 +35,7 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
 
 
 def unexplained_words(errors: Mapping[str, MeanError]) -> str:
-    """The mean error by SI unit of poses that were not fitted, where the declared noise explains less."""
+    """Return the mean error by SI unit of poses that were not fitted, where the declared noise does not explain it."""
     parts = []
     for si, error in errors.items():
         low, high = (number(value, si) for value in (error.low, error.high))
@@ -48,7 +48,7 @@ def unexplained_words(errors: Mapping[str, MeanError]) -> str:
 
 
 def parts_words(parts: Mapping[str, ResidualParts]) -> str:
-    """How much of the residuals the declared noise explains, by SI unit; nothing without residuals."""
+    """Return how much of the residuals the declared noise explains, by SI unit; "" without residuals."""
     declared, left = (
         " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
         for name in ("declared", "unexplained")
@@ -57,7 +57,7 @@ def parts_words(parts: Mapping[str, ResidualParts]) -> str:
 
 
 def pose_error_words(error: PoseError) -> str:
-    """What the rows of one pose share, and that the sigmas hold it."""
+    """Return a sentence about the error shared by the rows of one pose, which the sigmas include."""
     return (
         f"The rows of one pose err together, by {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
         "The sigmas contain it: rows of one pose do not count as poses."
@@ -65,17 +65,17 @@ def pose_error_words(error: PoseError) -> str:
 
 
 def drawing() -> str:
-    """What a maker's drawing says of a parameter: the steps in which a parameter counts as hardly seen."""
+    """Return the tolerances of a manufacturer's drawing: the steps that define hardly identifiable parameters."""
     return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
 
 
 def kind_name(kind: str) -> str:
-    """The name of a kind; a kind of a later version is its own name."""
+    """Return the name of a kind; a kind of a later version is its own name."""
     return kinds()[kind].name if kind in NAMES else kind
 
 
 def residual_words(kind: str) -> str:
-    """What the residual of a kind is, a sentence that says it for each unit."""
+    """Return a sentence that defines the residual of a kind for each unit."""
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."

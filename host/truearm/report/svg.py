@@ -1,8 +1,8 @@
-"""Small SVG plots: axes with round ticks, points, lines, bars. Colours come from the page's style sheet by class.
+"""Small SVG plots: axes with round ticks, points, lines, bars. The page's style sheet assigns colours by class.
 
-Written by hand instead of taken from a plotting library: a figure is some ten times smaller, follows the page's light
-and dark colours, and every mark can carry a tooltip (``<title>``) without a script. Arguments named ``css`` are class
-names of page.css; labels and tooltips are plain text and escaped here.
+No plotting library is used: this way a figure is about ten times smaller, follows the page's light and dark colours,
+and every mark can have a tooltip (``<title>``) without a script. Arguments named ``css`` are class names of page.css.
+Labels and tooltips are plain text and are escaped here.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike
 from truearm.report.page_text import MINUS, SUPERSCRIPT, escape
 from truearm.types import Floats
 
-SMALLEST = 1e-15  # of what a log axis shows; noise-free residuals are rounding or exactly zero
+SMALLEST = 1e-15  # smallest value on a log axis; noise-free residuals are rounding errors or exactly zero
 LONGEST_LABEL = 16  # letters of a category
 
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis shows, unit in the label: ``low`` to ``high`` of the data, and where it is marked with what."""
+    """An axis: its label with the unit, ``low`` to ``high`` of the data, its tick positions and tick labels."""
 
     label: str
     low: float
@@ -33,7 +33,7 @@ class Axis:
     log: bool = False
 
     def fraction(self, values: ArrayLike) -> Floats:
-        """Values as fractions of the axis; what lies outside is moved to its ends."""
+        """Return values as fractions of the axis; values outside are moved to its ends."""
         v = np.clip(np.asarray(values, dtype=float), self.low, self.high)
         low, high = self.low, self.high
         if self.log:
@@ -42,7 +42,7 @@ class Axis:
 
 
 def linear_axis(label: str, low: float, high: float, step: float = 0.0) -> Axis:
-    """An axis over [low, high], widened to round ticks; ``step`` overrides the distance of the ticks."""
+    """Return an axis over [low, high], widened to round ticks; ``step`` overrides the distance between ticks."""
     if not high > low:
         low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
     step = step or round_step((high - low) / 6.0)
@@ -55,13 +55,13 @@ def linear_axis(label: str, low: float, high: float, step: float = 0.0) -> Axis:
 
 
 def round_step(rough: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not below ``rough``."""
+    """Return the smallest of 1, 2, 5 times a power of ten that is not below ``rough``."""
     power = 10.0 ** math.floor(math.log10(rough))
     return next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough * (1.0 - 1e-9))
 
 
 def log_axis(label: str, values: ArrayLike) -> Axis:
-    """A logarithmic axis over whole decades around the values that are not zero."""
+    """Return a logarithmic axis over whole decades around the non-zero values."""
     v = np.asarray(values, dtype=float)
     v = v[v > SMALLEST]
     first = math.floor(math.log10(v.min(initial=1.0 if v.size == 0 else np.inf)) + 1e-9)
@@ -82,15 +82,15 @@ def _power_label(mantissa: float, exponent: int) -> str:
 
 
 def category_axis(label: str, names: Sequence[str]) -> Axis:
-    """An axis with a unit's space for every name, centred at 0, 1, 2…"""
-    # Of a long name both ends are kept: the rig that it begins with, and what tells it from others of that rig.
+    """Return an axis with one unit of space per name, centred at 0, 1, 2…"""
+    # Both ends of a long name are kept: the rig at its beginning, and what distinguishes it from others of that rig.
     labels = tuple(name if len(name) <= LONGEST_LABEL else f"{name[:6]}…{name[-9:]}" for name in names)
     return Axis(label, -0.5, len(names) - 0.5, tuple(float(k) for k in range(len(names))), labels)
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Two axes and the room they have, in the drawing's units (about a pixel); y points up."""
+    """Two axes and their space, in drawing units (about a pixel); y points up."""
 
     x: Axis
     y: Axis
@@ -109,7 +109,7 @@ class Plot:
 
 
 def num(value: float) -> str:
-    """A coordinate to a tenth of a unit, as short as it goes."""
+    """Return a coordinate to a tenth of a unit, as short as possible."""
     text = f"{value:.1f}"
     return text[:-2] if text.endswith(".0") else text
 
@@ -119,7 +119,7 @@ def label(x: float, y: float, text: str, css: str = "", extra: str = "") -> str:
 
 
 def axes(plot: Plot) -> str:
-    """Grid lines, tick labels and axis labels."""
+    """Return grid lines, tick labels and axis labels."""
     right, floor, middle = (
         plot.width - plot.right,
         plot.height - plot.bottom,
@@ -144,7 +144,7 @@ def line(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
 
 
 def scatter(plot: Plot, x: ArrayLike, y: ArrayLike, css: str, tips: Iterable[str], radius: float = 2.2) -> str:
-    """A circle with a tooltip for every point."""
+    """Return a circle with a tooltip for every point."""
     circles = (
         f'<circle cx="{num(a)}" cy="{num(b)}" r="{radius}"><title>{escape(tip)}</title></circle>'
         for a, b, tip in zip(plot.px(x), plot.py(y), tips, strict=True)
@@ -153,7 +153,7 @@ def scatter(plot: Plot, x: ArrayLike, y: ArrayLike, css: str, tips: Iterable[str
 
 
 def dots(plot: Plot, x: ArrayLike, y: ArrayLike, css: str) -> str:
-    """Points without tooltips, as the round ends of strokes without length: a tenth of the size of circles."""
+    """Return points without tooltips, as the round ends of zero-length strokes: a tenth of the size of circles."""
     points = "".join(f"M{num(a)} {num(b)}h0" for a, b in zip(plot.px(x), plot.py(y), strict=True))
     return f'<path class="{css} dots" d="{points}"/>'
 
@@ -164,17 +164,17 @@ def rect(x: float, y: float, width: float, height: float, css: str, tip: str, ex
 
 
 def bars(plot: Plot, edges: ArrayLike, heights: ArrayLike, css: str, tips: Iterable[str]) -> str:
-    """Bars between neighbouring edges, from the bottom of the plot."""
+    """Return bars between neighbouring edges, from the bottom of the plot."""
     x, y, floor = plot.px(edges), plot.py(heights), plot.height - plot.bottom
     spans = zip(x[:-1], x[1:], y, tips, strict=True)
     return "".join(rect(a, top, b - a, floor - top, css, tip) for a, b, top, tip in spans)
 
 
 def legend(plot: Plot, entries: Sequence[tuple[str, str]]) -> str:
-    """Entries (css, text) in a row above the plot."""
+    """Return entries (css, text) in a row above the plot."""
     parts, x = [], plot.left
     for css, text in entries:
-        # A line that is as long as it is thick, with round ends, is a dot: for what is drawn as points.
+        # A line with round ends that is as long as it is thick is a dot, for data drawn as points.
         length = 14.0 if css.endswith("line") else 0.0
         parts.append(f'<path class="{css} key" d="M{num(x + 5)} 14h{num(length)}"/>' + label(x + length + 13, 18, text))
         x += length + 27 + 7.2 * len(text)
@@ -182,6 +182,6 @@ def legend(plot: Plot, entries: Sequence[tuple[str, str]]) -> str:
 
 
 def drawing(width: float, height: float, parts: Iterable[str], description: str) -> str:
-    """The SVG element; ``description`` is what a screen reader says instead of the picture."""
+    """Return the SVG element; screen readers read ``description`` instead of the picture."""
     box = f'viewBox="0 0 {num(width)} {num(height)}"'
     return f'<svg {box} role="img" aria-label="{escape(description, 400)}">{"".join(parts)}</svg>'

@@ -1,4 +1,4 @@
-"""What was found to be off in a fit, in sentences: of the terminal and of the page. They take the content of result.json."""
+"""The systematic errors of a fit in sentences, for the terminal and the page, from the content of result.json."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from truearm.units import DEGC, MM, UNITS
 
 
 def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
-    """What is off, from which row on, by how much, and what to do; nothing where nothing was found.
+    """Return what is wrong, from which row, by how much, and what to do; empty if nothing was found.
 
-    ``argument`` is how the arguments of an identification are written.
+    ``argument`` is the format of the arguments of an identification.
     """
     found, would_be = document["systematic"], document["without_systematic"]
     lines = [_sentence(entry) for entry in found]
@@ -54,7 +54,7 @@ def _sentence(entry: Mapping[str, Any]) -> str:
 
 
 def _along(entry: Mapping[str, Any]) -> str:
-    """What a drift is linear in: the box's temperature, time, or the rows' order, where they have no times."""
+    """Return the quantity in which a drift is linear: the box's temperature, time, or the row order without times."""
     match DriftWith(entry["drifts_with"]):
         case DriftWith.TEMPERATURE:
             return f"with the box's temperature ({DEGC.text(entry['over_degc'], '.1f')} warmer at the most than at the least)"

@@ -1,4 +1,4 @@
-"""Why a fit is not usable, and what would explain the observations, in sentences, from the content of result.json."""
+"""Why a fit is not usable, and what would explain the observations, in sentences from the content of result.json."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Document = Mapping[str, Any]
 
 
 def few_freedom(freedom: float | None, rank: int) -> bool:
-    """Whether residuals have fewer degrees of freedom than parameters were fitted: their size then says nothing of the accuracy."""
+    """Return whether there are fewer degrees of freedom than fitted parameters: residuals then show no accuracy."""
     return freedom is not None and freedom < rank
 
 
 def usability_sentences(document: Document, argument: Callable[[str], str] = str) -> list[str]:
-    """Why the fit is not usable, first, and each explanation; nothing for a usable fit that needs none.
+    """Return why the fit is not usable, then each explanation; empty for a usable fit that needs none.
 
-    ``argument`` is how the arguments of an identification are written.
+    ``argument`` is the format of the arguments of an identification.
     """
     explanations = document["explanations"]
     lines = []
@@ -61,7 +61,7 @@ def _because(unusable: Unusable, document: Document) -> str:
 
 
 def _sizes(of: Document, name: str) -> str:
-    """A figure in each unit that it has."""
+    """Return a figure in each unit that it has."""
     found = []
     for suffix, scale in SUFFIXES.items():
         value = of.get(f"{name}_{suffix}") if suffix else None

@@ -1,8 +1,9 @@
 """Goswami, Quaid, Peshkin 1993, computed: ranks, the fit on the shells, its errors, the Stewart platform.
 
-The paper's measurements are lost; what replaces them is the paper's own robot. Table II's optimised values are taken as
-the truth, its design values as the start, lengths are computed for poses on shells of 46 and 61 cm and get the paper's
-0.084 mm of noise. The chucks and spheres are those of the rig that came with the poses: the paper does not print its own.
+The paper's measurements are lost and are replaced by simulated ones for the paper's own robot. Table II's optimised
+values are the truth and its design values the start. Lengths are computed for poses on shells of 46 and 61 cm, with the
+paper's 0.084 mm of noise. The chucks and spheres are those of the rig supplied with the poses, because the paper does
+not print its own.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from truearm.types import Estimate, Figures, Floats, ObservationTable, Point, Ri
 
 NOISE = 0.084e-3  # m, the paper's RMS residual
 NEAR, FAR = "bar46", "bar61"
-LOST = {1: 3, 2: 1, 3: 0}  # parameters that one, two, three chucks (spheres) fail to show
+LOST = {1: 3, 2: 1, 3: 0}  # parameters that one, two, three chucks (spheres) cannot determine
 
 
 class Bench(NamedTuple):
@@ -50,7 +51,7 @@ class Bench(NamedTuple):
 def bench(
     robot: Robot, rig: Rig, q: Floats, bar: NDArray[np.str_], chuck: NDArray[np.str_], sphere: NDArray[np.str_]
 ) -> Bench:
-    """A bench of n poses q (n, j) with what stood between robot and table at each."""
+    """Return a bench of n poses q (n, j) with the pairing that connects robot and table at each."""
     n = len(q)
     table = ObservationTable(
         q=q,
@@ -66,13 +67,13 @@ def bench(
 
 
 def lengths(made: Bench, q: Floats) -> Floats:
-    """(n,) true centre-to-centre lengths at joints q (n, j)."""
+    """Return the true centre-to-centre lengths (n,) at joints q (n, j)."""
     p_sphere = point_forward(made.chain, made.truth, q, _points(made.rig.spheres, made.table.sphere))
     return np.asarray(np.linalg.norm(p_sphere - _points(made.rig.chucks, made.table.chuck), axis=1))
 
 
 def longitudes(made: Bench) -> Floats:
-    """(n,) of the sphere about its chuck [rad]."""
+    """Return the longitude (n,) of the sphere about its chuck [rad]."""
     p_sphere = point_forward(made.chain, made.truth, made.table.q, _points(made.rig.spheres, made.table.sphere))
     apart = p_sphere - _points(made.rig.chucks, made.table.chuck)
     return np.arctan2(apart[:, 1], apart[:, 0])
@@ -83,7 +84,7 @@ def _points(points: Mapping[str, Point], names: NDArray[np.str_]) -> Floats:
 
 
 class Ranks:
-    """What subsets of the pairings see, from one triangle a pairing, all parameters free, at ``params`` (p,)."""
+    """The ranks of subsets of the pairings, from one triangle per pairing, all parameters free, at ``params`` (p,)."""
 
     def __init__(self, made: Bench, params: Floats, rig: Rig | None = None) -> None:
         self.rig = rig or made.rig
@@ -97,7 +98,7 @@ class Ranks:
             self.triangles[chuck, sphere] = observe(problem, start, np.ones(start.size, dtype=bool)).root
 
     def rank(self, pairs: Iterable[tuple[str, str]]) -> tuple[int, float]:
-        """The rank, and the smallest kept over the largest dropped singular value."""
+        """Return the rank, and the ratio of the smallest kept to the largest dropped singular value."""
         size = len(next(iter(self.triangles.values())))
         whole = fold(np.zeros((size, size)), np.concatenate([self.triangles[pair] for pair in pairs]))
         parts = spectrum(whole)
@@ -106,7 +107,7 @@ class Ranks:
         return rank, float(parts.singular[rank - 1] / max(dropped, np.finfo(float).tiny))
 
     def first(self, n_chucks: int, n_spheres: int) -> int:
-        """Rank with the first so many chucks and spheres, in all pairings."""
+        """Return the rank with the first chucks and spheres, this many of each, in all pairings."""
         return self.rank(itertools.product(list(self.rig.chucks)[:n_chucks], list(self.rig.spheres)[:n_spheres]))[0]
 
 
@@ -116,9 +117,9 @@ class SubsetLaw(NamedTuple):
     subsets: int
     agree: int
     smallest_gap: float
-    six_full: int  # of the subsets of six pairings, those with the full rank
-    six_all_involved: int  # and those in which every chuck and sphere takes part
-    smallest_full: int  # fewest pairings that give the full rank
+    six_full: int  # of the subsets of six pairings, those with full rank
+    six_all_involved: int  # and those that include every chuck and sphere
+    smallest_full: int  # fewest pairings with full rank
 
 
 def subset_law(ranks: Ranks) -> SubsetLaw:
@@ -138,14 +139,14 @@ def subset_law(ranks: Ranks) -> SubsetLaw:
 
 
 def on_axis(made: Bench) -> Ranks:
-    """Ranks at the design values with the spheres on the axis of joint 6, at three heights."""
+    """Return ranks at the design values with the spheres on the axis of joint 6, at three heights."""
     heights = np.linspace(0.05, 0.15, len(made.rig.spheres))
     spheres = {name: Point(name, (0.0, 0.0, float(z))) for name, z in zip(made.rig.spheres, heights, strict=True)}
     return Ranks(made, made.robot.parameter_sets["design"], replace(made.rig, spheres=spheres))
 
 
 def fitted(made: Bench, rng: np.random.Generator, free: NDArray[np.bool_] | None = None) -> Estimate:
-    """Fit the near shells from the design values, judge by the far ones."""
+    """Fit the near shells from the design values, validate on the far ones."""
     table = _noisy(made, made.table.value, NOISE, rng)
     return identify(
         made.chain,
@@ -158,7 +159,7 @@ def fitted(made: Bench, rng: np.random.Generator, free: NDArray[np.bool_] | None
 
 
 def few_poses(made: Bench, count: int, rng: np.random.Generator) -> Estimate:
-    """Fit ``count`` of the near poses, judge by the far ones: the paper's mindless curve fitting."""
+    """Fit ``count`` of the near poses, validate on the far ones: the paper's mindless curve fitting."""
     near, far = np.flatnonzero(made.table.bar == NEAR), np.flatnonzero(made.table.bar == FAR)
     chosen = near[np.linspace(0, near.size - 1, count).astype(int)]
     table = _noisy(made, made.table.value, NOISE, rng).select(np.concatenate([chosen, far]))
@@ -167,9 +168,9 @@ def few_poses(made: Bench, count: int, rng: np.random.Generator) -> Estimate:
 
 
 class Errors(NamedTuple):
-    """One fit against the truth; lengths in m."""
+    """One fit compared with the truth; lengths in m."""
 
-    near: float  # RMS on the shells that were fitted
+    near: float  # RMS on the fitted shells
     far: float  # RMS on the others
     nees: float
     chi2: float
@@ -177,7 +178,7 @@ class Errors(NamedTuple):
 
 
 def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Errors:
-    """One experiment with ``noise`` [m] on lengths and gear errors of amplitude ``gear`` [rad] in the joints."""
+    """Run one experiment with ``noise`` [m] on lengths and gear errors of amplitude ``gear`` [rad] in the joints."""
     value = lengths(made, made.table.q + gear_error(made.table.q, gear, rng)) if gear else made.table.value
     table = _noisy(made, value, noise, rng)
     problem = build_problem(made.chain, made.rig, table.select(table.bar == NEAR))
@@ -195,10 +196,10 @@ def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Err
 
 
 def with_gears(made: Bench, gear: float, seeds: Iterable[int]) -> tuple[float, float, float]:
-    """Mean squares (near, far) and noise, with as much noise as keeps the near residual at NOISE; all as roots, m.
+    """Return RMS errors (near, far) and noise, all in m, with as much noise as keeps the near residual at NOISE.
 
     Errors of the gears and of the measurement are independent, so their squares add: first the gears alone, then with
-    the noise that is left room for.
+    the remaining amount of noise.
     """
     seeds = tuple(seeds)
     alone = np.mean([run(made, 0.0, gear, np.random.default_rng(s)).near ** 2 for s in seeds]) if gear else 0.0
@@ -210,7 +211,7 @@ def with_gears(made: Bench, gear: float, seeds: Iterable[int]) -> tuple[float, f
 
 
 def validation_of_noise(made: Bench) -> float:
-    """RMS [m] that noise alone leaves on the far shells: its own, and the uncertainty of the parameters there."""
+    """Return the RMS [m] that noise alone causes on the far shells: its own, and the parameters' uncertainty there."""
     free = made.robot.free
     near, far = _problem(made, NEAR), _problem(made, FAR)
     seen_there = observe(far, made.truth, free).root @ half(spectrum(observe(near, made.truth, free).root))
@@ -218,7 +219,7 @@ def validation_of_noise(made: Bench) -> float:
 
 
 def cartesian_error(made: Bench, estimate: Estimate) -> float:
-    """RMS [m], predicted from the covariance, of the first sphere's position on the near shells."""
+    """Return the RMS [m], predicted from the covariance, of the first sphere's position on the near shells."""
     p = estimate.n_robot_parameters
     q = made.table.q[made.table.bar == NEAR]
     sphere = np.array(next(iter(made.rig.spheres.values())).xyz)
@@ -226,12 +227,14 @@ def cartesian_error(made: Bench, estimate: Estimate) -> float:
 
 
 def stewart_amplification(base_radius: float, platform_radius: float, leg: float) -> float:
-    """RMS error of a platform's centre over that of its six legs, the platform level above the base.
+    """Return the RMS error of a platform's centre relative to that of its six legs, with the platform level above the
+    base.
 
-    Base and platform are equilateral triangles in circles of the two radii [m], turned by 60° against each other, each
-    corner joined with the two nearest of the other, all legs ``leg`` [m] long. A leg's length changes by
-    [u; r × u]·(v; w), u its direction and r its corner on the platform, so legs with independent errors of σ give the
-    platform's (v; w) the covariance σ² (JᵀJ)⁻¹. Depends hardly on the platform's radius: near 0.95·leg/base_radius.
+    Base and platform are equilateral triangles in circles of the two radii [m], rotated by 60° relative to each other.
+    Each corner is joined to the two nearest of the other, and all legs are ``leg`` [m] long. A leg's length changes by
+    [u; r × u]·(v; w), where u is its direction and r its corner on the platform. Legs with independent errors of σ
+    therefore give the platform's (v; w) the covariance σ² (JᵀJ)⁻¹. The result hardly depends on the platform's radius:
+    it is near 0.95·leg/base_radius.
     """
     turn = np.linspace(0.0, 2.0 * np.pi, 3, endpoint=False)
     base = _circle(base_radius, turn)

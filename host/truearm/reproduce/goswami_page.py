@@ -1,4 +1,4 @@
-"""The chapters of ``truearm reproduce goswami``: what ``goswami`` computes beside what the paper says."""
+"""The chapters of ``truearm reproduce goswami``: the results of ``goswami`` compared with the paper."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ SOURCE = (
 TABLE_ONE = ((30, 32, 33), (32, 34, 35), (33, 35, 36))  # rows: 1, 2, 3 chucks; columns: spheres
 RESIDUAL, VALIDATION, CARTESIAN = 0.084, 0.110, 0.34  # mm, Results and Discussion
 MOST_ITERATIONS = 10  # "in most cases convergence occurred within ten iterations"
-BASE_RADIUS, LEG = 0.109, 0.46  # m; the radius of the chucks' triangle for which the paper's factor of four holds
-GEARS = (0.0, 0.5e-4, 1e-4, 1.5e-4, 2e-4, 2.2e-4)  # rad; more of them would leave no room for noise
+BASE_RADIUS, LEG = 0.109, 0.46  # m; radius of the chucks' triangle for which the paper's factor of four holds
+GEARS = (0.0, 0.5e-4, 1e-4, 1.5e-4, 2e-4, 2.2e-4)  # rad; larger ones would leave no room for noise
 GEAR = GEARS.index(2e-4)
 
 
 class Step(Protocol):
-    """Tells the user what is being done, and how long it took."""
+    """Report the current step to the user, and its duration."""
 
     def __call__(self, name: str, /) -> AbstractContextManager[None]: ...
 
 
 def chapters(made: Bench, quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
-    """Chapter after chapter; ``quick`` does with fewer Monte Carlo runs."""
+    """Yield chapter after chapter; ``quick`` uses fewer Monte Carlo runs."""
     with step("Table I: ranks of all 511 subsets of the pairings"):
         yield _ranks(made)
     rng = np.random.default_rng(seed)
@@ -229,7 +229,7 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
     near, far, _ = (MM.of(np.array(part)) for part in zip(*gears, strict=True))
     explains = f"An amplitude of {float(np.interp(VALIDATION, far, GEARS)) * 1e4:.1f}·10⁻⁴ rad would give 0.110 mm. "
     theory = MM.of(goswami.validation_of_noise(made))
-    # The paper prints three figures of one experiment; its own RMS of 800 residuals has a standard error of 2.5 %.
+    # The paper prints three figures from one experiment; the RMS of its 800 residuals has a standard error of 2.5 %.
     tolerance = 3.0 * VALIDATION / float(np.sqrt(2.0 * 800))
     claims = (
         Claim(

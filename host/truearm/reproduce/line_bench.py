@@ -1,10 +1,11 @@
-"""Renders' bench, simulated: the ULB robot drives a point of its flange along straight lines that a device measures.
+"""A simulation of Renders' bench: the ULB robot drives a point of its flange along straight lines that a device
+measures.
 
-The paper states neither where its lines lay nor in which posture the arm drove them. Here each line has a place, a
-direction and a starting posture drawn from the workspace; the controller, which knows only the nominal model, keeps the
-point on the line it believes in. The true arm strays from it, and the device lies along the path that the true arm
-takes, turned about it by chance. So the readings are what the sensors of the paper would have shown, and any figure
-depends on the lines drawn: quote medians over many sets.
+The paper states neither the position of its lines nor the posture in which the arm drove them. Here each line has a
+random position, direction and starting posture in the workspace. The controller, which knows only the nominal model,
+keeps the point on the line according to that model. The true arm deviates from it. The device lies along the path of
+the true arm, with a random rotation about it. The readings are therefore what the paper's sensors would have shown, but
+every figure depends on the random lines: quote medians over many sets.
 """
 
 from __future__ import annotations
@@ -20,29 +21,29 @@ from truearm.model.rotation import rotation, rotation_vector
 from truearm.types import Device, Floats, LinePlacement, Matrix, ObservationTable, Point, Rig
 
 SENSOR_VARIANCE = (3.84e-9, 10e-9, 3.84e-9)  # m², III-C, y is the longitudinal sensor
-# rad², III-C prints five of six entries; 21 stands in for the missing fifth, as for its neighbours.
+# rad², III-C prints five of six entries; 21, as for its neighbours, replaces the missing fifth.
 JOINT_VARIANCE = (21e-9, 21e-9, 21e-9, 1.31e-9, 21e-9, 305e-9)
-LENGTH_SIGMA, ANGLE_SIGMA = 1e-3, 0.052  # III-C: what is believed of every length and of every angle
+LENGTH_SIGMA, ANGLE_SIGMA = 1e-3, 0.052  # III-C: prior σ of every length and of every angle
 TARGET = "flange"
-# Postures that lines start from, elbow and wrist bent [rad]: a line near a singularity would be driven with a jerk.
+# Postures from which lines start, elbow and wrist bent [rad]: a line near a singularity would be driven with a jerk.
 LOWEST = np.radians([-150.0, -80.0, 30.0, -120.0, 30.0, -120.0])
 HIGHEST = np.radians([150.0, 10.0, 120.0, 120.0, 110.0, 120.0])
 LENGTH = 0.5  # m; the device reaches 1 m
-BEHIND = 1e-9  # m, how near the nominal point must come to the line
+BEHIND = 1e-9  # m, the distance within which the nominal point must reach the line
 STEPS = 8  # of Newton's method from one point of a line to the next
 
 
 class Session(NamedTuple):
-    """Lines as their devices showed them, and how each device was seen to stand before anything was identified."""
+    """Lines as measured by their devices, and the observed pose of each device before any identification."""
 
     table: ObservationTable
-    by_hand: Mapping[str, Floats]  # (3, 3) by line: the device's orientation as set up by hand, to ANGLE_SIGMA
+    by_hand: Mapping[str, Floats]  # (3, 3) by line: the device's orientation as set up by hand, accurate to ANGLE_SIGMA
 
 
 def line_rig(session: Session, rule: LinePlacement, device_sigma: float, joint_noise: bool = True) -> Rig:
-    """The paper's covariances, the devices to be placed through the nominal robot by a ``rule``.
+    """Return a rig with the paper's covariances; a ``rule`` places the devices through the nominal robot.
 
-    ``device_sigma`` [m] is how well the place is believed to be known.
+    ``device_sigma`` [m] is the assumed standard deviation of a device's position.
     """
     cov = _diagonal(SENSOR_VARIANCE)
     devices = {
@@ -62,7 +63,7 @@ def _triple(v: Floats) -> tuple[float, float, float]:
 
 
 def prior_of(chain: Chain) -> Mapping[str, float]:
-    """σ of III-C for all parameters of the chain but gains, by name."""
+    """Return the σ of III-C for all parameters of the chain except gains, by name."""
     sigma = {"m": LENGTH_SIGMA, "rad": ANGLE_SIGMA}
     return {p.name: sigma[p.unit] for p in chain.parameters if p.unit in sigma}
 
@@ -70,7 +71,8 @@ def prior_of(chain: Chain) -> Mapping[str, float]:
 def measured_lines(
     chain: Chain, truth: Floats, n_lines: int, n_points: int, rng: np.random.Generator, unmodelled: float = 0.0
 ) -> Session:
-    """What the devices show of ``n_lines`` lines of ``n_points`` points, the robot being ``truth`` (p,).
+    """Return the readings of the devices for ``n_lines`` lines of ``n_points`` points; the true robot is ``truth``
+    (p,).
 
     ``unmodelled`` [rad]: amplitude of the joints' gear errors, which no parameter describes.
     """
@@ -86,16 +88,16 @@ def measured_lines(
 
 
 def gear_error(q: Floats, amplitude: float, rng: np.random.Generator) -> Floats:
-    """Errors (…, j) of joints q (…, j) that come back a few times a turn, as of gears that run out of true [rad].
+    """Return errors (…, j) [rad] of joints q (…, j) that repeat a few times per turn, like those of eccentric gears.
 
-    A joint has 3 to 12 of them a turn, their phase is drawn too.
+    A joint has 3 to 12 periods per turn; their phase is random too.
     """
     j = q.shape[-1]
     return amplitude * np.sin(rng.integers(3, 13, j) * q + rng.uniform(0.0, 2.0 * np.pi, j))
 
 
 def _postures(chain: Chain, n_lines: int, n_points: int, rng: np.random.Generator) -> Floats:
-    """(n_lines, n_points, j) joints that keep the nominal flange on lines within reach."""
+    """Return joints (n_lines, n_points, j) that keep the nominal flange on lines within reach."""
     kept = np.zeros((0, n_points, len(chain.joints)))
     while len(kept) < n_lines:
         middle = rng.uniform(LOWEST, HIGHEST, (4 * n_lines, len(chain.joints)))
@@ -114,7 +116,7 @@ def _postures(chain: Chain, n_lines: int, n_points: int, rng: np.random.Generato
 
 
 def _driven(chain: Chain, q: Floats, p_middle: Floats, along: Floats, shares: Floats) -> Floats:
-    """(k, n, j): from joints q (n, j) on, the nominal point at each of k distances from the middles (n, 3)."""
+    """Return joints (k, n, j): from joints q (n, j), the nominal point at k distances from the middles (n, 3)."""
     out = []
     for share in shares:
         for _ in range(STEPS):
@@ -126,7 +128,7 @@ def _driven(chain: Chain, q: Floats, p_middle: Floats, along: Floats, shares: Fl
 
 
 def _device(points: Floats, rng: np.random.Generator) -> Floats:
-    """Axes (3, 3) of a device that lies along a path (n, 3): y from first to last point, turned about it by chance."""
+    """Return the axes (3, 3) of a device along a path (n, 3): y from first to last point, randomly rotated about it."""
     y = points[-1] - points[0]
     y = y / np.linalg.norm(y)
     across = np.cross(y, rng.normal(size=3))

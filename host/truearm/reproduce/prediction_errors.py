@@ -1,29 +1,29 @@
 """Renders 1991, Fig. 4: the prediction errors of maximum likelihood (ML) and of least squares (LS), point by point.
 
-**The measure.** The prediction error of a point is what an estimator that has been told of all points before it, and of
-no other, gets wrong about it (II-F): e_N = |Δx_N − J_N Δθ̂(N−1)|. A step of Fig. 4 is one point. ML is ahead at a step if
-its mean of e_N over experiments is no larger; an experiment has lines of its own and a robot drawn from the prior. The
-paper draws one experiment, but in one the better estimator is not closer at every point: against the P₀ that suits LS
-best, ML is so at four points of five. What theory promises is the mean: by (25), (26) the estimator with the true
-covariances errs least in the mean square at every step. LS lacks the joints' noise S_q, the unequal sensors S_x and what is
-known of the parameters. The last counts while points are few: "the accuracy levels become nearly identical if a large
-number of measurement points is used" (III-G 5 c).
+**The measure.** The prediction error of a point is the error that an estimator makes at it using only the points before
+it (II-F): e_N = |Δx_N − J_N Δθ̂(N−1)|. A step of Fig. 4 is one point. ML is ahead at a step if its mean of e_N over
+experiments is no larger. An experiment has lines of its own and a robot drawn from the prior. The paper shows one
+experiment, but in a single one the better estimator is not closer at every point: compared with the P₀ that suits LS
+best, ML is closer at four points of five. Theory guarantees the mean: by (25), (26) the estimator with the true
+covariances has the smallest mean square error at every step. LS does not use the joints' noise S_q, the unequal sensors
+S_x and the prior knowledge of the parameters. The last matters while points are few: "the accuracy levels become nearly
+identical if a large number of measurement points is used" (III-G 5 c).
 
-**Two things that the paper leaves open decide what is seen**, for robots drawn from III-C's 1 mm and 0.052 rad err by
-centimetres.
+**Two things that the paper does not specify determine the result**, because robots drawn from III-C's 1 mm and 0.052
+rad have errors of centimetres.
 
-- *Where the model is linearised.* Half of 0.052² rad² times 0.7 m is 1 mm a joint, some five times the noise: in a pass
-  that stays linearised at the nominal robot both estimators are judged by what the linear model leaves out. Here each
-  θ̂(N−1) is the minimum of the cost over the points before N, relinearised, every point counted once (``fit``), and
-  e_N = |measured − predicted at θ̂(N−1)|.
-- *Through which robot a new line is placed.* "The first two points are used to compute an initial estimate of the position
-  and the orientation of the line" (5 a). Through the nominal robot that is wrong by the robot's whole error: the first two
-  points of every new line show 35 mm and 5 mm to both estimators, and who is ahead by a millimetre is chance or a prior
-  that is false. Here a line is placed when it is taken up, through the robot as its estimator knows it by then; "the
-  prediction error abruptly increases" still.
+- *Where the model is linearised.* Half of 0.052² rad² times 0.7 m is 1 mm per joint, about five times the noise. In a
+  pass that stays linearised at the nominal robot, the linearisation error dominates the errors of both estimators. Here
+  each θ̂(N−1) is the minimum of the cost over the points before N, relinearised, with every point counted once
+  (``fit``), and e_N = |measured − predicted at θ̂(N−1)|.
+- *Through which robot a new line is placed.* "The first two points are used to compute an initial estimate of the
+  position and the orientation of the line" (5 a). With the nominal robot this estimate is wrong by the robot's entire
+  error: the first two points of every new line show 35 mm and 5 mm to both estimators, and a lead of a millimetre
+  depends on chance or a wrong prior. Here a line is placed when its first points arrive, through the robot as its
+  estimator knows it at that time; "the prediction error abruptly increases" still.
 
-With both left to the nominal robot (``one_pass``) ML is ahead at about four steps of five, whatever P₀; with new
-lines placed so, but one linearisation, at 78 to 88 %, with relinearising alone at 75 to 97 %.
+If both use the nominal robot (``one_pass``), ML is ahead at about four steps of five, whatever P₀. With new lines
+placed this way but a single linearisation, it is ahead at 78 to 88 %; with only relinearisation, at 75 to 97 %.
 """
 
 from __future__ import annotations
@@ -47,10 +47,11 @@ from truearm.reproduce.line_bench import Session, line_rig, measured_lines, prio
 from truearm.types import Floats, LinePlacement
 
 N_LINES = 4
-PLACING = 2  # points that place a line (III-G 5 a) and are not identified with
-DEVICE_SIGMA = 0.1  # m: a line is placed through a robot that errs by half as much
-# Times a point at most, from the estimate a point before. 50 change ML's mean error by 1 % and favour it: of LS with P₀ 1e6,
-# which has many minima while points are few, they take the mean error from 1.2 to 1.4 mm.
+PLACING = 2  # points that place a line (III-G 5 a) and are not used for the identification
+DEVICE_SIGMA = 0.1  # m: a line is placed through a robot with half as large an error
+# Maximum number of linearisations per point, from the previous point's estimate. 50 change ML's mean error by 1 % and
+# are in its favour: for LS with P₀ 1e6, which has many minima while points are few, the mean error rises from 1.2 to
+# 1.4 mm.
 RELINEARISED = 3
 
 
@@ -58,21 +59,21 @@ class Convergence(NamedTuple):
     """Prediction errors [m] of maximum likelihood and least squares at each step of one experiment."""
 
     ml: Floats  # (n,)
-    ls: Floats  # (P₀, n): least squares begun with each P(0) = P₀·I
+    ls: Floats  # (P₀, n): least squares started with each P(0) = P₀·I
 
 
 class Experiment(NamedTuple):
-    """What both estimators are told."""
+    """The data given to both estimators."""
 
     problem: Problem  # every line placed by its first two points through the nominal robot
     session: Session
-    free: NDArray[np.bool_]  # (p,) the robot's parameters to identify
+    free: NDArray[np.bool_]  # (p,) robot parameters to identify
 
 
 def experiment(robot: Robot, n_points: int, rng: np.random.Generator) -> Experiment:
-    """Four lines of ``n_points`` points, after two more that place the line.
+    """Return four lines of ``n_points`` points, after two more points that place the line.
 
-    All rows' parameters that are not held are free, and truly as uncertain as III-C says.
+    The parameters of all rows that are not fixed are free, and truly have the uncertainty of III-C.
     """
     chain = robot.chain
     free = np.array([f and n.startswith("joint") for n, f in zip(chain.parameter_names, robot.free, strict=True)])
@@ -87,7 +88,7 @@ def experiment(robot: Robot, n_points: int, rng: np.random.Generator) -> Experim
 def convergence(
     robot: Robot, n_points: int, p0s: Sequence[float], rng: np.random.Generator, last: int | None = None
 ) -> Convergence:
-    """One experiment, each prediction from its own minimum. With ``last`` only the last so many steps are computed."""
+    """Run one experiment, each prediction from its own minimum. ``last`` limits it to that many of the last steps."""
     problem, session, free = experiment(robot, n_points, rng)
     steps = last or N_LINES * n_points
     plain = [predictions(ls.unweighted(problem, p0), session, free, steps) for p0 in p0s]
@@ -95,14 +96,14 @@ def convergence(
 
 
 def one_pass(robot: Robot, n_points: int, p0s: Sequence[float], rng: np.random.Generator) -> Convergence:
-    """One experiment to the letter: (18), (20) point by point, linearised and placed once, at the nominal robot."""
+    """Run one experiment literally: (18), (20) point by point, linearised and placed once, at the nominal robot."""
     problem, session, free = experiment(robot, n_points, rng)
     plain = [_innovations(ls.unweighted(problem, p0), session, free) for p0 in p0s]
     return Convergence(_innovations(problem, session, free), np.array(plain))
 
 
 def _innovations(problem: Problem, session: Session, free: NDArray[np.bool_]) -> Floats:
-    """(n,) m: the prediction errors of one pass of the recursive estimator."""
+    """Return the prediction errors (n,) [m] of one pass of the recursive estimator."""
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     rows = recursive.rows_of(problem, problem.start, columns)
     identifying = np.arange(problem.n_rows) % (problem.n_rows // N_LINES) >= PLACING
@@ -113,9 +114,9 @@ def _innovations(problem: Problem, session: Session, free: NDArray[np.bool_]) ->
 
 
 def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], last: int) -> Floats:
-    """(last,) m: the prediction errors of the last points, of those that do not place a line, in the order of the table.
+    """Return the prediction errors (last,) [m] of the last points that do not place a line, in the order of the table.
 
-    free : (p,) the robot's parameters to identify.
+    free : (p,) robot parameters to identify.
     """
     lines = session.table.line
     observed = np.zeros(problem.n_rows, dtype=bool)
@@ -127,7 +128,7 @@ def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], las
         device = np.array([n.startswith(f"line.{name}.") for n in problem.names])
         x = np.where(device, 0.0, fitted_to(problem, observed, columns, x))
         x[device] = placed(problem.chain, x, session, rows[:PLACING])
-        # What is believed of the device is believed about where it was placed.
+        # The prior of the device refers to its initial position.
         problem, columns = replace(problem, start=np.where(device, x, problem.start)), columns | device
         for row in rows[PLACING:]:
             if observed.sum() >= judged_from:
@@ -138,12 +139,12 @@ def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], las
 
 
 def fitted_to(problem: Problem, observed: NDArray[np.bool_], columns: NDArray[np.bool_], x: Floats) -> Floats:
-    """θ̂ (P,) from the points ``told`` (n_rows,), the search begun at x (P,)."""
+    """Return θ̂ (P,) from the points ``observed`` (n_rows,), with the search started at x (P,)."""
     return fit(only(problem, observed), columns, x, Options(RELINEARISED), 0.0).x if observed.any() else x
 
 
 def placed(chain: Chain, x: Floats, session: Session, rows: NDArray[np.intp]) -> Floats:
-    """(6,) the device's parameters as ``rows`` of one line place it through the robot of x (P,)."""
+    """Return the device's parameters (6,) as placed by ``rows`` of one line through the robot of x (P,)."""
     known = zip(chain.parameters, x[: len(chain.parameters)].tolist(), strict=True)
     as_known = replace(chain, parameters=tuple(replace(p, nominal=value) for p, value in known))
     rig = line_rig(session, LinePlacement.TWO_POINT, DEVICE_SIGMA)

@@ -1,4 +1,4 @@
-"""The chapter of ``truearm reproduce renders`` on Fig. 4: what ``prediction_errors`` computes beside what the paper says."""
+"""The chapter of ``truearm reproduce renders`` on Fig. 4: ``prediction_errors`` compared with the paper."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from truearm.types import Floats
 from truearm.units import MM
 
 P0 = (1e2, 1e3, 1e4, 1e5, 1e6)
-SETS_8, SETS_60 = 16, 8  # experiments with 8 and with 60 points a line; with fewer, chance decides
-TAIL = 30  # of the last line's 60 points, when its six unknowns have been told
+SETS_8, SETS_60 = 16, 8  # experiments with 8 and with 60 points per line; with fewer, chance dominates
+TAIL = 30  # of the last line's 60 points, when its six unknowns are determined
 LEAP = "A new line begins every 8 points, with six unknowns of its own: there the error leaps."
 LEVEL = "What is left is mostly the noise of the point itself."
 SETS_ONE_PASS = 24  # a pass is cheap
 
 
 def figure_four(quick: bool, seed: int) -> Chapter:
-    """Maximum likelihood and least squares, point by point; ``quick`` makes too few experiments to judge."""
+    """Compare maximum likelihood and least squares point by point; with ``quick``, too few experiments to judge."""
     robot = builtin_robot("ulb")
     p0s, few_sets, many_sets = (P0[3:], 2, 1) if quick else (P0, SETS_8, SETS_60)
 

@@ -1,8 +1,8 @@
-"""Renders, Rossignol, Becquet, Hanus 1991, computed on the simulated bench of ``lines``.
+"""Renders, Rossignol, Becquet, Hanus 1991, computed on the simulated bench of ``line_bench``.
 
-The truth is what the paper identified: its errors of III-E (joint offsets) and of III-F (offsets and lengths). Where the
-paper's floor of some tenths of a millimetre is to be seen, joints err like gears that run out of true, which no parameter
-describes.
+The true robot has the errors that the paper identified, of III-E (joint offsets) and of III-F (offsets and lengths).
+Where the paper's floor of some tenths of a millimetre must appear, the joints have errors like those of eccentric
+gears, which no parameter describes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
 from truearm.types import Figures, Floats, LinePlacement, Residuals
 
-# Errors identified and the σ printed beside them [rad, m], of III-E and of III-F, which prints its lengths as Δα2, Δα4, Δα6,
-# Δα6: a2, d4, a6, d6.
+# Identified errors and the σ printed next to them [rad, m], of III-E and of III-F, which prints its lengths as Δα2,
+# Δα4, Δα6, Δα6: a2, d4, a6, d6.
 PRINTED_E = {
     "joint2.offset": (0.0236, 0.0005),
     "joint3.offset": (-0.1277, 0.0007),
@@ -56,27 +56,28 @@ TABLE_ONE = (
 CASE_E = {name: error for name, (error, _) in PRINTED_E.items()}
 CASE_F = {name: error for name, (error, _) in PRINTED_F.items()}
 N_LINES, N_POINTS = 5, 12  # III-E; the last line validates
-WIDE = 0.1  # m, of a device put by hand where a bad nominal model has the line
-GEAR = 1e-3  # rad, of an arm that repeats to some tenths of a millimetre
+WIDE = 0.1  # m, for a device placed by hand where a poor nominal model puts the line
+GEAR = 1e-3  # rad, for an arm with a repeatability of some tenths of a millimetre
 
 
 class Case(NamedTuple):
-    """Mean errors [m] of one identification: of the identification lines before and after every run, of the other line.
+    """Mean errors [m] of one identification: on the identification lines before and after every run, and on the other
+    line.
 
-    The validation line's device is fitted again with the robot fixed, before as after.
+    The validation line's device is fitted again with the robot fixed, both before and after.
     """
 
     history: tuple[float, ...]
     validation_before: float
     validation_after: float
     runs: int
-    nees: float  # of the robot's free parameters, by the covariance that the solver claims
-    error: Mapping[str, float]  # identified of each of them, from the nominal [rad, m]
-    sigma: Mapping[str, float]  # that the solver claims
+    nees: float  # of the robot's free parameters, by the solver's covariance
+    error: Mapping[str, float]  # identified for each of them, relative to nominal [rad, m]
+    sigma: Mapping[str, float]  # as stated by the solver
 
 
 def errors_added(chain: Chain, errors: Mapping[str, float]) -> Floats:
-    """(p,) the nominal parameters with errors added."""
+    """Return the nominal parameters (p,) with errors added."""
     return np.array([p.nominal + errors.get(p.name, 0.0) for p in chain.parameters])
 
 
@@ -91,7 +92,7 @@ def case(
     runs: int = 50,
     joint_noise: bool = True,
 ) -> Case:
-    """Identify ``free`` on all lines but the last, judge by that one."""
+    """Identify ``free`` on all lines but the last, and validate on the last."""
     free, table, p = frozenset(free), session.table, len(chain.parameters)
     rig = line_rig(session, rule, WIDE, joint_noise)
     last = table.line == table.line[-1]
@@ -124,21 +125,21 @@ def _on_other_line(problem: Problem, params: Floats) -> float:
 
 
 def before(chain: Chain, session: Session, rule: LinePlacement) -> float:
-    """Mean error [m] of the identification lines as the nominal robot and a placement rule have them."""
+    """Return the mean error [m] of the identification lines for the nominal robot and a placement rule."""
     table = session.table
     problem = build_problem(chain, line_rig(session, rule, WIDE), table.select(table.line != table.line[-1]))
     return _mean(observe(problem, problem.start, np.ones(problem.start.size, dtype=bool)).residual)
 
 
 def drawn_case(chain: Chain, solver: str, runs: int, rng: np.random.Generator, joint_noise: bool = True) -> Case:
-    """A case whose true offsets are drawn from the paper's prior, so that its covariance can be put to the test."""
+    """Return a case with true offsets drawn from the paper's prior, to test its covariance."""
     truth = errors_added(chain, {name: ANGLE_SIGMA * rng.standard_normal() for name in CASE_E})
     session = measured_lines(chain, truth, N_LINES, N_POINTS, rng)
     return case(chain, session, truth, CASE_E, solver, runs=runs, joint_noise=joint_noise)
 
 
 def unseen(chain: Chain, a6: float, frozen: Iterable[str], rng: np.random.Generator) -> int:
-    """How many of the robot's row parameters (not ``frozen``) one point and an unplaced device cannot show."""
+    """Return how many row parameters (not ``frozen``) one point and an unplaced device cannot determine."""
     names, frozen = chain.parameter_names, frozenset(frozen)
     params = errors_added(chain, {"joint6.a": a6})
     q = rng.uniform([j.lower for j in chain.joints], [j.upper for j in chain.joints], (100, len(chain.joints)))
@@ -163,7 +164,7 @@ class Section(NamedTuple):
 
 
 def section(chain: Chain, step: float) -> Section:
-    """Poses with the flange's centre on a grid of ``step`` [m], hand pointing down, where the arm reaches.
+    """Return poses with the flange's centre on a grid of ``step`` [m], hand pointing down, within the arm's reach.
 
     The elbow and the wrist lie in the plane, so the joints follow from two triangles: with the wrist at w = flange + d6
     upwards, r = |w|, cos θ3' = (r² − a2² − d4²)/(2 a2 d4).
@@ -184,20 +185,20 @@ def section(chain: Chain, step: float) -> Section:
 
 
 def a_priori(chain: Chain, where: Section) -> CartesianError:
-    """II-D: the flange's expected error, before anything is measured, from the tolerances of III-C on every row."""
+    """Return the flange's expected error of II-D, before any measurement, from the tolerances of III-C on every row."""
     sigma = prior_of(chain)
     rows = np.array([sigma.get(n, 0.0) if n.startswith("joint") else 0.0 for n in chain.parameter_names])
     return tolerance_error(chain, rows, where.q, np.zeros(3))
 
 
 def error_map(chain: Chain, where: Section, errors: Mapping[str, float]) -> Floats:
-    """(31): (n,) distance [m] of the identified from the nominal flange."""
+    """Return (31): the distance (n,) [m] of the identified from the nominal flange."""
     apart = [point_forward(chain, errors_added(chain, e), where.q, np.zeros(3)) for e in ({}, errors)]
     return np.asarray(np.linalg.norm(apart[1] - apart[0], axis=1))
 
 
 def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, float]:
-    """Largest relative difference of (12) in one step and (18), (20) point by point: of Δ, and of P."""
+    """Return the largest relative difference of (12) in one step and (18), (20) point by point, of Δ and of P."""
     rig = line_rig(session, LinePlacement.LEAST_SQUARES, WIDE)
     problem = build_problem(chain, rig, session.table, prior_of(chain))
     columns = np.array([name in CASE_E or name.startswith("line.") for name in problem.names])
@@ -214,7 +215,7 @@ def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, floa
 
 
 def table_one(chain: Chain) -> int:
-    """How many of the 18 numbers of Table I the robot file has."""
+    """Return how many of the 18 numbers of Table I the robot file contains."""
     named = dict(zip(chain.parameter_names, chain.params_nominal.tolist(), strict=True)) | {"joint2.d": 0.0}
     printed = {
         f"joint{i}.{key}": value
@@ -225,7 +226,7 @@ def table_one(chain: Chain) -> int:
 
 
 def with_d2(chain: Chain) -> Chain:
-    """The chain with joint 2's constant d a parameter beside β: all rows that Renders could have freed."""
+    """Return the chain with joint 2's constant d as a parameter besides β: all rows that Renders could have freed."""
     at = next(i for i, e in enumerate(chain.elements) if e.joint == 1) + 1
     d2 = replace(chain.elements[at], parameter=len(chain.parameters))
     extra = replace(chain.parameters[chain.parameter_names.index("joint1.d")], name="joint2.d", nominal=0.0)

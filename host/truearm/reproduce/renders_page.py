@@ -1,4 +1,4 @@
-"""The chapters of ``truearm reproduce renders``: what ``renders`` computes beside what the paper says."""
+"""The chapters of ``truearm reproduce renders``: the results of ``renders`` compared with the paper."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ SOURCE = (
 )
 PAPER_E, PAPER_F = (11.28, 4.95, 0.89, 0.81), {1: 3.15, 12: 0.61}  # mm, mean error before and after each run
 RUNS_E, RUNS_F = 3, 12
-COMMENTED = ("joint2.offset", "joint5.offset", "joint6.offset")  # whose errors III-G lays side by side
+COMMENTED = ("joint2.offset", "joint5.offset", "joint6.offset")  # III-G compares their errors
 IMPROVEMENT = 0.25  # III-G 1: "about 25%"
 FROZEN = ("joint1.offset", "joint1.d", "joint2.d", "joint6.alpha")
 UNSTATED = "The paper does not say where its lines lay; the figure is a median over line sets."
 
 
 def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
-    """Chapter after chapter; ``quick`` does with fewer line sets and Monte Carlo runs."""
+    """Yield chapter after chapter; ``quick`` uses fewer line sets and Monte Carlo runs."""
     chain = builtin_robot("ulb").chain
     sets = 3 if quick else 12
     with step("III-D: what must be frozen; II-F: batch and recursive"):
@@ -246,7 +246,7 @@ def _case_claims(
 
 
 def _sigma_claims(chain: Chain, name: str, found: dict[str, list[Case]], runs: int) -> Iterator[Claim]:
-    """The σ that the paper prints beside its errors, in its units."""
+    """Yield the σ that the paper prints next to its errors, in its units."""
     metres = {p.name for p in chain.parameters if p.unit == "m"}
     for parameter, (_, sigma) in (PRINTED_E if name == "E" else PRINTED_F).items():
         unit, shown = ("mm", MM.of) if parameter in metres else ("rad", float)
@@ -265,7 +265,7 @@ def _median(values: Sequence[float]) -> float:
 
 
 def _comments(chain: Chain, sets: int, seed: int) -> Chapter:
-    """III-G 1 and 2: the same lines explained by offsets alone, and by offsets and lengths."""
+    """Return III-G 1 and 2: the same lines explained by offsets alone, and by offsets and lengths."""
     found: dict[str, dict[str, list[Case]]] = {}
     for truth_name, errors in (("III-E", CASE_E), ("III-F", CASE_F)):
         truth = renders.errors_added(chain, errors)
@@ -314,7 +314,7 @@ def _improvement(truth: str, cases: Mapping[str, Sequence[Case]]) -> Claim:
 
 
 def _median_history(cases: Sequence[Case]) -> Floats:
-    """(runs + 1,) median over cases of the mean error [mm] after each run; a case that ended stays where it is."""
+    """Return the median (runs + 1,) over cases of the mean error [mm] after each run; finished cases keep their last."""
     longest = max(4, *(len(c.history) for c in cases))
     held = [np.concatenate([c.history, np.full(longest, c.history[-1])])[:longest] for c in cases]
     return np.asarray(MM.of(np.median(held, axis=0)))

@@ -10,7 +10,7 @@ from truearm.report.page_text import figures
 from truearm.reproduce.renders import Section
 from truearm.types import Floats
 
-SHOWN = 12  # runs in the figures; what comes after is level
+SHOWN = 12  # runs in the figures; later ones do not change
 
 
 def runs_figure(histories: dict[str, Floats], paper: Floats, at: Floats) -> Figure:
@@ -45,7 +45,7 @@ def prediction_figure(title: str, caption: str, ml: Floats, plain: Floats, best:
 
 
 def map_figure(title: str, where: Section, error: Floats, direction: Floats | None) -> Figure:
-    """A cell for every pose, the darker the larger the error; a stroke along ``direction`` (n, 3) as seen from the side."""
+    """Return a map with one cell per pose, darker for larger errors, and strokes for ``direction`` (n, 3), side view."""
     half = 0.025
     x_axis = svg.linear_axis("x [m]", float(where.x.min()) - half, float(where.x.max()) + half, 0.1)
     z_axis = svg.linear_axis("z [m]", float(where.z.min()) - half, float(where.z.max()) + half, 0.2)
