@@ -1,7 +1,8 @@
-"""The sensor box as a child process: the firmware's own files in a MicroPython, its hardware given by grants.
+"""The sensor box as a child process: the firmware's files in a MicroPython; grants provide its hardware.
 
-The parent's half of vm/board.py, which describes the messages. One grant is one step of the box: device time, received
-bytes, latched samples and edges go in, sent bytes come out. Nothing happens in between, whatever the wall clock says.
+This is the parent's half of vm/board.py, which describes the messages. One grant is one step of the box: device time,
+received bytes, latched samples and edges go in, sent bytes come out. Nothing happens in between, independent of the
+wall clock.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ from .micropython import Interpreter
 HEAP_KIB = 237  # free heap of MicroPython 1.25 on an RP2040, for the chip's 32-bit words
 GRANT = struct.Struct(">cBHHQiBBHQHQB")
 ANSWER = struct.Struct(">cBBHIHHBHI")
-RECORD = 20  # bytes a sample of the converter takes in a grant: stamp and four counts
-MAG_RECORD = 8  # a sample of the magnetostrictive head: stamp and ticks
+RECORD = 20  # bytes per converter sample in a grant: stamp and four counts
+MAG_RECORD = 8  # per sample of the magnetostrictive head: stamp and ticks
 SAMPLES_MAX = 112  # of each
 RX_MAX = 512
 EDGE = 6
 EDGES_MAX = 32
 THERMOMETER = struct.Struct(">8si")
-THERMOMETERS_MAX = 8  # 41 + 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes stay below the 4096 that a pipe passes in one piece
+THERMOMETERS_MAX = 8  # 41 + 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes fit in the 4096 that a pipe passes in one piece
 NO_ANSWER = 0x7FFFFFFF  # of a thermometer
 
 STALL, CRASH, QUIT = 1, 2, 4
 POWER, WATCHDOG, COMMAND = 1, 2, 3
 FAULT_CRC, FAULT_RESET = 1, 2  # faults of a converter sample
-_PIPE_BYTES = 65536  # that a pipe holds
+_PIPE_BYTES = 65536  # capacity of a pipe
 _ENDS = {2: "reset", 32: "prompt", 64: "boot loader"}
 HEALTHY: Mapping[str, int] = {
     "converter_id": 0x2402,
@@ -54,7 +55,7 @@ HEALTHY: Mapping[str, int] = {
 
 
 class BoxDied(LinkError):
-    """The firmware's process ended; the text is what it wrote to standard error."""
+    """The firmware's process ended; the text is its standard error output."""
 
 
 LATER_US = 1 << 29  # nothing is due
@@ -62,10 +63,11 @@ LATER_US = 1 << 29  # nothing is due
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """What the box gets in one step, which lasts until ``now_us``.
+    """The input of the box for one step, which lasts until ``now_us``.
 
-    ``samples`` (``mag``) are records of 20 (8) bytes, the first with index ``index`` since the start of sampling; ``fault`` is of the
-    last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each grant.
+    ``samples`` (``mag``) are records of 20 (8) bytes, the first with index ``index`` since the start of sampling.
+    ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each
+    grant.
     """
 
     now_us: int
@@ -83,16 +85,16 @@ class Grant:
 
 
 class Answer(NamedTuple):
-    """What the box did in one grant.
+    """The result of one grant.
 
-    ``end`` says how its firmware ended: "reset", "watchdog", "prompt", "boot loader", "power cut"; "" while it runs.
+    ``end`` tells how the firmware ended: "reset", "watchdog", "prompt", "boot loader", "power cut"; "" while it runs.
     """
 
     tx: bytes
     sampling: bool
     osr: int
     end: str
-    rx_room: int  # bytes that the next grant may bring
+    rx_room: int  # maximum number of bytes in the next grant
     mag_sampling: bool = False
     mag_period_ns: int = 0
     starts: int = 0  # of sampling since boot, modulo 256
@@ -102,18 +104,18 @@ class Answer(NamedTuple):
     watchdog_ms: int = 0
     # device time of sample 0 of each stream since the latest start
     first_ns: tuple[int | None, int | None] = (None, None)
-    wake_us: int = LATER_US  # from now: the firmware wants to run then, whatever comes
+    wake_us: int = LATER_US  # from now: the firmware wants to run then in any case
     toggles: tuple[tuple[int, bool], ...] = ()  # edges of its trigger output: device time [ns], level
 
     @property
     def reset(self) -> bool:
-        """Whether the firmware reset the box."""
+        """Return whether the firmware reset the box."""
         return self.end == "reset"
 
 
 @dataclass(frozen=True)
 class BoxSetup:
-    """What makes one box different from another; `ring_slots` blocks of samples wait while the link is held back.
+    """The properties of one box; `ring_slots` blocks of samples wait while the link is blocked.
 
     ``self_test``: what the board measures in its self-test.
     """
@@ -125,14 +127,14 @@ class BoxSetup:
 
 
 def firmware_folder() -> Path:
-    """The firmware's files: of the checkout, or those that the wheel carries."""
+    """Return the folder of the firmware's files: in the checkout, or in the installed wheel."""
     here = Path(__file__).resolve()
     packed = here.parent / "_firmware"
     return packed if packed.is_dir() else here.parents[2] / "firmware"
 
 
 def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
-    """Lay out the box's file system: firmware, wire, board, configuration."""
+    """Create the box's file system: firmware, wire, board, configuration."""
     skip = shutil.ignore_patterns("__pycache__", "*.pyc")
     shutil.copytree(firmware_folder() / "truearm_box", folder / "truearm_box", ignore=skip)
     shutil.copyfile(firmware_folder() / "main.py", folder / "main.py")
@@ -143,7 +145,7 @@ def write_flash(folder: Path, config: dict[str, Any] | None) -> None:
 
 
 def end_process(process: subprocess.Popen[bytes], stderr: IO[bytes]) -> None:
-    """Kill it, and close its pipes and the file of its standard error."""
+    """Kill a process, and close its pipes and the file of its standard error."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout, stderr):
@@ -154,8 +156,8 @@ def end_process(process: subprocess.Popen[bytes], stderr: IO[bytes]) -> None:
 class BoxProcess:
     """A running box. `interpreter` None: the firmware runs in CPython (no heap limit, no native code).
 
-    ``flash``: a folder that `write_flash` laid out; what the firmware stores there outlives the process. By default the box has
-    one of its own, and it goes with the box.
+    ``flash``: a folder created by `write_flash`; files that the firmware stores there outlive the process. By default
+    the box has its own, which is deleted with the box.
     """
 
     def __init__(
@@ -180,7 +182,7 @@ class BoxProcess:
             "error": "last_error.txt",
             "self_test": dict(setup.self_test),
         }
-        (folder / "board.json").write_text(json.dumps(board))  # an argument of MicroPython has 255 bytes at most
+        (folder / "board.json").write_text(json.dumps(board))  # an argument of MicroPython has at most 255 bytes
         self._stderr = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
             [*_command(interpreter), main],
@@ -190,11 +192,11 @@ class BoxProcess:
             stdout=subprocess.PIPE,
             stderr=self._stderr,
             bufsize=0,
-            start_new_session=True,  # Ctrl-C is for the parent, which ends this process in order
+            start_new_session=True,  # Ctrl-C is for the parent, which ends this process cleanly
         )
 
     def grant(self, given: Grant) -> Answer:
-        """One step. Raises BoxDied if the process has ended, ValueError for more than fits a grant."""
+        """Make one step. Raises BoxDied if the process has ended, ValueError if the content exceeds a grant."""
         assert self._process.stdin is not None
         n_samples, n_mag, n_edges = len(given.samples) // RECORD, len(given.mag) // MAG_RECORD, len(given.edges) // EDGE
         n_thermometers = len(given.thermometers) // THERMOMETER.size
@@ -241,7 +243,7 @@ class BoxProcess:
         )
 
     def _read_to(self, data: bytes, n: int) -> bytes:
-        """``data`` and what follows, at least n bytes; an answer usually comes as a whole."""
+        """Return ``data`` and what follows, at least n bytes; an answer usually arrives in one piece."""
         assert self._process.stdout is not None
         fd = self._process.stdout.fileno()
         while len(data) < n:
@@ -258,7 +260,7 @@ class BoxProcess:
         return "the simulated box's firmware ended: " + (text or "no message")
 
     def close(self) -> None:
-        """End the process and drop its file system."""
+        """End the process and delete its file system."""
         end_process(self._process, self._stderr)
         if self._folder is not None:
             self._folder.cleanup()

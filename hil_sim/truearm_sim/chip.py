@@ -1,9 +1,9 @@
 """The sensor box at chip level: MicroPython's own RP2040 image with the firmware in it, in an emulator (hil_sim/chip).
 
-The parent's half of hil_sim/chip/box.mjs, which describes the messages; a ``Hardware`` as ``VmBox`` is. Drivers, PIO
-and DMA run for real. What the parts measure they ask for while a grant runs, and ``Signals`` answers. The
-box's flash is one file, ``flash.bin`` in the boot's folder: an image of its littlefs, written at every erase and program
-operation, so that it holds what a real flash would when the power goes.
+This is the parent's half of hil_sim/chip/box.mjs, which describes the messages; it is a ``Hardware`` like ``VmBox``.
+Drivers, PIO and DMA really run. While a grant runs, the parts request what they measure, and ``Signals`` answers. The
+box's flash is one file, ``flash.bin`` in the boot's folder: an image of its littlefs, written at every erase and
+program operation, so that it holds what a real flash would hold after a power failure.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 
 SCRIPT = node.SOURCES / "box.mjs"
 STORE = "flash.bin"
-# littlefs as MicroPython 1.25 makes it on a Pico: 1408 KiB in erase blocks of 4 KiB
+# littlefs as created by MicroPython 1.25 on a Pico: 1408 KiB in erase blocks of 4 KiB
 BLOCK, BLOCKS = 4096, 352
 FILE_SYSTEM: dict[str, Any] = {
     "block_size": BLOCK,
@@ -32,7 +32,7 @@ FILE_SYSTEM: dict[str, Any] = {
     "lookahead_size": 128,
     "cache_size": 1024,
 }
-FIRST_VERSION = 0x00020000  # of littlefs on disk; MicroPython makes it 2.1 when it first writes
+FIRST_VERSION = 0x00020000  # of littlefs on disk; MicroPython upgrades it to 2.1 on its first write
 
 GRANT = struct.Struct("<cBHHIQi")
 EDGE_IN = struct.Struct("<BBQ")
@@ -41,9 +41,9 @@ EDGE_OUT = struct.Struct("<BQ")
 QUERY = struct.Struct("<BHQQQ")
 CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
-ANY_ROOM = 0xFFFF  # what a link that is never full says it takes; USB then takes all
-ANSWERS_WITHIN_US = 3000  # most requests: whoever grants time then has the answer when it is there
-SETTLING = 6  # conversions after a start that the driver does not hand out (firmware/drivers/ads131m04.py)
+ANY_ROOM = 0xFFFF  # free space reported by a link that is never full; USB then accepts everything
+ANSWERS_WITHIN_US = 3000  # for most requests: a step of this length ends after the answer has arrived
+SETTLING = 6  # conversions after a start that the driver discards (firmware/drivers/ads131m04.py)
 _FAULTS: dict[int, dict[str, Any]] = {
     CRASH: {"pico": "crash"},
     BAD_CRC: {"part": "adc", "fault": "corrupt", "frames": 1},
@@ -53,7 +53,7 @@ _ENDS = {COMMAND: "reset", WATCHDOG: "watchdog", POWER: "power cut"}
 
 
 def make_flash(path: Path, files: dict[str, bytes]) -> None:
-    """A file system image with ``files`` in it."""
+    """Create a file system image that contains ``files``."""
     from littlefs import LittleFS
 
     fs = LittleFS(disk_version=FIRST_VERSION, **FILE_SYSTEM)
@@ -66,7 +66,7 @@ def make_flash(path: Path, files: dict[str, bytes]) -> None:
 
 
 def read_flash(path: Path) -> dict[str, bytes]:
-    """The files of a file system image, by path from its root. Raises littlefs's error if the image is damaged."""
+    """Return the files of a file system image, by path from its root. Raises littlefs's error if it is damaged."""
     from littlefs import LittleFS
 
     fs = LittleFS(mount=False, **FILE_SYSTEM)
@@ -81,14 +81,14 @@ def read_flash(path: Path) -> dict[str, bytes]:
 
 
 class ChipBox:
-    """A running box (``Hardware``). ``host_gone`` closes the host's port until it is set to False again."""
+    """A running box (``Hardware``). ``host_gone`` closes the host's port until it is set to False."""
 
     boot_ns = 0
 
     def __init__(self, boot: Boot, *, image: Path | None = None, start_us: int = 0) -> None:
-        """``start_us``: what the hardware timer shows at power-on, for tests of its wraps; device times then count from there.
+        """``start_us``: hardware timer value at power-on, for tests of its wrap-around; device times count from there.
 
-        Raises NodeError where the emulator or the image is missing.
+        Raises NodeError if the emulator or the image is missing.
         """
         store = boot.flash / STORE
         if not store.exists():
@@ -113,13 +113,13 @@ class ChipBox:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,
-            start_new_session=True,  # Ctrl-C is for the parent, which ends this process in order
+            start_new_session=True,  # Ctrl-C is for the parent, which ends this process cleanly
         )
 
     def advance(
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
     ) -> Iterator[Answer]:
-        """See ``Hardware``: one grant."""
+        """Run one grant; see ``Hardware``."""
         for flag, message in _FAULTS.items():
             if flags & flag:
                 self.control(message)
@@ -141,16 +141,16 @@ class ChipBox:
         yield self._answer(ANSWERS_WITHIN_US if rx else LATER_US)
 
     def control(self, message: dict[str, Any]) -> None:
-        """A message to the emulator or one of its parts (box.mjs): faults mostly."""
+        """Send a message to the emulator or one of its parts (box.mjs), mostly to cause faults."""
         text = json.dumps(message).encode()
         self._write(b"C" + struct.pack("<I", len(text)) + text)
 
     def close(self) -> None:
-        """End the emulator: the power is gone."""
+        """End the emulator: the power is cut."""
         end_process(self._process, self._stderr)
 
     def _warm(self, device_us: int) -> None:
-        """Tell the thermometers what they measure, where that has changed."""
+        """Send the thermometers their temperatures, if these have changed."""
         now = self._signals.thermometers(device_us)
         if now != self._told:
             self._told = now
@@ -164,7 +164,7 @@ class ChipBox:
         self._write((self._shots if stream else self._conversions)(index, n, t_ns - index * period_ns, period_ns))
 
     def _conversions(self, index: int, n: int, start_ns: int, period_ns: int) -> bytes:
-        """Conversions from ``index`` on. Those that the driver does not hand out are 0: samples count from behind them."""
+        """Return conversions from ``index`` on; those that the driver discards are 0, and samples count after them."""
         settling = min(n, max(0, SETTLING - index))
         k = index + settling - SETTLING
         counts = self._signals.counts(k, k + n - settling, start_ns + SETTLING * period_ns, period_ns)

@@ -1,4 +1,4 @@
-"""The operator of a recording in virtual time, who confirms every mount of a bar as Enter does."""
+"""The operator of a recording in virtual time: confirms every mount of a bar, as the Enter key does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from truearm_sim.robot import READY
 
 
 class Confirming(Operator):
-    """Confirms the bar, chuck and sphere that the plan asks for as soon as the bar is on."""
+    """Confirms the bar, chuck and sphere that the plan requests as soon as the bar is on."""
 
     def __init__(self, lab: Lab) -> None:
         controller, plan = lab.world.controller, lab.world.controller.plan

@@ -1,8 +1,8 @@
-"""Packages of another Debian suite than the machine's, without installing anything and without root.
+"""Packages of a Debian suite other than the computer's, without installing anything and without root.
 
-The machine's own ``apt`` works in a private directory: the machine's own package sources with another suite name, the machine's
-keyrings, proxies and credentials. Nothing of the system's is written. What comes is verified as apt verifies everything.
-No host name stands here: sources are whatever the machine has.
+The computer's own ``apt`` works in a private directory, with the computer's package sources under another suite name
+and its keyrings, proxies and credentials. No system file is written. Apt verifies downloads as usual. No host name is
+fixed here: the sources are those of the computer.
 """
 
 from __future__ import annotations
@@ -17,45 +17,45 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-# Names under which a Debian machine's sources call their own release, besides its code name.
+# Names that a Debian computer's sources use for their own release, in addition to its code name.
 SUITE_ALIASES = frozenset({"oldstable", "stable", "testing", "unstable", "sid"})
-# What apt on this machine needs to reach its sources; nothing that would loosen the verification of signatures.
+# What apt on this computer needs to reach its sources; nothing that would weaken the verification of signatures.
 ACQUIRE = re.compile(
     r"Acquire::(?:https?|tor\+https?|mirror)::|Acquire::(?:Check-Valid-Until|Check-Date|Force\w+|Retries) ", re.I
 )
 PROGRAMS = ("apt-get", "apt-config", "dpkg", "dpkg-deb")
-# A mirror that is being renewed gives lists that do not match their signed index. Seconds until each further attempt.
+# A mirror that is being updated serves lists that do not match their signed index. Seconds until each further attempt.
 PAUSES = (5.0, 20.0, 60.0)
 RENEWED = re.compile(r"unexpected size|Hash Sum mismatch|Mirror sync")
 
 
 class DebianError(Exception):
-    """Packages cannot be had here; the text is one line that says why."""
+    """Packages are not available here; the text is one line that states why."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """One of the machine's package sources: its URIs, its ``Signed-By`` (a file or a key block) or None."""
+    """One of the computer's package sources: its URIs, its ``Signed-By`` (a file or a key block) or None."""
 
     uris: str
     signed_by: str | None
 
 
 def missing_program() -> str | None:
-    """The first of the programs needed that this machine lacks: not every machine is a Debian."""
+    """Return the first required program that this computer lacks: not every computer runs Debian."""
     return next((program for program in PROGRAMS if shutil.which(program) is None), None)
 
 
 def native_architecture() -> str:
-    """Debian's name of the machine's architecture. Raises DebianError."""
+    """Return Debian's name of the computer's architecture. Raises DebianError."""
     return run(["dpkg", "--print-architecture"]).strip()
 
 
-# ---- the machine's package sources (pure)
+# ---- the computer's package sources (pure)
 
 
 def sources_deb822(text: str, suites: Iterable[str]) -> list[Source]:
-    """The sources of a ``.sources`` file whose component main is there for one of ``suites``."""
+    """Return the sources in a ``.sources`` file with the component main for one of ``suites``."""
     found = []
     for stanza in re.split(r"\n[ \t]*\n", text):
         fields = _fields(stanza)
@@ -70,7 +70,7 @@ def sources_deb822(text: str, suites: Iterable[str]) -> list[Source]:
 
 
 def _fields(stanza: str) -> dict[str, str]:
-    """Fields of a deb822 stanza by lower-case name; continuation lines keep their line breaks."""
+    """Return the fields of a deb822 stanza by lower-case name; continuation lines keep their line breaks."""
     fields: dict[str, str] = {}
     name = ""
     for line in stanza.splitlines():
@@ -87,7 +87,7 @@ def _fields(stanza: str) -> dict[str, str]:
 
 
 def sources_one_line(text: str, suites: Iterable[str]) -> list[Source]:
-    """The sources of a ``sources.list`` file (``deb [options] uri suite components``), as in :func:`sources_deb822`."""
+    """Return the sources in a ``sources.list`` (``deb [options] uri suite components``); see :func:`sources_deb822`."""
     found = []
     for line in text.splitlines():
         match = re.match(r"deb\s+(?:\[([^]]*)\]\s+)?(\S+)\s+(\S+)\s+(.*)", line.partition("#")[0].strip())
@@ -98,13 +98,13 @@ def sources_one_line(text: str, suites: Iterable[str]) -> list[Source]:
 
 
 def source_stanza(source: Source, suite: str, types: str = "deb") -> str:
-    """The deb822 stanza for the same source and another suite. An unsigned source's ``trusted`` is not taken over."""
+    """Return the deb822 stanza for the same source and another suite, without ``trusted`` of an unsigned source."""
     signed_by = f"Signed-By: {source.signed_by}\n" if source.signed_by else ""
     return f"Types: {types}\nURIs: {source.uris}\nSuites: {suite}\nComponents: main\n{signed_by}"
 
 
 def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
-    """The machine's own sources of its own release, each once; files that this user may not read are skipped."""
+    """Return the computer's sources for its own release, each once; files that this user may not read are skipped."""
     found = []
     folder = etc / "sources.list.d"
     for path in [etc / "sources.list", *sorted(folder.glob("*.list")), *sorted(folder.glob("*.sources"))]:
@@ -115,7 +115,7 @@ def machine_sources(etc: Path, suites: Iterable[str]) -> list[Source]:
 
 
 def os_release(path: Path = Path("/etc/os-release")) -> dict[str, str]:
-    """The assignments of an os-release file, unquoted; none where there is no such file."""
+    """Return the assignments of an os-release file, unquoted; none if there is no such file."""
     if not path.exists():
         return {}
     words = shlex.split(path.read_text(encoding="utf-8", errors="replace"), comments=True)
@@ -132,14 +132,14 @@ def private_apt(
     types: str = "deb",
     pauses: Sequence[float] = PAUSES,
 ) -> dict[str, str]:
-    """Lay out apt's private directory for ``suite`` in ``folder`` and read the package lists.
+    """Create apt's private directory for ``suite`` in ``folder`` and read the package lists.
 
     Returns the environment in which apt's programs use it; packages are downloaded to ``folder``/cache/archives.
-    ``types`` is "deb", or "deb deb-src" where sources are wanted. Where the mirror is being renewed, the lists are asked
-    for again after each of ``pauses`` (s).
+    ``types`` is "deb", or "deb deb-src" to include sources. If the mirror is being updated, the lists are requested
+    again after each of ``pauses`` (s).
 
     Raises:
-        DebianError: this machine has no apt or no Debian source, or the lists do not come or do not verify.
+        DebianError: this computer has no apt or no Debian source, or the lists cannot be loaded or verified.
     """
     if missing := missing_program():
         raise DebianError(f"no {missing}, which Debian has")
@@ -162,7 +162,7 @@ def private_apt(
 
 
 def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> None:
-    """A private apt directory: its own sources, lists, cache and package database, the machine's keys and proxies."""
+    """Write a private apt directory: own sources, lists, cache and package database; the computer's keys and proxies."""
     for folder in ("none", "sources", "state/lists/partial", "cache/archives/partial"):
         (apt / folder).mkdir(parents=True)
     (apt / "state" / "status").touch()
@@ -172,7 +172,7 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
     machine = run(["apt-config", "dump", "--format", '%f "%v";%n', "--no-empty"]).splitlines()
     lines = [line for line in machine if ACQUIRE.match(line)]
     listed = " ".join(f'"{name}";' for name in dict.fromkeys((native, *architectures)))
-    # Dir::Etc stays the machine's: its trusted.gpg.d and auth.conf.d are wanted, its hooks and preferences are not.
+    # Dir::Etc remains the computer's: its trusted.gpg.d and auth.conf.d are needed, its hooks and preferences are not.
     lines += [
         f'Dir::Etc::{name} "{apt}/none";' for name in ("main", "parts", "preferences", "preferencesparts", "sourcelist")
     ]
@@ -184,19 +184,19 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
         f'APT::Architecture "{native}";',
         f"APT::Architectures {{ {listed} }};",
         'APT::Install-Recommends "false";',
-        'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that a checkout lies in
+        'APT::Sandbox::User "root";',  # for root: the _apt user could not enter every folder that contains a checkout
         'Acquire::Languages "none";',
         'Acquire::Retries "3";',
-        'APT::Update::Error-Mode "any";',  # else an unreachable source is only a warning
+        'APT::Update::Error-Mode "any";',  # otherwise an unreachable source is only a warning
     ]
     (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def run(command: list[str], environ: Mapping[str, str] | None = None, folder: Path | None = None) -> str:
-    """Standard output of a command of apt's or dpkg's, run in ``folder``.
+    """Return the standard output of a command of apt or dpkg, run in ``folder``.
 
     Raises:
-        DebianError: it failed; the text says so in apt's words, and more plainly where a key is missing.
+        DebianError: it failed; the text quotes apt, and is clearer if a key is missing.
     """
     done = subprocess.run(
         command, capture_output=True, text=True, errors="replace", env=environ, cwd=folder, stdin=subprocess.DEVNULL

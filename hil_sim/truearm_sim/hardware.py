@@ -1,8 +1,8 @@
-"""What is behind a simulated box: a process that runs its firmware, and signals that it samples.
+"""The parts of a simulated box: a process that runs its firmware, and the signals that it samples.
 
-:class:`Hardware` is the one contract of both levels: the firmware in a MicroPython with a simulated board (``vmbox.py``), and the
-chip's own image in an emulator. Time moves on by grants. What the parts measure is a pure function of device time and
-sample index, :class:`Signals`; the one level is given it, the other asks for it.
+:class:`Hardware` is the interface of both levels: the firmware in a MicroPython with a simulated board (``vmbox.py``),
+and the chip's own image in an emulator. Time advances by grants. What the parts measure is a pure function of device
+time and sample index, :class:`Signals`. The first level receives it, the second requests it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from .box import Answer, BoxSetup
 from .sensors import CALIBRATED_MDEGC
 from .world import World
 
-# What a grant may do to the box besides letting it run.
+# Effects that a grant may have on the box other than letting it run.
 STALL, CRASH, BAD_CRC, CONVERTER_RESET = 1, 2, 4, 8
 TEMPERATURE_MDEGC = CALIBRATED_MDEGC  # of the box, unless the world warms up
 
 
 @dataclass(frozen=True)
 class Edge:
-    """An edge on a trigger line, at ``t_ns``: true time where the lab is told of it, device time since boot in a grant."""
+    """An edge on a trigger line at ``t_ns``: true time when reported to the lab, device time since boot in a grant."""
 
     t_ns: int
     line: int
@@ -35,18 +35,18 @@ class Edge:
 
 @dataclass(frozen=True)
 class Signals:
-    """What a box's inputs show from its boot on, by its own clock. ``no_stop``: true times [s] between which no stop pulse comes."""
+    """The inputs of a box since its boot, by its own clock. ``no_stop``: true times [s] without stop pulses."""
 
     world: World
     boot_device_ns: int
     no_stop: tuple[tuple[float, float], ...] = ()
 
     def counts(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int32]:
-        """The converter's samples k0 ≤ k < k1 as (n, 4); sample 0 is converted ``start_ns`` after boot."""
+        """Return the converter's samples k0 ≤ k < k1 as (n, 4); sample 0 is converted ``start_ns`` after boot."""
         return self.world.counts(k0, k1, self.boot_device_ns + start_ns, period_ns)
 
     def flight_times(self, k0: int, k1: int, start_ns: int, period_ns: int) -> NDArray[np.int64]:
-        """Times of flight (n,) [ps] of shots k0 ≤ k < k1, −1 where no stop comes; shot 0 is ``start_ns`` after boot."""
+        """Return times of flight (n,) [ps] of shots k0 ≤ k < k1, −1 without a stop; shot 0: ``start_ns`` after boot."""
         flights = self.world.flight_times(k0, k1, self.boot_device_ns + start_ns, period_ns)
         if self.no_stop:
             device_ns = self.boot_device_ns + start_ns + np.arange(k0, k1, dtype=np.int64) * period_ns
@@ -56,7 +56,7 @@ class Signals:
         return flights
 
     def thermometers(self, device_us: int) -> tuple[tuple[bytes, int], ...]:
-        """Address and m°C of each thermometer on the wire, so long after boot."""
+        """Return address and m°C of each thermometer on the wire at this time after boot."""
         if not self.world.has_thermometers:
             return ()
         t = self.world.clocks.device.true(np.array([1e-9 * self.boot_device_ns + 1e-6 * device_us]))
@@ -65,7 +65,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class Boot:
-    """A power-up or reset: what the box wakes up with. ``flash`` is a folder that outlives it, laid out by ``write_flash``."""
+    """A power-up or reset with its initial state. ``flash``: a folder that outlives it, created by ``write_flash``."""
 
     flash: Path
     setup: BoxSetup
@@ -75,21 +75,22 @@ class Boot:
 
 
 class Hardware(Protocol):
-    """A box from one boot to its end. ``boot_ns``: what a reset takes before it begins, where booting itself takes no time."""
+    """A box from one boot to its end. ``boot_ns``: duration of a reset before it, if booting itself takes no time."""
 
     boot_ns: int
 
     def advance(
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int
     ) -> Iterator[Answer]:
-        """Let it run up to ``device_us`` after boot, in one or more steps; the last answer has an ``end`` if it came to one.
+        """Run up to ``device_us`` after boot, in one or more steps; the last answer has an ``end`` if the firmware
+        ended.
 
-        ``rx``: what the host wrote; what the box does not take yet is kept for it. The link takes ``tx_room`` bytes. Answers say
-        whether the box samples, and since which instants (``first_ns``).
+        ``rx``: bytes from the host; those that the box does not accept yet are kept for it. The link accepts
+        ``tx_room`` bytes. Answers report whether the box samples, and since which times (``first_ns``).
         """
 
     def close(self) -> None:
-        """End what runs."""
+        """End the running process."""
 
 
 PowerOn = Callable[[Boot], Hardware]

@@ -1,7 +1,8 @@
-"""What a true arm's joints do beyond geometry: gears that err with the joint's angle, joints that give under the arm's weight.
+"""Errors of a true arm's joints beyond geometry: gear errors that depend on the angle, and joints that yield under
+weight.
 
-Both say how far the links stand from where the encoders read them, as a function of the joints alone. They are the simulator's own and
-know nothing of the joint law that an identification fits (``truearm.model.joint_law``).
+Both are offsets of the links from the encoder readings, as a function of the joints alone. They belong to the simulator
+and are independent of the joint law that an identification fits (``truearm.model.joint_law``).
 """
 
 from __future__ import annotations
@@ -16,19 +17,19 @@ from truearm.model.transforms import axis_of
 from truearm.types import Floats
 
 GRAVITY = 9.80665  # m/s²
-_PHASES = 0x6EA2  # of their random numbers, beside the seed
+_PHASES = 0x6EA2  # of their random numbers, in addition to the seed
 
 
 class JointError(Protocol):
-    """An error of the joints that depends on the joints alone."""
+    """An error of the joints that depends only on the joints."""
 
     def at(self, q: Floats) -> Floats:
-        """Return how far the links stand from their encoders (k, j) [rad, m] at encoder readings q (k, j)."""
+        """Return the offset of the links from their encoders (k, j) [rad, m] at encoder readings q (k, j)."""
 
 
 @dataclass(frozen=True)
 class GearError:
-    """Sines of the joint's angle, one for each of n periods, all of one amplitude; the phases are each joint's own."""
+    """Sines of the joint's angle, one for each of n periods, all with one amplitude; each joint has its own phases."""
 
     amplitude: float  # rad
     periods: Floats  # (n,) rad
@@ -36,7 +37,7 @@ class GearError:
 
     @staticmethod
     def drawn(amplitude: float, periods: tuple[float, ...], joints: int, seed: int) -> GearError:
-        """Return an error whose phases are drawn from the seed."""
+        """Return an error whose phases are random, from the seed."""
         drawn = np.random.default_rng([seed, _PHASES]).uniform(0.0, 2.0 * np.pi, (len(periods), joints))
         return GearError(amplitude, np.array(periods), drawn)
 
@@ -48,9 +49,11 @@ class GearError:
 
 @dataclass(frozen=True)
 class Sag:
-    """Joints as springs under the weight of the links: each link's mass lies halfway from its joint to the next, the last one's to the end.
+    """Joints as springs under the weight of the links.
 
-    A joint yields by −(∂V/∂θ)/stiffness, V the potential energy; gravity is along −z of the base. Prismatic joints do not yield.
+    The mass of each link lies halfway from its joint to the next; that of the last, halfway to the end. A joint yields
+    by −(∂V/∂θ)/stiffness, where V is the potential energy; gravity is along −z of the base. Prismatic joints do not
+    yield.
     """
 
     chain: Chain

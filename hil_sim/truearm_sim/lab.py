@@ -1,9 +1,9 @@
-"""The whole lab in virtual time: box, robot and the links between them and the host.
+"""The complete lab in virtual time: box, robot and the links between them and the host.
 
-True time is integer nanoseconds from the start of the lab; the host's monotonic clock is true time plus a constant, as if
-the computer had run for some hours. Nothing advances by itself. Whoever reads a link lets time pass: up to the next thing that arrives, at most by the time-out. The
-recorder runs unchanged: it takes time from :class:`VirtualClock` and waits in ``read`` alone. Latencies are drawn from a
-seeded generator, so a run is repeatable to the byte.
+True time is integer nanoseconds from the start of the lab. The host's monotonic clock is true time plus a constant, as
+if the computer had run for some hours. Nothing advances automatically: reading a link advances time to the next
+arrival, at most by the time-out. The recorder runs unchanged: it takes time from :class:`VirtualClock` and waits only
+in ``read``. Latencies come from a seeded generator, so a run is reproducible to the byte.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from truearm.errors import LinkClosed, LinkError
 from .simbox import SimulatedBox
 from .world import World
 
-STEP_NS = 200_000_000  # the box runs at least this often, and whenever it wants to
-ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed by the second
+STEP_NS = 200_000_000  # the box runs at least this often, and whenever it requests to
+ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed one second at a time
 HOST_AT_START_NS = 12_345_678_901_234
 UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar
 
 
 @dataclass(frozen=True)
 class Latency:
-    """One way over a link: at least ``least``, plus an exponential part, now and then a stall; nanoseconds."""
+    """The latency of a link in one direction: at least ``least``, plus an exponential part, sometimes a stall; in ns."""
 
     least: float
     mean_extra: float
@@ -41,18 +41,21 @@ class Latency:
         return int(self.least + extra)
 
 
-# full-speed USB: a frame of 1 ms, of which the controller wastes little on bulk transfers; and a quiet local network
+# full-speed USB with frames of 1 ms, of which the controller wastes little on bulk transfers; and a quiet local network
 TO_BOX = Latency(125e3, 80e3, 5e6, 0.01)
 FROM_BOX = Latency(150e3, 120e3, 8e6, 0.01)
 FROM_ROBOT = Latency(300e3, 200e3, 20e6, 0.005)
 
 
 class Lab:
-    """Box and robot in virtual time; ``box_link``, ``robot_link`` and ``clock`` are what the recorder is given."""
+    """Box and robot in virtual time; the recorder is given ``box_link``, ``robot_link`` and ``clock``."""
 
     def __init__(self, world: World, box: SimulatedBox, seed: int = 0, step_ns: int = STEP_NS) -> None:
-        """``step_ns``: a box that sets its trigger output in the course of a step (the chip's) needs steps shorter than the
-        robot's link takes (0.3 ms), or readings of it arrive before it is known what the robot saw."""
+        """Create a lab.
+
+        ``step_ns``: if a box sets its trigger output during a step (as the chip does), steps must be shorter than the
+        latency of the robot's link (0.3 ms). Otherwise its readings arrive before it is known what the robot saw.
+        """
         self.world = world
         self.box = box
         self._step_ns = step_ns
@@ -73,7 +76,7 @@ class Lab:
     # -- time
 
     def read(self, which: str, timeout_s: float) -> list[tuple[int, bytes]]:
-        """What has arrived on a link; lets time pass, up to ``timeout_s``, until something has."""
+        """Return what has arrived on a link; advances time, up to ``timeout_s``, until something has."""
         deadline = self.now_ns + int(timeout_s * 1e9)
         arrivals = self._arrivals[which]
         while not (arrivals and arrivals[0][0] <= self.now_ns) and self.now_ns < deadline:
@@ -87,14 +90,14 @@ class Lab:
         return found
 
     def write(self, data: bytes) -> int:
-        """Bytes from the host to the box; they arrive in order."""
+        """Send bytes from the host to the box; they arrive in order."""
         at = self._in_order("to box", self.now_ns + TO_BOX.draw(self._rng))
         self._order += 1
         heapq.heappush(self._to_box, (at, self._order, data))
         return self.host_ns(self.now_ns)
 
     def host_ns(self, t_ns: int) -> int:
-        """The host's clock at true time ``t_ns``."""
+        """Return the host's clock at true time ``t_ns``."""
         return HOST_AT_START_NS + t_ns
 
     def _next_event_ns(self, which: str) -> int:
@@ -125,18 +128,18 @@ class Lab:
             self._robot_speaks()
 
     def _forget_readings(self) -> None:
-        """Readings that were made ahead of an edge of the box's output: what they say of the robot's input is wrong."""
+        """Discard readings made after an edge of the box's output: their state of the robot's input is wrong."""
         new = self.box.output_edges[self._edges_seen :]
         self._edges_seen += len(new)
         readings = self._arrivals["robot"]
         if not new:
             return
         while readings and readings[-1][1] >= new[0][0]:
-            self._robot_until_ns = readings.pop()[1] - 1000  # it was rounded, and is to come again
+            self._robot_until_ns = readings.pop()[1] - 1000  # it was rounded, and must be sent again
         self._last_ns["robot"] = readings[-1][0] if readings else self.now_ns
 
     def _robot_speaks(self) -> None:
-        """The controller's next lines, each with a delay of its own."""
+        """Queue the controller's next lines, each with its own delay."""
         since_ns = self._robot_until_ns
         self._robot_until_ns += ROBOT_AHEAD_NS
         times_ns, lines = self.world.robot_lines(since_ns, self._robot_until_ns, self.box.output_at)
@@ -145,7 +148,7 @@ class Lab:
             self._arrivals["robot"].append((at, int(sent_ns), line))
 
     def _in_order(self, stream: str, t_ns: int) -> int:
-        """A byte stream keeps its order: nothing arrives before what was sent earlier."""
+        """Return the arrival in a byte stream, which keeps its order: nothing arrives before what was sent earlier."""
         self._last_ns[stream] = max(self._last_ns[stream], t_ns)
         return self._last_ns[stream]
 
@@ -166,7 +169,7 @@ class VirtualClock:
 
 
 class VirtualLink:
-    """One of the lab's links, as the recorder knows links (truearm.record.links.Link)."""
+    """One of the lab's links, with the interface of the recorder's links (truearm.record.links.Link)."""
 
     def __init__(self, lab: Lab, which: str) -> None:
         self.name = f"simulated {which}"

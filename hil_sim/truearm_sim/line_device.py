@@ -1,14 +1,15 @@
-"""The line device beside the true robot: where it lies, and what its three sensors have before them.
+"""The line device at the true robot: its position, and what its three sensors measure.
 
-An operator puts the device along the way that the true arm takes: drives to both ends of the line and moves the device until the
-magnet is in the middle there, to SETUP. So the transverse sensors, which reach a few millimetres, see how far the arm's way is
-from straight and not how far the arm is from where its controller believes it: the simulated PUMA 560 errs by 20 mm and bends
-half a metre by one or two. How the device is turned about its axis is chance; what is written down of its orientation, with a
-protractor, is good to BY_HAND (Renders 1991, III-C).
+An operator places the device along the path of the true arm: drives to both ends of the line and moves the device until
+the magnet is centred there, to SETUP. The transverse sensors, with a range of a few millimetres, therefore measure how
+far the arm's path deviates from straight, and not the arm's error in its controller's model. The simulated PUMA 560 has
+errors of 20 mm and bends half a metre by one or two. The rotation of the device about its axis is random; its noted
+orientation, measured with a protractor, is accurate to BY_HAND (Renders 1991, III-C).
 
-The declared error of a measurement is neither the samples' white noise, which a mean removes, nor the same at each visit. Like a
-ball-bar's repeatability it belongs to what moves: the magnet in its guide. It is drawn for each drive and changes with the way,
-so that measurements more than 2·GRAIN apart have errors of their own, wherever on the line the robot stops or how fast it goes.
+The declared error of a measurement is neither white noise of the samples, which averaging removes, nor the same at each
+visit. Like a ball-bar's repeatability it belongs to the moving part: the magnet in its guide. It is random for each
+drive and changes along the path, so that measurements more than 2·GRAIN apart have independent errors, wherever on the
+line the robot stops and whatever its speed.
 """
 
 from __future__ import annotations
@@ -29,19 +30,21 @@ from truearm_sim.paths import Path, target_of
 from truearm_sim.robot import Controller
 
 STROKE = (0.05, 1.05)  # m, of the magnetostrictive wire
-MIDDLE = 0.55  # m on it, where the middle of a line is put
-REACH = 0.0075  # m, of the transverse sensors either way (Renders II-C: 15 mm in all)
-SETUP = 5e-4  # m, how well the device is centred at either end of the line
+MIDDLE = 0.55  # m along it, where the middle of a line is placed
+REACH = 0.0075  # m, range of the transverse sensors in either direction (Renders II-C: 15 mm in all)
+SETUP = 5e-4  # m, accuracy of centring the device at either end of the line
 BY_HAND = 0.052  # rad about each axis
 GRAIN = 0.0075  # m
-_POSES, _ERRORS = 0x11E, 0x6E1  # of their random numbers, beside the seed
+_POSES, _ERRORS = 0x11E, 0x6E1  # of their random numbers, in addition to the seed
 
 
 @dataclass(frozen=True)
 class Flaws:
-    """What the device does and nobody was told. ``sound``: how much faster than its label says the strain pulse is, as a share.
-    ``mag_delay``, ``adc_delay`` [s]: how much later than it says the position and the transverse readings come.
-    ``bend`` [m]: what the transverse readings are off at the ends of their REACH, as a cubic's.
+    """Errors of the device that nobody declared.
+
+    ``sound``: relative excess of the strain pulse's speed over the label. ``mag_delay``, ``adc_delay`` [s]: additional
+    delay of the position and the transverse readings. ``bend`` [m]: error of the transverse readings at the ends of
+    their REACH, cubic.
     """
 
     sound: float = 0.0
@@ -60,10 +63,10 @@ class Placement(NamedTuple):
 def place_devices(
     plan: Plan, paths: Mapping[int, Path], chain: Chain, params: Floats, rig: Rig, seed: int
 ) -> dict[str, Placement]:
-    """Where the operator puts the device for each line of the plan, the robot being ``params`` (p,).
+    """Return where the operator places the device for each line of the plan; the robot is ``params`` (p,).
 
-    A device whose ``xyz`` the rig declares stands there, as well as it is declared, whether the arm then meets it or not.
-    Raises PlanError for a line that is longer than the wire.
+    A device with ``xyz`` in the rig is there, to its declared accuracy, whether the arm then reaches it or not. Raises
+    PlanError for a line that is longer than the wire.
     """
     rng = np.random.default_rng([seed, _POSES])
     placed = dict[str, Placement]()
@@ -86,7 +89,7 @@ def place_devices(
 
 
 def _along(ends: Floats, declared: Device | None, draw: Floats) -> Placement:
-    """Along two points (2, 3), turned about them as declared, to BY_HAND, or by chance."""
+    """Return a placement along two points (2, 3), rotated about them as declared, to BY_HAND, or at random."""
     y = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     up = draw[2]
     if declared is not None and declared.turn_sigma is not None:
@@ -102,7 +105,7 @@ def _declared(device: Device, draw: Floats) -> Placement:
 
 
 def written_down(rig: Rig, placed: Mapping[str, Placement], seed: int) -> Rig:
-    """The rig with what the operator notes of devices that it does not list: their orientation, to BY_HAND about each axis."""
+    """Return the rig with the operator's notes on devices missing in it: their orientation, to BY_HAND about each axis."""
     rng = np.random.default_rng([seed, _POSES, 1])
     cov: Matrix = tuple(tuple(s**2 * (i == k) for k in range(3)) for i, s in enumerate(rig.line_sigma))
     noted = dict(rig.lines)
@@ -113,7 +116,10 @@ def written_down(rig: Rig, placed: Mapping[str, Placement], seed: int) -> Rig:
 
 
 def drive_errors(seed: int, row: int, way: Floats) -> Floats:
-    """Errors (k, 3) in standard deviations at ways (k,) [m] along the drive to one row of the plan, pure functions of all three."""
+    """Return errors (k, 3) in standard deviations at positions (k,) [m] along the drive to one row of the plan.
+
+    They are pure functions of the three arguments.
+    """
     share, first = np.modf(way / GRAIN)
     grains = first.astype(int)
     drawn = np.random.Generator(np.random.Philox(key=seed, counter=[0, row, _ERRORS, 0]))
@@ -123,12 +129,12 @@ def drive_errors(seed: int, row: int, way: Floats) -> Floats:
 
 
 def sensor_sigma(rig: Rig, name: str) -> Floats:
-    """(3,) [m] declared of a device along its axes."""
+    """Return the declared σ (3,) [m] of a device along its axes."""
     return np.asarray(np.sqrt(np.diagonal(np.array(rig.lines[name].sensor_cov))))
 
 
 class LineDevices:
-    """What the devices of a plan have before them, as a function of true time."""
+    """What the devices of a plan measure, as a function of true time."""
 
     def __init__(
         self, controller: Controller, chain: Chain, params: Floats, rig: Rig, placed: Mapping[str, Placement], seed: int
@@ -136,14 +142,14 @@ class LineDevices:
         plan = controller.plan
         self._controller, self._chain, self._params, self._seed = controller, chain, params, seed
         self._placed, self._name = placed, plan.line
-        # The drive at each stop: to it or, where a line begins there, from it; −1 where the magnet is in no guide.
+        # The drive at each stop: to it or, where a line begins there, from it; −1 where the magnet is not in a guide.
         after = np.append(plan.lines[1:], False)
         self._drive = np.where(plan.lines, np.arange(len(plan)), np.where(after, np.arange(len(plan)) + 1, -1))
         self._sigma = {name: sensor_sigma(rig, name) for name in placed}
         self._target = {row: target_of(plan, row, rig) for row in np.flatnonzero(plan.lines).tolist()}
 
     def position(self, t: Floats) -> Floats:
-        """The magnet in the device's axes (k, 3) [m] at true times t (k,), with the drive's errors; NaN out of reach."""
+        """Return the magnet in the device's axes (k, 3) [m] at true times t (k,), with drive errors; NaN out of range."""
         out = np.full((len(t), 3), np.nan)
         stop = self._controller.stop_index(t)
         row = self._controller.pose[stop]

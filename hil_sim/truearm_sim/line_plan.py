@@ -1,4 +1,4 @@
-"""A rig and plans for the simulated line device: lines drawn from the workspace, driven there and back."""
+"""A rig and plans for the simulated line device: random lines in the workspace, driven in both directions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ JOINT_SPEED = 1.0  # rad/s at most on a line
 
 
 def line_rig(rig: Rig | None = None) -> Rig:
-    """A rig with a magnet for the line device on the endpoint, and with whatever else it had."""
+    """Return a rig with a magnet for the line device on the endpoint, in addition to its other items."""
     return replace(rig or Rig(), targets=TARGETS, line_travel=2.0 * REACH)
 
 
@@ -41,9 +41,9 @@ def drawn_line_plan(
     back: bool = True,
     robot: Robot | None = None,
 ) -> Plan:
-    """``n_lines`` lines, named l1, l2 …, each driven there and, with ``back``, back; via points lead from one to the next.
+    """Return ``n_lines`` lines, named l1, l2 …, driven forwards and, with ``back``, back; via points connect them.
 
-    ``robot``: the PUMA 560 by default. Raises PlanError where the arm has no branch or reaches no such lines.
+    ``robot``: the PUMA 560 by default. Raises PlanError if the arm has no branch or cannot reach such lines.
     """
     robot = robot or builtin_robot(PAPER)
     known = replace(Known.design(robot, rig or line_rig()), branch=branch_of(robot))
@@ -55,7 +55,7 @@ def drawn_line_plan(
 
 
 def lines_plan(ends: Floats, name: str, speed: float, back: bool) -> Plan:
-    """To the one end (2, j) by joints, along the line to the other, and back."""
+    """Return a plan to one end (2, j) by joints, along the line to the other, and back."""
     q = ends[[0, 1, 0]] if back else ends
     n, none = len(q), np.full(len(q), "")
     on_line = np.arange(n) > 0
@@ -70,7 +70,7 @@ def lines_plan(ends: Floats, name: str, speed: float, back: bool) -> Plan:
 
 
 def with_ways(site: Site, parts: list[Plan]) -> list[Plan]:
-    """The parts of a plan, and between them via points on which nothing is touched. Raises PlanError where there is no way."""
+    """Return the parts of a plan with collision-free via points between them. Raises PlanError if there is no path."""
     out = parts[:1]
     for before, after in pairwise(parts):
         via = way_without_bar(site, before.q[-1], after.q[0])

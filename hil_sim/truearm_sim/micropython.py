@@ -1,12 +1,12 @@
-"""Finding a MicroPython to run the firmware in, and getting one where there is none.
+"""Find a MicroPython to run the firmware in, and download one if there is none.
 
-The simulated box needs a real MicroPython: the *unix port*, ≥ 1.25, best for 32 bit, which has the chip's word, heap
-and object sizes. :func:`find` looks, in this order, at ``$TRUEARM_MICROPYTHON``, at a ``micropython`` on PATH and at
-the one that :func:`get` fetched.
+The simulated box needs a real MicroPython: the *unix port*, ≥ 1.25, preferably for 32 bit, which has the chip's word,
+heap and object sizes. :func:`find` checks, in this order, ``$TRUEARM_MICROPYTHON``, a ``micropython`` on PATH and the
+one downloaded by :func:`get`.
 
-Many systems package no MicroPython, or one too old. Debian 13's packages are good, and they run on any Debian when each
-brings its own loader and C library. So :func:`get` downloads them (debian.py: nothing is installed, no root is needed) and
-unpacks the interpreter, its loader and its libraries into one folder a word size::
+Many systems have no MicroPython package, or one that is too old. Debian 13's packages are suitable, and they run on any
+Debian if each brings its own loader and C library. So :func:`get` downloads them (debian.py: nothing is installed, no
+root is needed) and unpacks the interpreter, its loader and its libraries into one folder per word size::
 
     python3 -m truearm_sim.micropython --get
 """
@@ -31,23 +31,24 @@ from .debian import DebianError
 
 VARIABLE = "TRUEARM_MICROPYTHON"
 MINIMUM = (1, 25)
-# Debian 13, the first release with MicroPython ≥ 1.25. The next stands in for an architecture whose lists do not come.
+# Debian 13, the first release with MicroPython ≥ 1.25. The next replaces it for an architecture whose lists are
+# missing.
 SUITES = ("trixie", "forky")
-# 32 bit first. Debian's name of the machine's architecture → architectures whose programs it can usually run.
+# 32 bit first. Debian's name of the computer's architecture → architectures whose programs it can usually run.
 ARCHITECTURES = {"amd64": ("i386", "amd64"), "arm64": ("armhf", "arm64")}
 BY_HAND = f"install MicroPython (unix port, {MINIMUM[0]}.{MINIMUM[1]} or newer) and set ${VARIABLE} to it"
 PROBE = "import sys; v = sys.implementation; print(v.name, v.version[0], v.version[1], v.version[2], sys.maxsize)"
 
 
 class InterpreterError(Exception):
-    """No usable MicroPython; the text is one line that says why and what to do."""
+    """No usable MicroPython; the text is one line that states why and what to do."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True)
 class Interpreter:
-    """A MicroPython that was run once: where it is, its version and the bits of its word."""
+    """A MicroPython that was run once: its path, its version and its word size in bits."""
 
     path: Path
     version: tuple[int, int, int]
@@ -81,10 +82,10 @@ def probe(path: Path) -> Interpreter:
 
 
 def find(environ: Mapping[str, str] = os.environ, fetched: Path | None = None) -> Interpreter | None:
-    """The MicroPython to use, or None.
+    """Return the MicroPython to use, or None.
 
-    ``fetched`` is where :func:`get` put its own, by default :func:`default_destination`. An interpreter on PATH or a
-    fetched one that cannot be used is skipped; one that ``$TRUEARM_MICROPYTHON`` names cannot: that is an error.
+    ``fetched`` is the folder of :func:`get`, by default :func:`default_destination`. An unusable interpreter on PATH or
+    in that folder is skipped. If the one in ``$TRUEARM_MICROPYTHON`` is unusable, that is an error.
 
     Raises:
         InterpreterError: ``$TRUEARM_MICROPYTHON`` names something that is not a usable MicroPython.
@@ -107,7 +108,7 @@ def find(environ: Mapping[str, str] = os.environ, fetched: Path | None = None) -
 
 
 def default_destination() -> Path:
-    """build/micropython of the checkout that this file is in, else a folder of the user's cache."""
+    """Return build/micropython of the checkout that contains this file, otherwise a folder of the user's cache."""
     checkout = Path(__file__).resolve().parents[2]
     if (checkout / "pyproject.toml").exists():
         return checkout / "build" / "micropython"
@@ -119,13 +120,13 @@ def default_destination() -> Path:
 
 
 def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
-    """Download MicroPython with its loader and libraries into ``destination`` and return what runs here.
+    """Download MicroPython with its loader and libraries into ``destination`` and return the one that runs here.
 
-    Every word size that the machine may run is fetched. The folder appears complete or not at all.
+    Every word size that the computer may run is downloaded. The folder appears complete or not at all.
 
     Raises:
-        InterpreterError: this machine has no apt or no Debian source, a download or its verification failed, or
-            nothing of what came runs here.
+        InterpreterError: this computer has no apt or no Debian source, a download or its verification failed, or
+            none of the downloaded interpreters runs here.
     """
     if missing := debian.missing_program():
         raise InterpreterError(f"cannot get MicroPython here: no {missing}, which Debian has; {BY_HAND}")
@@ -144,7 +145,7 @@ def get(destination: Path, say: Callable[[str], None] = print) -> Interpreter:
 
 
 def _download(apt: Path, say: Callable[[str], None]) -> list[Path]:
-    """The packages of MicroPython and all that it depends on, for each architecture, downloaded below ``apt``."""
+    """Download the packages of MicroPython and its dependencies, for each architecture, below ``apt``."""
     native = debian.native_architecture()
     packages = []
     for architecture in ARCHITECTURES.get(native, (native,)):
@@ -153,15 +154,16 @@ def _download(apt: Path, say: Callable[[str], None]) -> list[Path]:
         except DebianError as error:
             if architecture == native:
                 raise
-            say(f"MicroPython: not for {architecture}: {error}")  # a mirror may hold the native architecture alone
+            say(f"MicroPython: not for {architecture}: {error}")  # a mirror may have only the native architecture
     return packages
 
 
 def _packages_for(architecture: str, suites: Sequence[str], apt: Path, say: Callable[[str], None]) -> list[Path]:
-    """The packages for one architecture from the first of ``suites`` that has them: mirrors are renewed in pieces.
+    """Return the packages for one architecture from the first of ``suites`` that has them: mirrors are updated in
+    parts.
 
     Raises:
-        DebianError: none has them; the text is the last one's.
+        DebianError: none has them; the text is that of the last one.
     """
     suite, *later = suites
     folder = apt / f"{architecture}-{suite}"
@@ -178,7 +180,7 @@ def _packages_for(architecture: str, suites: Sequence[str], apt: Path, say: Call
 
 
 def _unpack(packages: list[Path], tree: Path) -> None:
-    """One flat folder an architecture with interpreter, loader and shared libraries, and a launcher beside it."""
+    """Create one flat folder per architecture with interpreter, loader and libraries, and a launcher next to it."""
     for architecture in (path.stem.rpartition("_")[2] for path in packages if path.name.startswith("micropython_")):
         folder = tree / architecture
         folder.mkdir(parents=True)
@@ -195,7 +197,7 @@ def _unpack(packages: list[Path], tree: Path) -> None:
 
 
 def _unpack_package(package: Path, folder: Path) -> None:
-    """The interpreter and the shared libraries of a package, without their folders; links only to neighbours."""
+    """Unpack a package's interpreter and shared libraries, without their folders; links only within the folder."""
     wanted = re.compile(r"\./(?:usr/)?(?:bin/micropython|lib\d*/(?:[\w-]+/)?[^/]+\.so[^/]*)")
     with (
         subprocess.Popen(["dpkg-deb", "--fsys-tarfile", package], stdout=subprocess.PIPE) as dpkg,
@@ -217,12 +219,12 @@ def _unpack_package(package: Path, folder: Path) -> None:
 
 
 def elf_bits(elf: bytes) -> int:
-    """Word size of an ELF program."""
+    """Return the word size of an ELF program."""
     return {1: 32, 2: 64}[elf[4]]
 
 
 def elf_interpreter(elf: bytes) -> str:
-    """The loader that an ELF program asks for (its PT_INTERP segment), as a path."""
+    """Return the loader that an ELF program requests (its PT_INTERP segment), as a path."""
     wide, order = elf_bits(elf) == 64, {1: "<", 2: ">"}[elf[5]]
     (table,) = struct.unpack_from(order + ("Q" if wide else "I"), elf, 32 if wide else 28)
     size, count = struct.unpack_from(order + "HH", elf, 54 if wide else 42)
@@ -245,7 +247,7 @@ def _first_that_runs(tree: Path) -> Interpreter:
 
 
 def _replace(new: Path, destination: Path, old: Path) -> None:
-    """Put ``new`` where ``destination`` is; what was there goes to ``old``."""
+    """Move ``new`` to ``destination``; its previous content goes to ``old``."""
     if destination.exists():
         destination.rename(old)
     new.rename(destination)

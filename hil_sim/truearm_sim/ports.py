@@ -1,4 +1,4 @@
-"""Where a client meets the simulated lab: a TCP port, or a pseudo-terminal."""
+"""The client interfaces of the simulated lab: a TCP port or a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import os
 import socket
 from dataclasses import dataclass, field
 
-LINK_BYTES = 16384  # what the link holds when its reader is slow
+LINK_BYTES = 16384  # capacity of the link when its reader is slow
 RX_BYTES = 256
 
 
 @dataclass
 class Port:
-    """A listening TCP port with at most one client, and what waits to be sent to it."""
+    """A listening TCP port with at most one client, and the data waiting to be sent to it."""
 
     listener: socket.socket
     client: socket.socket | None = None
@@ -20,7 +20,7 @@ class Port:
 
     @staticmethod
     def listen(host: str, port: int) -> Port:
-        """Raises OSError if the port is taken."""
+        """Open the port. Raises OSError if it is in use."""
         listener = socket.create_server((host, port), backlog=1)
         listener.setblocking(False)
         return Port(listener)
@@ -30,7 +30,7 @@ class Port:
         return int(self.listener.getsockname()[1])
 
     def connected(self) -> bool:
-        """Whether there is a client; takes a waiting one. A newer client takes the older one's place."""
+        """Return whether there is a client; accepts a waiting one. A newer client replaces the older one."""
         try:
             client, _ = self.listener.accept()
         except BlockingIOError:
@@ -69,7 +69,7 @@ class Port:
             self.drop()
 
     def drop(self) -> None:
-        """End the client's connection; what waited for it is lost, as on a real line."""
+        """End the client's connection; data waiting for it are lost, as on a real line."""
         if self.client is not None:
             self.client.close()
         self.client = None
@@ -81,10 +81,10 @@ class Port:
 
 
 class Terminal:
-    """A pseudo-terminal in raw mode, with a port's manners. It counts as connected once somebody has written to it."""
+    """A pseudo-terminal in raw mode with the interface of a port. It counts as connected after the first write."""
 
     def __init__(self) -> None:
-        import tty  # not on every platform
+        import tty  # not available on every platform
 
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)

@@ -1,14 +1,16 @@
-"""A robot controller that visits the poses of a plan: motion as a function of time, and what it reports.
+"""A robot controller that visits the poses of a plan: motion as a function of time, and its readings.
 
-Every move is straight in joint space along the quintic s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, the shortest that keeps all joints within
-their speeds and accelerations (its peaks are 15/8·Δq/T and 10/√3·Δq/T²). A dwell is counted from the end of the commanded
-motion. The joints then stand where the servo holds them, an error of its own at each stop, and ring for some tenths of a
-second about it; told to go where they stand, they stay. ``Arm`` can make them slow, limber and worn. Where the ball-bar
-has to be taken off (between two pairings, or because it would run out of travel on the way) the robot stops with its last
-joint turned back by MOUNTING, waits there for the operator, and goes the rest.
+Every move is straight in joint space along the quintic s(τ) = 10τ³ − 15τ⁴ + 6τ⁵, the shortest that keeps all joints
+within their speeds and accelerations (its peaks are 15/8·Δq/T and 10/√3·Δq/T²). A dwell is counted from the end of the
+commanded motion. The joints then rest where the servo holds them, with a new error at each stop, and ring about that
+position for some tenths of a second. A command to the current position causes no motion. ``Arm`` can make the joints
+slow, compliant and worn. Where the ball-bar must be removed (between two pairings, or because it would exceed its
+travel on the way), the robot stops with its last joint turned back by MOUNTING, waits there for the operator, and
+completes the move.
 
-A plan may hold more than dwells. Via points are stopped at, not waited at. Lines are driven along ``paths``, from rest to
-rest; before the first drive along another line the robot waits for the operator, who puts the device there.
+A plan may contain more than dwells. The robot stops at via points but does not wait there. Lines are driven along
+``paths``, from rest to rest. Before the first drive along another line the robot waits for the operator to place the
+device there.
 """
 
 from __future__ import annotations
@@ -25,25 +27,25 @@ from truearm_sim.arm import Arm, last_direction
 from truearm_sim.clocks import Clock
 from truearm_sim.paths import Path
 
-STEP = 2.0 * np.pi / 2**19  # rad, what a joint reading is a multiple of: 1.2e-5, a 19-bit encoder
-SERVO_SIGMA = 5e-5  # rad, where a joint comes to rest about its command
+STEP = 2.0 * np.pi / 2**19  # rad, resolution of a joint reading: 1.2e-5, a 19-bit encoder
+SERVO_SIGMA = 5e-5  # rad, deviation of a joint at rest from its command
 DWELL = 2.0  # s
 TURN = 0.5  # s of rest at a line's ends
-MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet no one takes the pause for a dwell of the plan
-PAUSE = 4.0  # s, for the operator to put the bar on
-READY = 0.5  # s, of the pause: the bar is on, hands are off
-VELOCITY_S = 1e-3  # over which a velocity is taken
+MOUNTING = 0.05  # rad; moves a sphere by a few millimetres, yet the pause is not taken for a dwell of the plan
+PAUSE = 4.0  # s, for the operator to mount the bar
+READY = 0.5  # s, end of the pause: the bar is on, hands are off
+VELOCITY_S = 1e-3  # interval over which a velocity is computed
 RING_HZ = 9.0
 RING_DECAY = 0.05  # s
-RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends softly
-SETTLED = 10.0 * RING_DECAY  # s; what is left then moves the endpoint by at most 30 nm
+RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends smoothly
+SETTLED = 10.0 * RING_DECAY  # s; the remaining ringing moves the endpoint by at most 30 nm
 
 
 Inputs = Callable[[Floats], NDArray[np.int64]]
 
 
 class States(NamedTuple):
-    """k readings of a controller: true time and its own [s], numbers from the start, joints [rad], digital inputs as bits."""
+    """k readings of a controller: true time and its own [s], numbers, joints [rad], digital inputs as bits."""
 
     t: Floats  # (k,)
     t_robot: Floats  # (k,)
@@ -57,7 +59,7 @@ class States(NamedTuple):
 
 @dataclass(frozen=True)
 class Controller:
-    """The motion of a whole plan, as arrays over its m stops; all times are true time [s].
+    """The motion of a complete plan, as arrays over its m stops; all times are true time [s].
 
     Stop i is approached from ``move_start[i]`` to ``arrive[i]`` and left at ``leave[i]``. It is the dwell at a pose of
     the plan or, where ``mounting[i]``, the wait before it, with the bar off from ``move_start[i]`` until READY before
@@ -73,7 +75,7 @@ class Controller:
     arrive: Floats  # (m,)
     leave: Floats  # (m,)
     q: Floats  # (m, j) commanded
-    q_held: Floats  # (m, j) where the servo holds the joints
+    q_held: Floats  # (m, j) joints held by the servo
     ring: Floats  # (m, j) amplitude after arrival
     direction: Floats  # (m, j) in which each joint last moved: −1, 0 (never) or 1
     arm: Arm
@@ -93,7 +95,8 @@ class Controller:
         paths: Mapping[int, Path] | None = None,
         delay: float = 0.0,
     ) -> Controller:
-        """The motion of ``plan``; ``remount`` (n,) adds poses before which the bar is taken off to new pairings.
+        """Return the motion of ``plan``; ``remount`` (n,) adds poses before which the bar is removed to those of new
+        pairings.
 
         ``paths``: of every row that is a line.
         """
@@ -133,50 +136,50 @@ class Controller:
 
     @property
     def duration(self) -> float:
-        """End of the last dwell [s]."""
+        """Return the end of the last dwell [s]."""
         return float(self.leave[-1])
 
     @property
     def dwells(self) -> NDArray[np.int64]:
-        """The stops (n,) that are the dwells at the plan's n poses."""
+        """Return the stops (n,) that are the dwells at the plan's n poses."""
         return np.flatnonzero(~self.mounting & self.plan.dwells[self.pose])
 
     @property
     def is_line(self) -> NDArray[np.bool_]:
-        """(m,) the stops to which a line is driven."""
+        """Return a mask (m,) of the stops to which a line is driven."""
         return np.asarray(self.plan.lines[self.pose])
 
     def stop_index(self, t: Floats) -> NDArray[np.int64]:
-        """Index of the stop that the robot goes to or stands at, at each time t (k,)."""
+        """Return the index of the stop that the robot approaches or has reached, at each time t (k,)."""
         return np.clip(np.searchsorted(self.move_start, t, side="right") - 1, 0, len(self.pose) - 1)
 
     def bar_is_on(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the bar connects chuck and sphere at each time t (k,)."""
+        """Return whether the bar connects chuck and sphere at each time t (k,)."""
         i = self.stop_index(t)
         return np.asarray((~self.mounting[i] | (t >= self.leave[i] - READY)) & (self.plan.bar[self.pose[i]] != ""))
 
     @property
     def q_rest(self) -> Floats:
-        """Joints (m, j) as they are when they have come to rest: the links behind their encoders where the arm is worn."""
+        """Return the joints (m, j) at rest: the links behind their encoders if the arm is worn."""
         return np.asarray(self.q_held + self.arm.behind(self.direction) + self.arm.apart(self.q_held))
 
     def is_settled(self, t: Floats) -> NDArray[np.bool_]:
-        """Whether the joints stand at ``q_rest`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
+        """Return whether the joints are at ``q_rest`` of their stop, to 30 nm at the endpoint, at each time t (k,)."""
         return np.asarray(t >= self.arrive[self.stop_index(t)] + self.arm.rest_s(SETTLED))
 
     def q_commanded(self, t: Floats) -> Floats:
-        """Commanded joints (k, j) at times t (k,)."""
+        """Return the commanded joints (k, j) at times t (k,)."""
         return self._between(self.q, t)
 
     def q_true(self, t: Floats) -> Floats:
-        """Joints as they are (k, j) at times t (k,): servo error, ringing, backlash and what else the arm has of errors."""
+        """Return the true joints (k, j) at times t (k,): with servo error, ringing, backlash and other errors."""
         i = self.stop_index(t)
         swing = self.arm.swinging(t - self.arrive[i])[:, None] * self.direction[i]
         driven = self.q_driven(t)
         return np.asarray(driven + self.arm.behind(self.direction[i]) + swing + self.arm.apart(driven))
 
     def q_driven(self, t: Floats) -> Floats:
-        """Joints at their encoders (k, j) at times t (k,): what a reading without noise would be."""
+        """Return the joints at their encoders (k, j) at times t (k,): a reading without noise."""
         i = self.stop_index(t)
         since = np.maximum(t - self.arrive[i], 0.0)
         wave = np.exp(-since / RING_DECAY) * np.sin(2.0 * np.pi * RING_HZ * since)
@@ -188,12 +191,12 @@ class Controller:
         return np.asarray(self._between(self.q_held, t) + self.ring[i] * wave[:, None] + short)
 
     def _read(self, t: Floats, numbers: NDArray[np.int64]) -> Floats:
-        """Joint readings (k, j) of these numbers at times t (k,)."""
+        """Return the joint readings (k, j) with these numbers at times t (k,)."""
         q = self.q_driven(t)
         return quantised(q + self.arm.reading_noise(self.seed, numbers, q.shape[1]))
 
     def way(self, t: Floats) -> Floats:
-        """How far the target has come along its line (k,) [m] at times t (k,); 0 where no line is driven."""
+        """Return the distance covered by the target along its line (k,) [m] at times t (k,); 0 without a line."""
         i, out = self.stop_index(t), np.zeros(len(t))
         for stop in self._line_stops(i):
             at = i == stop
@@ -201,11 +204,11 @@ class Controller:
         return out
 
     def _line_stops(self, i: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of the stops i (k,) to which a line is driven, each once."""
+        """Return those of the stops i (k,) to which a line is driven, each once."""
         return np.unique(i[self.is_line[i]]) if self.paths else np.empty(0, np.int64)
 
     def _between(self, q: Floats, t: Floats) -> Floats:
-        """Where the moves between the rows of q (m, j) are at times t (k,)."""
+        """Return the position of the moves between the rows of q (m, j) at times t (k,)."""
         i = self.stop_index(t)
         before = np.maximum(i - 1, 0)
         share = (t - self.move_start[i]) / np.maximum(self.arrive[i] - self.move_start[i], 1e-9)
@@ -218,20 +221,20 @@ class Controller:
         return out
 
     def ticks(self, t0: float, t1: float) -> tuple[Floats, NDArray[np.int64]]:
-        """Controller times [s] of the readings with t0 ≤ true time < t1, and their numbers since true time 0."""
+        """Return controller times [s] of the readings with t0 ≤ true time < t1, and their numbers since true time 0."""
         numbers = [int(np.ceil(self.clock.reading(t) * self.rate)) for t in (0.0, t0, t1)]
         ticks = np.arange(numbers[1], numbers[2])
         return ticks / self.rate, ticks - numbers[0]
 
     def readings(self, t0: float, t1: float) -> tuple[Floats, Floats]:
-        """Controller times (k,) [s] and joint readings (k, j) [rad] with t0 ≤ true time < t1, any chunks alike."""
+        """Return controller times (k,) [s] and readings (k, j) [rad] with t0 ≤ true time < t1, same for any chunks."""
         t_robot, numbers = self.ticks(t0, t1)
         return t_robot, self._read(self.clock.true(t_robot) - self.delay, numbers)
 
     def states(self, t0: float, t1: float, inputs: Inputs | None = None) -> States:
-        """What the controller says of the readings with t0 ≤ true time < t1, any chunks alike.
+        """Return the controller's readings with t0 ≤ true time < t1, the same for any chunks.
 
-        ``inputs``: its digital inputs as bits (k,) at true times (k,), all 0 without.
+        ``inputs``: its digital inputs as bits (k,) at true times (k,), by default all 0.
         """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
@@ -249,16 +252,16 @@ class Controller:
         )
 
     def reading_lines(self, t0: float, t1: float, inputs: Inputs | None = None) -> tuple[Floats, list[bytes]]:
-        """True times (k,) [s] and JSON lines, each ending with a line feed, as the controller sends them.
+        """Return true times (k,) [s] and JSON lines, each ending with a line feed, as the controller sends them.
 
         ``t`` is controller time [s], ``seq`` counts from the start, ``q`` is measured, ``q_cmd`` commanded [rad]. With
-        ``inputs`` (see ``states``) they are there too.
+        ``inputs`` (see ``states``) the lines contain them too.
         """
         t_robot, numbers = self.ticks(t0, t1)
         t = self.clock.true(t_robot)
         measured, commanded = self._read(t - self.delay, numbers), self.q_commanded(t - self.delay)
         j = measured.shape[1]
-        # Digits enough for the readings' step to be seen in differences of differences of what is printed.
+        # Enough digits to show the readings' step in second differences of the printed values.
         line = '{"t":%.6f,"seq":%d,"q":[' + ",".join(["%.12f"] * j) + '],"q_cmd":[' + ",".join(["%.9f"] * j) + "]%s}\n"
         more = [""] * t.size if inputs is None else [f',"inputs":{bits}' for bits in inputs(t).tolist()]
         rows = zip(t_robot.tolist(), numbers.tolist(), measured.tolist(), commanded.tolist(), more, strict=True)
@@ -266,13 +269,16 @@ class Controller:
 
 
 def new_pairing(plan: Plan) -> NDArray[np.bool_]:
-    """True (n,) where a bar connects something else than at the row before; the first row with a bar is one of them."""
+    """Return True (n,) where a bar connects other items than at the previous row, and at the first row with a bar."""
     ids = np.stack([plan.bar, plan.chuck, plan.sphere])
     return np.asarray(np.concatenate([[True], np.any(ids[:, 1:] != ids[:, :-1], axis=0)]) & (plan.bar != ""))
 
 
 def stays(plan: Plan) -> Floats:
-    """How long the robot rests at each row (n,) [s]; before the first drive along another line the operator has his PAUSE."""
+    """Return the duration of the robot's rest at each row (n,) [s].
+
+    Before the first drive along another line it includes the operator's PAUSE.
+    """
     begins = np.append(plan.lines[1:], False) & ~plan.lines
     drives = np.flatnonzero(plan.lines)
     new = drives[np.append(True, plan.line[drives[1:]] != plan.line[drives[:-1]])] if drives.size else drives
@@ -282,17 +288,17 @@ def stays(plan: Plan) -> Floats:
 
 
 def quintic(share: Floats) -> Floats:
-    """10τ³ − 15τ⁴ + 6τ⁵ for the share τ of a move's duration, 0 to 1."""
+    """Return 10τ³ − 15τ⁴ + 6τ⁵ for the share τ of a move's duration, 0 to 1."""
     return np.asarray(share**3 * (10.0 + share * (6.0 * share - 15.0)))
 
 
 def ring_amplitudes(delta: Floats, durations: Floats) -> Floats:
-    """Amplitudes (n, j) [rad] after moves of delta (n, j): RING_SHARE of peak acceleration over ω²."""
+    """Return amplitudes (n, j) [rad] after moves of delta (n, j): RING_SHARE of peak acceleration over ω²."""
     peak = 10.0 / np.sqrt(3.0) * delta / np.maximum(durations, 1e-3)[:, None] ** 2
     amplitudes: Floats = RING_SHARE * peak / (2.0 * np.pi * RING_HZ) ** 2
     return amplitudes
 
 
 def quantised(q: Floats) -> Floats:
-    """Joint readings: the nearest multiple of STEP."""
+    """Return joint readings: the nearest multiple of STEP."""
     return np.asarray(STEP * np.round(q / STEP))

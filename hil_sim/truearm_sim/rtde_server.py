@@ -1,8 +1,9 @@
-"""The controller's side of RTDE: what the World's robot does, on a Universal Robots controller's port.
+"""The controller's side of RTDE: the World's robot on the port of a Universal Robots controller.
 
-It speaks protocol version 2 of the public description as far as a reader of outputs goes; ``truearm.record.robots.rtde_packages`` has the
-bytes. The output fields are those that readers of robots ask for; what the World has no value for is zero. Inputs (fields that a
-client would write) are refused. One client at a time, as ``Port`` has it.
+It implements protocol version 2 of the public description as far as needed to read outputs; the bytes are in
+``truearm.record.robots.rtde_packages``. The output fields are those that readers of robots request; fields without a
+value in the World are zero. Inputs (fields that a client would write) are rejected. There is one client at a time, as
+in ``Port``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from truearm_sim.robot import States
 
 from .ports import Port
 
-CONTROLLER = (5, 15, 0, 0)  # as an e-Series says it
+CONTROLLER = (5, 15, 0, 0)  # as reported by an e-Series
 
 _VECTORS = """target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
 actual_current_window joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed
@@ -44,12 +45,12 @@ _REGISTERS = {
     re.compile(r"(in|out)put_bit_registers(0_to_31|32_to_63)"): "UINT32",
     re.compile(r"(in|out)put_bit_register_\d{2,3}"): "BOOL",
 }
-# What is the same all the time: the robot runs (7), its program too (2), safety is normal (1), at full speed.
+# Constant values: the robot runs (7), so does its program (2), safety is normal (1), at full speed.
 CONSTANT = {"robot_mode": 7, "runtime_state": 2, "safety_mode": 1, "speed_scaling": 1.0, "target_speed_fraction": 1.0}
 
 
 def type_of(name: str) -> str:
-    """The type of an output field, NOT_FOUND if the description has no such field."""
+    """Return the type of an output field, NOT_FOUND if the description has no such field."""
     for pattern, type_ in _REGISTERS.items():
         if pattern.fullmatch(name):
             return type_
@@ -58,7 +59,7 @@ def type_of(name: str) -> str:
 
 @dataclass
 class RtdeServer:
-    """A listening controller. ``rate_hz``: of the World's readings, the most that a client gets."""
+    """A listening controller. ``rate_hz``: of the World's readings, the highest rate for a client."""
 
     port: Port
     rate_hz: float
@@ -75,13 +76,13 @@ class RtdeServer:
         return there
 
     def report(self, states: States) -> None:
-        """Answer what the client asked, then tell it the readings if it has started them."""
+        """Answer the client's requests, then send it the readings if it has started them."""
         for kind, payload in self._packages.push(self.port.receive()):
             self.port.send(self._answer(kind, payload))
         if self._packages.broken:
             self.port.drop()
         data = self.data(states) if self.running else b""
-        # A reader that is slower than the controller misses packages; it never gets a part of one.
+        # A reader that is slower than the controller misses packages, but never receives part of one.
         self.port.send(data if len(data) <= self.port.room() else b"")
 
     def close(self) -> None:
@@ -101,7 +102,7 @@ class RtdeServer:
         return rtde.package(rtde.TEXT, _text(f"package type {kind} is not served"))
 
     def _set_up(self, payload: bytes) -> bytes:
-        """Take an output recipe; the answer's payload."""
+        """Accept an output recipe; return the answer's payload."""
         frequency = float(np.frombuffer(payload[:8].ljust(8, b"\0"), ">f8")[0])
         names = [name for name in payload[8:].decode("ascii", "replace").split(",") if name]
         types = [type_of(name) for name in names]
@@ -112,7 +113,7 @@ class RtdeServer:
         return bytes([found]) + answer
 
     def data(self, states: States) -> bytes:
-        """Data packages of the readings, every so many of them as the client asked for."""
+        """Return data packages of the readings, at the rate that the client requested."""
         if self._recipe is None:
             return b""
         rows = np.flatnonzero(states.number % self._every == 0)
@@ -123,7 +124,7 @@ class RtdeServer:
         )
 
     def _column(self, name: str, place: slice, states: States) -> np.ndarray:
-        """Values (m, width) of a field."""
+        """Return the values (m, width) of a field."""
         width, m = place.stop - place.start, len(states.t)
         known = {
             "timestamp": states.t_robot[:, None],

@@ -1,7 +1,7 @@
 """The lab in real time: the box behind a TCP port or a pseudo-terminal, the robot behind a TCP port, on loopback.
 
-Time starts with the first connection. Each tick the box is granted the time that has passed on the wall, with what its client
-wrote; while nobody is connected the link takes nothing, and the box counts what it has to drop.
+Time starts with the first connection. At each tick the box is granted the elapsed wall-clock time, with the bytes its
+client wrote. While no client is connected the link accepts nothing, and the box counts what it must drop.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def serve(
     ended: Callable[[], None] = lambda: None,
     longest_step_ns: int | None = None,
 ) -> None:
-    """Run until the robot's program has ended and the box's client has gone, or until ``stop()``.
+    """Run until the robot's program has ended and the box's client has disconnected, or until ``stop()``.
 
-    ``started`` and ``ended`` are called when time starts and when the robot's program has ended. Then a robot of lines says so and closes
-    its stream, a controller goes on to send where it stands.
-    ``longest_step_ns``: for a box that may be slower than the wall clock. The lab's time goes on by no more than that at once
-    and falls behind, box and robot alike; without it a late box would get longer and longer steps.
+    ``started`` is called when time starts, ``ended`` when the robot's program has ended. Then a robot that sends lines
+    reports this and closes its stream; a controller continues to send its position. ``longest_step_ns``: for a box that
+    may be slower than the wall clock. The lab's time advances by at most this much at once and falls behind, for box
+    and robot alike. Without it a late box would get longer and longer steps.
     """
-    clock = HostClock()  # the recorder's: a slew of the wall clock would show as a drift of the box
+    clock = HostClock()  # as for the recorder: a slew of the wall clock would look like a drift of the box
     start_ns: int | None = None
     sent_until_ns = 0
     running = True
@@ -72,7 +72,7 @@ def serve(
 
 
 def _report(world: World, box: SimulatedBox, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
-    """Tell the robot's client the readings between two true times."""
+    """Send the robot's client the readings between two true times."""
     if isinstance(robot_port, Port):
         _, lines = world.robot_lines(since_ns, until_ns, box.output_at)
         robot_port.send(b"".join(lines) if robot_port.client else b"")

@@ -1,6 +1,6 @@
-"""The sensor box in its world: power, a crystal, flash, what comes to its inputs, and the faults that are asked for.
+"""The sensor box in its world: power, a crystal, flash, its inputs, and requested faults.
 
-What runs behind it is ``Hardware``: the firmware in a MicroPython, or whatever ``power_on`` makes of a boot.
+``Hardware`` runs behind it: the firmware in a MicroPython, or whatever ``power_on`` creates at a boot.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .micropython import Interpreter
 from .vmbox import VmBox
 from .world import World
 
-SHORT_WRITE = 100  # bytes that the link takes of a data frame's 251
+SHORT_WRITE = 100  # bytes that the link accepts of a data frame's 251
 STALL_NS = 200_000_000
 NO_STOP_S = 0.01
 FAULTS = (
@@ -46,12 +46,13 @@ _CAUSES = {"reset": COMMAND, "watchdog": WATCHDOG, "power cut": POWER}
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong at ``t_s`` of the lab's time.
+    """A fault at ``t_s`` of the lab's time.
 
-    flip: one bit of a data frame; lose, double: a data frame; text: stray text between frames; short-write: the link takes half a
-    frame; stall: the firmware stands still for 0.2 s; crash: it raises, prints a traceback and restarts; reboot: power fails; hang:
-    the firmware stands still until its watchdog bites; bad-crc: a frame of the converter is damaged; converter-reset: the converter
-    resets itself; no-stop: for 10 ms no stop pulse of the magnetostrictive head comes.
+    flip: one bit of a data frame; lose, double: a data frame; text: stray text between frames; short-write: the link
+    accepts half a frame; stall: the firmware stops for 0.2 s; crash: it raises an exception, prints a traceback and
+    restarts; reboot: power fails; hang: the firmware stops until its watchdog resets it; bad-crc: a frame of the
+    converter is damaged; converter-reset: the converter resets itself; no-stop: for 10 ms no stop pulse of the
+    magnetostrictive head arrives.
     """
 
     t_s: float
@@ -65,7 +66,7 @@ class Fault:
 
 
 class SimulatedBox:
-    """A box that samples the world. ``advance`` is its only step; its flash lasts from boot to boot."""
+    """A box that samples the world. ``advance`` is its only step; its flash persists from boot to boot."""
 
     def __init__(
         self,
@@ -78,9 +79,10 @@ class SimulatedBox:
         setup: BoxSetup | None = None,
         power_on: PowerOn | None = None,
     ) -> None:
-        """``edges``: on its trigger lines, true time, in order. ``setup``: by default what the world says of its box.
+        """Create a box. ``edges``: on its trigger lines, true time, in order. ``setup``: by default that of the world's
+        box.
 
-        ``power_on`` makes the hardware of a boot; by default a ``VmBox`` with ``interpreter`` (None: CPython).
+        ``power_on`` creates the hardware of a boot; by default a ``VmBox`` with ``interpreter`` (None: CPython).
         """
         self._world = world
         self._setup = setup or BoxSetup(config=world.box_config())
@@ -95,14 +97,14 @@ class SimulatedBox:
         self._cause = POWER
         self._hardware: Hardware | None = None
         self._boot_at_ns: int | None = 0  # when the power comes (back)
-        self._boot_ns = 0  # what a reset takes
-        self.boot_device_ns = 0  # what the device clock showed at the latest boot
+        self._boot_ns = 0  # duration of a reset
+        self.boot_device_ns = 0  # device clock at the latest boot
         self._sampling = False
         self._stalled_until_ns = 0
         self._short_write = False
         self.output = False  # level of its trigger output
-        self.output_edges: list[tuple[int, bool]] = []  # of that so far: true time [ns], level
-        self.wake_ns: int | None = None  # true time at which its firmware wants to run again, whatever comes
+        self.output_edges: list[tuple[int, bool]] = []  # of the output so far: true time [ns], level
+        self.wake_ns: int | None = None  # true time at which its firmware wants to run again in any case
         self.led = 0
         self.first_ns: tuple[int | None, int | None] = (None, None)  # lab's device clock at sample 0 of each stream
 
@@ -112,23 +114,23 @@ class SimulatedBox:
         return Path(self._flash.name)
 
     def device_us(self, t_ns: int) -> int:
-        """Time on the box's hardware timer [µs since its boot] at true time ``t_ns``."""
+        """Return the time on the box's hardware timer [µs since its boot] at true time ``t_ns``."""
         return self._device_ns(t_ns) // 1000
 
     def true_s(self, device_us: Floats) -> Floats:
-        """True time [s] of times on the hardware timer since the latest boot: what a clock fit is judged by."""
+        """Return true times [s] of times on the hardware timer since the latest boot, to judge a clock fit."""
         reading = 1e-6 * device_us + 1e-9 * self.boot_device_ns
         true: Floats = self._world.clocks.device.true(reading)
         return true
 
     def output_at(self, t: Floats) -> NDArray[np.bool_]:
-        """Level (m,) of its trigger output at true times (m,) [s] up to now."""
+        """Return the level (m,) of its trigger output at true times (m,) [s] up to now."""
         times = 1e-9 * np.array([t_ns for t_ns, _ in self.output_edges])
         levels = np.array([False, *(level for _, level in self.output_edges)])
         return np.asarray(levels[np.searchsorted(times, t, side="right")])
 
     def advance(self, t_ns: int, rx: bytes = b"", tx_room: int = 0xFFFF) -> Iterator[bytes]:
-        """Let the box run up to true time ``t_ns``; yields the bytes it sent, step by step."""
+        """Run the box up to true time ``t_ns``; yields the bytes it sent, step by step."""
         if self._hardware is None:
             if self._boot_at_ns is None or t_ns < self._boot_at_ns:
                 return
@@ -156,11 +158,11 @@ class SimulatedBox:
         self._short_write = self._short_write and sent < SHORT_WRITE  # until a frame did not fit
 
     def power_cycle(self, t_ns: int) -> None:
-        """Power goes, and comes back as after any reset."""
+        """Cut the power; it returns as after any reset."""
         self._power_off(t_ns, POWER)
 
     def close(self) -> None:
-        """End the firmware's process and drop the flash."""
+        """End the firmware's process and delete the flash."""
         self._switch_off()
         self._flash.cleanup()
 
@@ -175,7 +177,7 @@ class SimulatedBox:
         self._boot_ns = self._hardware.boot_ns
 
     def _end(self, t_ns: int, end: str) -> None:
-        """The firmware ended itself or was ended; at the prompt and in the boot loader the box says nothing more."""
+        """Handle the end of the firmware; at the prompt and in the boot loader the box is silent."""
         if end in _CAUSES:
             self._power_off(t_ns, _CAUSES[end])
         else:
@@ -203,7 +205,7 @@ class SimulatedBox:
         return self._world.device_clock.from_true_ns(t_ns) - self.boot_device_ns
 
     def _due_edges(self, t_ns: int) -> list[Edge]:
-        """The edges up to ``t_ns``, in device time; those that came before the boot met a box without power."""
+        """Return the edges up to ``t_ns``, in device time; those before the boot met a box without power."""
         due = [edge for edge in self._edges if edge.t_ns <= t_ns]
         self._edges = self._edges[len(due) :]
         timed = [Edge(self._device_ns(edge.t_ns), edge.line, edge.rising) for edge in due]
@@ -241,7 +243,7 @@ class SimulatedBox:
         return None
 
     def _damage(self, tx: bytes, fault: str | None) -> bytes:
-        """Apply a fault of the link to the first data frame of ``tx``; without one it waits for the next bytes."""
+        """Apply a fault of the link to the first data frame of ``tx``; if there is none it waits for the next bytes."""
         if fault not in ("flip", "lose", "double", "text"):
             return tx
         start = next(

@@ -1,8 +1,8 @@
-"""A stage in place of the arm: all sensors follow a carriage that somebody sets, to rehearse ``truearm box gauge``.
+"""A stage in place of the arm: all sensors follow a carriage moved by hand, to rehearse ``truearm box gauge``.
 
-The sensors' true calibrations differ from what the box says of them, which is what a gauging has to find: their zero and gain are drawn
-from the seed, and the LVDT and the transverse transducers are bent. The carriage takes its time: whoever samples at once meets a sensor
-that moves.
+The sensors' true calibrations differ from those stored in the box, and a gauging must find them: their zero and gain
+are random, from the seed, and the LVDT and the transverse transducers are bent. The carriage takes time to move:
+samples taken immediately show a moving sensor.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from truearm_sim.world import MAG_MIDDLE, MAG_PERIOD_NS, Level, Setup, World, st
 
 SPEED = 0.02  # m/s, at the middle of a move
 SETTLE_S = 0.3  # of the shortest move
-LARGEST = 0.04  # m, either way
-_CURVES = 0x57A6E  # of their random numbers, beside the seed
+LARGEST = 0.04  # m, in either direction
+_CURVES = 0x57A6E  # of their random numbers, in addition to the seed
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,20 @@ class Curve:
     bend: float
 
     def volts(self, position: Floats) -> Floats:
-        """The voltage (m,) at positions (m,): the root near V = (position − zero)/gain."""
+        """Return the voltage (m,) at positions (m,): the root near V = (position − zero)/gain."""
         rest = position - self.zero
         return np.asarray(2.0 * rest / (self.gain + np.sqrt(self.gain**2 + 4.0 * self.bend * rest)))
 
 
 def drawn_curve(poly: sensors.Poly, rng: np.random.Generator) -> Curve:
-    """A curve about what the box says of a sensor: zero to 0.2 mm, gain to 0.5 %, bent by 0.1 % of the gain at 1 V."""
+    """Return a random curve near the box's data: zero to 0.2 mm, gain to 0.5 %, bent by 0.1 % of the gain at 1 V."""
     zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in poly)
     a, b, c = rng.standard_normal(3)
     return Curve(zero + 2e-4 * a, gain * (1.0 + 5e-3 * b), 1e-3 * gain * np.copysign(0.5 + abs(c), c))
 
 
 class Stage(World):
-    """A world in which somebody sets a carriage. Its box samples what the carriage is at, from the moment on at which it is set."""
+    """A world with a carriage set by hand. Its box samples the carriage's position from the time it is set."""
 
     def __init__(self, seed: int) -> None:
         super().__init__(seed, standard_plan(9, seed), setup=Setup(mag_period_ns=MAG_PERIOD_NS))
@@ -57,7 +57,7 @@ class Stage(World):
         self._moves = [(0.0, 1.0, 0.0, 0.0)]  # begin and end [s], from and to [m]
 
     def move_to(self, position: float) -> None:
-        """Set the carriage [m]: it leaves at once. Raises ValueError beyond LARGEST."""
+        """Set the carriage [m]: it starts at once. Raises ValueError beyond LARGEST."""
         if not abs(position) <= LARGEST:
             raise ValueError(position)
         here = float(self.position(np.array([self.now_s]))[0])
@@ -65,7 +65,7 @@ class Stage(World):
         self._moves.append((self.now_s, self.now_s + seconds, here, position))
 
     def position(self, t: Floats) -> Floats:
-        """Where the carriage is (m,) [m] at true times t (m,)."""
+        """Return the position of the carriage (m,) [m] at true times t (m,)."""
         begin, end, origin, target = np.array(self._moves).T
         i = np.maximum(np.searchsorted(begin, t, side="right") - 1, 0)
         share = np.clip((t - begin[i]) / (end[i] - begin[i]), 0.0, 1.0)
@@ -92,7 +92,7 @@ class Stage(World):
         return np.rint(1e12 / self.speed_of_sound * position + 1e3 * sensors.MAG_DELAY_NS + noise).astype(np.int64)
 
     def robot_lines(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> tuple[NDArray[np.int64], list[bytes]]:
-        """No robot says anything; the lab's time is noted, at which the carriage is set."""
+        """Return no lines, as there is no robot; record the lab's time, at which the carriage is set."""
         self.now_s = 1e-9 * t1_ns
         return np.zeros(0, np.int64), []
 
@@ -103,12 +103,12 @@ class Stage(World):
 
     @property
     def robot_end_ns(self) -> int:
-        """Never: whoever sets the carriage ends it."""
+        """Return a time that is never reached: whoever sets the carriage ends the program."""
         return 1 << 62
 
 
 def _noise(seed: int, channel: int, k0: int, k1: int) -> Floats:
-    """Standard normal numbers (k1 − k0,) of samples k0 ≤ k < k1."""
+    """Return standard normal numbers (k1 − k0,) of samples k0 ≤ k < k1."""
     first, last = k0 // sensors.BLOCK, (k1 - 1) // sensors.BLOCK
     drawn = np.concatenate([_block(seed, channel, block) for block in range(first, last + 1)])
     return np.asarray(drawn[k0 - first * sensors.BLOCK : k1 - first * sensors.BLOCK])

@@ -1,4 +1,4 @@
-"""A laboratory that warms up: the ball-bar and its sensor with it, and the thermometers on them."""
+"""A laboratory that warms up, with the ball-bar, its sensor, and the thermometers on them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ STEP = 62.5  # m°C, of a DS18B20
 
 @dataclass(frozen=True)
 class Thermal:
-    """The bar is ``begin`` [°C] at first and ``drift`` [K] warmer at the end of the session, linearly; its sensor and the box ``ahead`` [K] more.
+    """The bar starts at ``begin`` [°C] and warms up linearly by ``drift`` [K] over the session.
 
-    ``expansion`` of the bar's zero and ``gain_drift`` of its sensor [1/K], from the reference temperature on. ``thermometers``: those that
-    are on the wire, of ``THERMOMETERS``.
+    Its sensor and the box are ``ahead`` [K] warmer. ``expansion`` of the bar's zero and ``gain_drift`` of its sensor
+    [1/K] are relative to the reference temperature. ``thermometers``: those of ``THERMOMETERS`` that are on the wire.
     """
 
     begin: float = REFERENCE_DEGC
@@ -29,17 +29,17 @@ class Thermal:
     thermometers: tuple[str, ...] = ("bar", "sensor")
 
     def degc(self, name: str, share: Floats) -> Floats:
-        """(m,) [°C] what is called ``name`` is worth at shares (m,) of the session that have passed."""
+        """Return the temperature (m,) [°C] of the item ``name`` at elapsed shares (m,) of the session."""
         bar = self.begin + self.drift * np.clip(share, 0.0, 1.0)
         return np.asarray(bar if name == "bar" else bar + self.ahead)
 
     def readings(self, share: float) -> tuple[tuple[bytes, int], ...]:
-        """Address and m°C of each thermometer on the wire."""
+        """Return address and m°C of each thermometer on the wire."""
         degc = {name: float(self.degc(name, np.array([share]))[0]) for name in self.thermometers}
         return tuple((THERMOMETERS[name], round(STEP * round(1e3 * value / STEP))) for name, value in degc.items())
 
     def declared(self, rig: Rig) -> Rig:
-        """``rig`` with what a data sheet says of its bars: these coefficients, to a tenth."""
+        """Return ``rig`` with a data sheet's coefficients for its bars: these ones, to a tenth."""
         bars = {
             name: replace(
                 bar,
@@ -53,5 +53,5 @@ class Thermal:
         return replace(rig, bars=bars)
 
     def named(self) -> dict[str, str]:
-        """The thermometers as the box's configuration names them."""
+        """Return the thermometers by their names in the box's configuration."""
         return {name: THERMOMETERS[name].hex() for name in self.thermometers}

@@ -1,7 +1,8 @@
-"""The robot in the lab: what it truly is beside what its controller believes, and how fast it moves.
+"""The robot in the lab: its true parameters, as opposed to its controller's model, and its speed.
 
-The truth is drawn about the design: each length and angle that the robot file lets be identified by a tolerance of its own, as a maker's
-drawing has it. Encoders count whole turns, so gains are as designed. The PUMA 560 is the one that Goswami measured (Table II).
+The truth is random about the design: each length and angle that the robot file allows to be identified has its own
+tolerance, as in a manufacturer's drawing. Encoders count whole turns, so gains are as designed. The PUMA 560 is the one
+that Goswami measured (Table II).
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from truearm.model.robot import Robot
 from truearm.types import Floats
 from truearm_sim.arm import Arm
 
-PAPER = "puma560"  # moves as the PUMA 560 does, and stands before the rig of the paper
-MEASURED = "optimised"  # the set of parameters that is the truth where a robot file has one
+PAPER = "puma560"  # moves as the PUMA 560 does, and has the rig of the paper
+MEASURED = "optimised"  # the set of parameters that is the truth if a robot file has one
 JOINT_SPEED, JOINT_ACCELERATION = 1.2, 5.0  # rad/s, rad/s², of other arms
 SLIDE_SPEED, SLIDE_ACCELERATION = 0.3, 1.0  # m/s, m/s², of their prismatic joints
-_TRUTH = 0x7207  # of the truth's random numbers, beside the seed
+_TRUTH = 0x7207  # of the truth's random numbers, in addition to the seed
 
 
 @dataclass(frozen=True)
@@ -31,12 +32,16 @@ class Tolerance:
     angle: float = 2e-3
 
     def of(self, unit: str) -> float:
-        """By a parameter's unit; 0 for a ratio."""
+        """Return the standard deviation by a parameter's unit; 0 for a ratio."""
         return {"m": self.length, "rad": self.angle}.get(unit, 0.0)
 
 
 def true_params(robot: Robot, seed: int, tolerance: Tolerance | None = None) -> Floats:
-    """Return the true parameters (p,): a robot file's measured ones, unless a tolerance is given; else drawn from the seed."""
+    """Return the true parameters (p,): the measured ones of a robot file unless a tolerance is given; otherwise random
+    ones.
+
+    The random ones depend on the seed.
+    """
     if tolerance is None and MEASURED in robot.parameter_sets:
         return robot.parameter_sets[MEASURED]
     tolerance = tolerance or Tolerance()
@@ -48,7 +53,7 @@ def true_params(robot: Robot, seed: int, tolerance: Tolerance | None = None) -> 
 
 
 def moving(robot: Robot, arm: Arm | None = None) -> Arm:
-    """Return an arm, a stiff one by default, that moves as fast as this robot does, with its backlash on all joints."""
+    """Return an arm, a stiff one by default, with this robot's speed and with its backlash on all joints."""
     arm = arm or Arm()
     joints = robot.chain.joints
     if arm.backlash:

@@ -1,4 +1,4 @@
-"""A box at VM level: the firmware in a MicroPython, fed with what the hardware would have latched."""
+"""A box at VM level: the firmware in a MicroPython, supplied with what the hardware would have latched."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 from .micropython import Interpreter
 from .sensors import TICK_PS, period_ns
 
-BATCH = 100  # samples of a stream a grant, at most
+BATCH = 100  # samples of a stream per grant, at most
 
 
 @dataclass
 class Feed:
-    """One source's samples since it was started: when the first is due (device time), how many were given."""
+    """One source's samples since its start: when the first is due (device time), how many were delivered."""
 
     first_ns: int
     period_ns: int
     given: int = 0
 
     def take(self, device_ns: int) -> tuple[int, int]:
-        """Samples k0 ≤ k < k1 that were latched up to ``device_ns`` and not given yet, at most BATCH."""
+        """Return samples k0 ≤ k < k1 that were latched up to ``device_ns`` and not delivered yet, at most BATCH."""
         due = max(0, (device_ns - self.first_ns) // self.period_ns + 1)
         k0 = self.given
         self.given = max(k0, min(due, k0 + BATCH))
         return k0, self.given
 
     def stamps(self, k0: int, k1: int) -> NDArray[np.uint8]:
-        """The lower 32 bits of the hardware timer (n, 4), which counts whole microseconds since boot."""
+        """Return the lower 32 bits of the hardware timer (n, 4), which counts whole microseconds since boot."""
         stamps = (self.first_ns + np.arange(k0, k1, dtype=np.int64) * self.period_ns) // 1000
         return (stamps & 0xFFFFFFFF).astype(">u4").view(np.uint8).reshape(-1, 4)
 
 
 class VmBox:
-    """A running box (``Hardware``). ``interpreter`` None: CPython in MicroPython's place."""
+    """A running box (``Hardware``). ``interpreter`` None: CPython instead of MicroPython."""
 
     boot_ns = 1_500_000_000
 
@@ -105,13 +105,13 @@ class VmBox:
         records = np.empty((k1 - k0, MAG_RECORD), np.uint8)
         records[:, :4] = feed.stamps(k0, k1)
         flights = self._signals.flight_times(k0, k1, feed.first_ns, feed.period_ns)
-        # The start pulse begins in the middle of a tick, here as in the chip's model. 0 is shorter than any blanking.
+        # The start pulse begins in the middle of a tick, here as in the chip's model. 0 is below any blanking time.
         ticks = (np.maximum(flights, 0) + TICK_PS // 2) // TICK_PS
         records[:, 4:] = ticks.astype("<i4").view(np.uint8).reshape(-1, 4)
         return records.tobytes()
 
     def _judged(self, answer: Answer, device_us: int) -> Answer:
-        """Take over what the answer says of the hardware; a watchdog that was not fed ends the box."""
+        """Apply the answer's state of the hardware; a watchdog that was not fed ends the box."""
         self._rx_room = answer.rx_room
         if answer.starts != self._starts:
             self._starts = answer.starts
@@ -137,7 +137,7 @@ class VmBox:
 
 
 def _taken(feed: Feed | None, device_us: int, records: Callable[[Feed, int, int], bytes]) -> tuple[bytes, int]:
-    """Records of the samples that are due, and the first one's index."""
+    """Return records of the samples that are due, and the index of the first."""
     if feed is None:
         return b"", 0
     k0, k1 = feed.take(1000 * device_us)

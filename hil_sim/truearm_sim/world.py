@@ -1,7 +1,8 @@
-"""The world that the box measures: a robot with true parameters, a ball-bar, a line device, clocks. A function of time and a seed.
+"""The world that the box measures, as a function of time and seed: a true robot, a ball-bar, a line device, clocks.
 
-Nothing here has a state: ask for any samples or readings, in any order and chunks, and the same ones come. (One block of
-samples of each kind is kept, because readers ask for the next few samples of it.) True time starts at 0 with the first move.
+Nothing here has state: samples and readings are the same for any order and any chunks of requests. (One block of
+samples of each kind is kept, because readers request the next few samples of it.) True time starts at 0 with the first
+move.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from truearm_sim.true_robot import PAPER, moving, true_params
 NO_BAR = (math.nan,) * 4  # zero, gain, travel and sigma at rows of a plan with the bar off
 NO_POINT = (math.nan,) * 3
 MAG_PERIOD_NS = 983_040  # 1017 Hz
-MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor where no lines are driven
+MAG_STROKE = (0.05, 0.55)  # m, of the magnetostrictive sensor if no lines are driven
 MAG_MIDDLE = 0.30
 MAG_Y = 0.15  # m, of the sensor's middle in the base frame
 
@@ -44,10 +45,10 @@ Level = Callable[[Floats], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class RobotInput:
-    """The digital input of the controller that the box's trigger output is wired to, and what lies between.
+    """The controller's digital input to which the box's trigger output is wired, and the connection.
 
-    The output toggles every ``trigger_ms``. The input is ``inverted`` (a pull-down at an NPN input), and each edge of the output shows with a
-    delay [s] of its own, which differ by less than the time between edges.
+    The output toggles every ``trigger_ms``. The input is ``inverted`` (a pull-down at an NPN input). Each edge of the
+    output appears with its own delay [s]; the delays differ by less than the time between edges.
     """
 
     number: int
@@ -57,7 +58,7 @@ class RobotInput:
     falling_delay_s: float = 0.0
 
     def level(self, output: Level, t: Floats) -> NDArray[np.bool_]:
-        """Whether it is on (m,) at true times (m,)."""
+        """Return whether the input is on (m,) at true times (m,)."""
         risen, not_fallen = output(t - self.rising_delay_s), output(t - self.falling_delay_s)
         quick_to_fall = self.falling_delay_s < self.rising_delay_s
         high = risen & not_fallen if quick_to_fall else risen | not_fallen
@@ -65,8 +66,10 @@ class RobotInput:
 
 
 def standard_rig(robot: Robot | None = None) -> Rig:
-    """Three chucks on the table before a robot, three spheres on its endpoint, two bars: of 46 and 61 cm for the PUMA 560, which is
-    the default, else in proportion to the arm's reach. Raises PlanError for a robot without a branch.
+    """Return a rig with three chucks on the table in front of a robot, three spheres on its endpoint, and two bars.
+
+    The bars are 46 and 61 cm for the PUMA 560, which is the default, otherwise in proportion to the arm's reach. Raises
+    PlanError for a robot without a branch.
     """
     if robot is not None and robot.chain.name != PAPER:
         return first_rig(robot)
@@ -78,14 +81,15 @@ def standard_rig(robot: Robot | None = None) -> Rig:
 
 
 def arrivals(plan: Plan) -> NDArray[np.int64]:
-    """The row (n,) at which the robot came to where it is at each row: it stays where rows repeat."""
+    """Return the row (n,) at which the robot arrived at its position of each row: it stays there while rows repeat."""
     came = np.concatenate([[True], np.any(np.diff(plan.q, axis=0) != 0.0, axis=1)]) | new_pairing(plan)
     return np.maximum.accumulate(np.where(came, np.arange(len(plan)), 0))
 
 
 def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None, robot: Robot | None = None) -> Plan:
-    """``n_poses`` poses with each bar of the rig, one bar after the other, planned on the design model of a robot, the PUMA 560 by
-    default. Raises PlanError for a robot that does not reach them.
+    """Return ``n_poses`` poses with each bar of the rig, one bar after the other, planned on a robot's design model.
+
+    The PUMA 560 is the default. Raises PlanError for a robot that cannot reach them.
     """
     robot = robot or builtin_robot(PAPER)
     known = replace(Known.design(robot, rig or standard_rig(robot)), branch=branch_of(robot))
@@ -95,25 +99,26 @@ def standard_plan(n_poses: int = 800, seed: int = 0, rig: Rig | None = None, rob
 
 @dataclass(frozen=True)
 class Truth:
-    """What a calibration looks for and what it is judged by: parameters (p,), clocks, dwells in true time."""
+    """The target of a calibration and its reference: parameters (p,), clocks, dwells in true time."""
 
     params: Floats
     clocks: Clocks
     dwell_start: Floats  # (n,) s
     dwell_end: Floats  # (n,) s
-    length: Floats  # (n,) m, of the bar while the robot stands, repeatability included
-    lines: Mapping[str, Placement]  # where each line device lies
-    robot_delay: float  # s, by which the robot's readings are late
+    length: Floats  # (n,) m, of the bar while the robot is at rest, including repeatability
+    lines: Mapping[str, Placement]  # the pose of each line device
+    robot_delay: float  # s, delay of the robot's readings
 
 
 class Setup(NamedTuple):
-    """How the lab is wired and what is wrong in it.
+    """The wiring of the lab and its faults.
 
-    ``clocks``: drawn from the seed by default. ``robot_rate`` [Hz]: of the robot's readings, which are late by ``robot_delay_s``.
-    ``mag_period_ns``: how often the box is configured to read its magnetostrictive sensor, 0: never; default: MAG_PERIOD_NS where lines
-    are driven. A share ``lost_stops`` of its shots has no stop pulse. ``flaws``: what the line device does beside what it says.
-    ``robot_input``: what the box's trigger output is wired to, which then is configured to toggle; None: nothing. ``thermal``: how bar
-    and sensor warm up; None: not at all, and the box has no thermometers.
+    ``clocks``: random from the seed by default. ``robot_rate`` [Hz]: of the robot's readings, which are late by
+    ``robot_delay_s``. ``mag_period_ns``: period at which the box is configured to read its magnetostrictive sensor, 0:
+    never; default: MAG_PERIOD_NS where lines are driven. A share ``lost_stops`` of its shots has no stop pulse.
+    ``flaws``: undeclared errors of the line device. ``robot_input``: the input wired to the box's trigger output, which
+    is then configured to toggle; None: nothing. ``thermal``: how bar and sensor warm up; None: not at all, and the box
+    has no thermometers.
     """
 
     clocks: Clocks | None = None
@@ -130,7 +135,7 @@ USUAL = Setup()
 
 
 class World:
-    """The true robot visiting ``plan`` with the bars of ``rig``, as the box and the robot's socket show it."""
+    """The true robot visiting ``plan`` with the bars of ``rig``, as seen by the box and the robot's socket."""
 
     def __init__(
         self,
@@ -142,9 +147,11 @@ class World:
         robot: Robot | None = None,
         setup: Setup = USUAL,
     ) -> None:
-        """``robot``: the PUMA 560 by default. ``params`` (p,): as it truly is, default ``true_params``. ``arm``: a stiff one by default.
+        """Create a world. ``robot``: the PUMA 560 by default. ``params`` (p,): its true ones, by default
+        ``true_params``.
 
-        Raises PlanError when the plan names something that the rig does not have, and for a line that cannot be driven.
+        ``arm``: a stiff one by default. Raises PlanError if the plan names something missing in the rig, and for a line
+        that cannot be driven.
         """
         robot = robot or builtin_robot(PAPER)
         self.seed = seed
@@ -182,7 +189,7 @@ class World:
 
     @property
     def duration(self) -> float:
-        """End of the last dwell [s], true time."""
+        """Return the end of the last dwell [s], true time."""
         return self.controller.duration
 
     @property
@@ -192,13 +199,13 @@ class World:
         return Truth(self.params, self.clocks, *times, self._settled_length[dwells], self.placed, robot.delay)
 
     def _distance(self, q: Floats, poses: NDArray[np.int64]) -> Floats:
-        """Centre to centre (m,) [m] at true joints q (m, j), with the chuck and sphere of each pose."""
+        """Return the centre-to-centre distance (m,) [m] at true joints q (m, j), for each pose's chuck and sphere."""
         p_sphere = point_forward(self.chain, self.params, q, self._p_sphere[poses])
         apart: Floats = np.linalg.norm(p_sphere - self._p_chuck[poses], axis=-1)
         return apart
 
     def _runs_out(self, plan: Plan) -> NDArray[np.bool_]:
-        """Poses (n,) on whose way the bar would leave its travel, so that the operator has to take it off."""
+        """Return a mask (n,) of the poses on the way to which the bar would exceed its travel and must be removed."""
         shares = np.linspace(0.0, 1.0, 33)[:, None]
         poses = np.repeat(np.arange(1, len(plan)), len(shares))
         steps = plan.q[:-1, None] + shares * (plan.q[1:] - plan.q[:-1])[:, None]
@@ -207,7 +214,7 @@ class World:
         return np.concatenate([[False], worst > 0.5 * self._travel[1:]])
 
     def length(self, t: Floats) -> Floats:
-        """True length of the bar (m,) [m] at true times t (m,), repeatability included; NaN while it is off."""
+        """Return the bar's true length (m,) [m] at true times t (m,), including repeatability; NaN while off."""
         stop = self.controller.stop_index(t)
         length = self._settled_length[stop]
         moving = ~self.controller.is_settled(t)
@@ -218,32 +225,33 @@ class World:
     def samples(
         self, k0: int, k1: int, t_start_device_ns: int, period: int
     ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        """Samples k0 ≤ k < k1 of a stream: counts (m, 4) and stamps (m,) [µs of the device clock, rounded down].
+        """Return samples k0 ≤ k < k1 of a stream: counts (m, 4) and stamps (m,) [µs of the device clock, rounded down].
 
-        Sample k is taken at the device time ``t_start_device_ns + k·period`` [ns], and shows what was the converter's
-        group delay earlier.
+        Sample k is taken at the device time ``t_start_device_ns + k·period`` [ns], and shows the signal at an earlier
+        time, by the converter's group delay.
         """
         stamps = (t_start_device_ns + np.arange(k0, k1, dtype=np.int64) * period) // 1000
         return self.counts(k0, k1, t_start_device_ns, period), stamps
 
     def counts(self, k0: int, k1: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
-        """Counts (m, 4) of the same samples."""
+        """Return counts (m, 4) of the same samples."""
         return self._blocks(
             self._counts, np.empty((0, len(sensors.CHANNELS)), np.int32), k0, k1, t_start_device_ns, period
         )
 
     def flight_times(self, k0: int, k1: int, t_start_device_ns: int, period_ns: int) -> NDArray[np.int64]:
-        """Times of flight (m,) [ps] of the magnetostrictive head's shots k0 ≤ k < k1; −1: no stop pulse came.
+        """Return times of flight (m,) [ps] of the magnetostrictive head's shots k0 ≤ k < k1; −1 without a stop pulse.
 
-        Shot k is at the device time ``t_start_device_ns + k·period_ns`` and shows where the magnet was at that moment.
+        Shot k is at the device time ``t_start_device_ns + k·period_ns`` and shows the magnet's position at that time.
         """
         return self._blocks(self._flights, np.empty(0, np.int64), k0, k1, t_start_device_ns, period_ns)
 
     def magnet_position(self, t: Floats) -> Floats:
-        """Where the magnet is on the magnetostrictive sensor (m,) [m] at true times t (m,).
+        """Return the position of the magnet on the magnetostrictive sensor (m,) [m] at true times t (m,).
 
-        Where lines are driven it is that on the device, errors of the drive included; NaN: it is in no device's reach. Else
-        a carriage follows the bar's sphere along y within the stroke; while the bar is off it stands in the middle.
+        If lines are driven it is that on the device, including errors of the drive; NaN: it is out of every device's
+        range. Otherwise a carriage follows the bar's sphere along y within the stroke; while the bar is off it rests in
+        the middle.
         """
         if self._devices is not None:
             return self._devices.position(t - self._flaws.mag_delay)[:, 1]
@@ -262,9 +270,9 @@ class World:
         t_start_device_ns: int,
         period: int,
     ) -> NDArray[Any]:
-        """Samples k0 ≤ k < k1 out of whole blocks, each of which ``make`` makes of its device times [ns] and number.
+        """Return samples k0 ≤ k < k1 from whole blocks; ``make`` creates each from its device times [ns] and number.
 
-        The last block is kept: readers ask for the next few samples of it.
+        The last block is kept: readers request the next few samples of it.
         """
         parts = [empty]
         k = k0
@@ -289,7 +297,7 @@ class World:
         return sensors.sample_counts(extension, self.seed, block, self.transverse(t))
 
     def _warmed(self, t: Floats) -> tuple[Floats, Floats]:
-        """By what the bar's zero and its sensor's gain (m,) are multiplied at true times t (m,)."""
+        """Return the factors (m,) of the bar's zero and its sensor's gain at true times t (m,)."""
         thermal = self._thermal
         if thermal is None:
             return np.ones(t.size), np.ones(t.size)
@@ -298,15 +306,15 @@ class World:
 
     @property
     def has_thermometers(self) -> bool:
-        """Whether there are thermometers on the box's wire."""
+        """Return whether there are thermometers on the box's wire."""
         return self._thermal is not None
 
     def thermometers(self, t: float) -> tuple[tuple[bytes, int], ...]:
-        """Address and m°C of each thermometer on the box's wire at true time t."""
+        """Return address and m°C of each thermometer on the box's wire at true time t."""
         return self._thermal.readings(t / self.duration) if self._thermal else ()
 
     def box_warmer(self, t: float) -> float:
-        """By how much the box is warmer at true time t than where it would be [K]."""
+        """Return how much warmer the box is at true time t than it would be otherwise [K]."""
         return (
             float(self._thermal.degc("box", np.array([t / self.duration]))[0]) - REFERENCE_DEGC
             if self._thermal
@@ -314,7 +322,10 @@ class World:
         )
 
     def transverse(self, t: Floats) -> Floats | None:
-        """The magnet before the transverse sensors (m, 2) [m] at true times t (m,), NaN out of reach; None without a line device."""
+        """Return the magnet at the transverse sensors (m, 2) [m] at true times t (m,), NaN out of range.
+
+        None without a line device.
+        """
         if self._devices is None:
             return None
         across = self._devices.position(t - self._flaws.adc_delay)[:, [0, 2]]
@@ -325,7 +336,8 @@ class World:
         return sensors.flight_times(position / (1.0 + self._flaws.sound), self._lost_stops, self.seed, block)
 
     def robot_lines(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> tuple[NDArray[np.int64], list[bytes]]:
-        """True times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after its end.
+        """Return true times of sending (m,) [ns] and lines of the robot's socket with t0 ≤ true time < t1; none after
+        its end.
 
         ``level``: of the wire to the controller's digital input, at true times.
         """
@@ -335,7 +347,7 @@ class World:
         return np.rint(1e9 * t).astype(np.int64), lines
 
     def robot_states(self, t0_ns: int, t1_ns: int, level: Level | None = None) -> States:
-        """The same readings as numbers; the controller goes on when its program has ended."""
+        """Return the same readings as numbers; the controller continues after its program has ended."""
         return self.controller.states(1e-9 * t0_ns, 1e-9 * t1_ns, self._inputs(level))
 
     def _inputs(self, level: Level | None) -> Inputs | None:
@@ -346,16 +358,16 @@ class World:
 
     @property
     def robot_end_ns(self) -> int:
-        """True time at which the robot's program ends [ns]: half a second after its last dwell."""
+        """Return the true time at which the robot's program ends [ns]: half a second after its last dwell."""
         return round(1e9 * (self.duration + 0.5))
 
     @property
     def device_clock(self) -> Clock:
-        """The box's crystal."""
+        """Return the box's crystal."""
         return self.clocks.device
 
     def box_config(self, osr: int = 4096) -> dict[str, Any]:
-        """The configuration file of this world's box: its rates, its channels, what its sensors' labels say."""
+        """Return the configuration file of this world's box: its rates, its channels, its sensors' labels."""
         channels: list[dict[str, Any]] = [
             {"name": name, "unit": "V", "scale": list(sensors.SCALE)} for name in sensors.CHANNELS
         ]

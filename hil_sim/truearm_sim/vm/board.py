@@ -1,9 +1,9 @@
-"""The simulated board: hardware that lives in the parent process and moves on by grants, over standard input and output.
+"""The simulated board: its hardware is in the parent process and advances by grants, over standard input and output.
 
-A grant says: it is now this device time; these bytes came over the link, these samples and edges were latched; the link
-takes so many bytes. The firmware then runs until it has nothing to do; everything it sent goes back in one answer. Time
-stands still in between, so a run is deterministic, and as fast as the two processes are. Real time is the same
-thing with grants given by the wall clock. (The parent's half is truearm_sim/box.py.)
+A grant contains the device time, bytes received over the link, latched samples and edges, and the number of bytes that the
+link accepts. The firmware then runs until it has nothing to do; everything it sent goes back in one answer. Time stands
+still in between, so a run is deterministic, and as fast as the two processes are. Real time is the same
+with grants timed by the wall clock. (The parent's half is truearm_sim/box.py.)
 
     grant   "G" flags  n_rx:u16  tx_room:u16  now:u64  temperature:i32  n_edges:u8  fault:u8
             n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64  n_thermometers:u8
@@ -13,11 +13,11 @@ thing with grants given by the wall clock. (The parent's half is truearm_sim/box
     answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
             wake:u32, then tx bytes
 
-All big endian but the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
+All big endian except the samples. Flags of a grant: 1 the firmware stalls (gets the samples, does not run), 2 the next block
 raises an exception, 4 quit. `fault` is of the last converter sample: 1 its CRC was wrong, 2 the reset bit was set. Flags of an
 answer: 1 the converter samples, 2 reset, 4 the magnetostrictive head samples, 8 the trigger output is high, 16 the firmware fed its
-watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as USB has: the parent keeps what would not fit. `wake`: so many microseconds from now the firmware wants to run
-again, whatever comes; a real one runs all the time.
+watchdog, 32 it left for the prompt, 64 for the boot loader. `rx_room` is flow control, as in USB: the parent keeps what does not
+fit. `wake`: the firmware wants to run again after this many microseconds in any case; a real one always runs.
 """
 
 import gc
@@ -37,7 +37,7 @@ RX_MAX = 1024
 FIFO = 512  # samples: half a second at 1 kHz
 EDGE = 6
 THERMOMETER = 12
-EDGES = 64  # that the board holds
+EDGES = 64  # capacity of the board
 STAMP = 4
 TICK_NS = 8
 LATER = 1 << 29  # µs: nothing is due
@@ -74,7 +74,7 @@ def _u16(buf, at):
 
 
 class Source:
-    """Samples of one kind that the parent latched, in a ring. `crash` makes the next take raise."""
+    """Samples of one kind that the parent latched, in a ring. `crash` makes the next take raise an exception."""
 
     def __init__(self, channels):
         self.channels = channels
@@ -86,12 +86,12 @@ class Source:
         self.sampling = False
         self.starts = 0
         self.crash = False
-        self.shortest = 0  # ticks that are a stop, of the magnetostrictive head
+        self.shortest = 0  # ticks that count as a stop, of the magnetostrictive head
         self.longest = 0
         self._record = STAMP + self.sample
         self._fifo = bytearray(FIFO * self._record)
         self._flags = bytearray(FIFO)
-        self._first = 0  # place of the oldest sample
+        self._first = 0  # position of the oldest sample
         self._count = 0
         self._index = bytearray(8)  # of the oldest sample
         self._lost = 0
@@ -142,7 +142,7 @@ class Source:
         return flags
 
     def latch(self, body, at, n, head, index_at, fault):
-        """Samples into the hardware buffer; one that is lapped loses everything it held, as a DMA ring does."""
+        """Put samples into the hardware buffer; if it is lapped it loses all its content, as a DMA ring does."""
         if self._count + n > FIFO:
             self._lost += self._count
             self._count = 0
@@ -160,7 +160,7 @@ class Source:
         self.resets = (self.resets + (fault >> 1)) & COUNTER
 
     def _stop(self, at):
-        """The flags of a time of flight; one outside of blanking and time-out becomes 0."""
+        """Return the flags of a time of flight; one outside of blanking and time-out becomes 0."""
         fifo = self._fifo
         if fifo[at + 3] == 0 and self.shortest <= fifo[at] | fifo[at + 1] << 8 | fifo[at + 2] << 16 <= self.longest:
             return 0
@@ -171,7 +171,7 @@ class Source:
 
 
 class Thermometers:
-    """The bus of thermometers: each answers at once with what the parent said last."""
+    """The bus of thermometers: each answers at once with the parent's last value."""
 
     def __init__(self):
         self._records = bytearray()
@@ -180,7 +180,7 @@ class Thermometers:
         self.mdegc = 0
 
     def latch(self, body, at, n):
-        """What the parent says of n thermometers; allocates at the first grant alone."""
+        """Store the parent's values of n thermometers; allocates only at the first grant."""
         if len(self._records) != n * THERMOMETER:
             self._found(body, at, n)
         copy(self._records, 0, body, at, n * THERMOMETER)
@@ -227,7 +227,7 @@ class Board:
         self.thermometers = Thermometers()
         self._head = bytearray(GRANT)
         self._body = bytearray(MESSAGE_MAX)
-        self._rx = bytearray(RX_MAX)  # a ring, as the next
+        self._rx = bytearray(RX_MAX)  # a ring, like the next
         self._rx_first = 0
         self._rx_n = 0
         self._edge_fifo = bytearray(EDGES * EDGE)
@@ -251,11 +251,11 @@ class Board:
         """Answer, and wait for the next grant."""
         self._wake = us
         self._answer()
-        self._wake = LATER  # a firmware that stands still wants nothing
+        self._wake = LATER  # a firmware that stands still requests nothing
         self._wait()
 
     def _wait(self):
-        while self._grant():  # a stall: the hardware goes on, the firmware does not
+        while self._grant():  # a stall: the hardware continues, the firmware does not
             self._answer()
 
     def _answer(self):
@@ -336,7 +336,7 @@ class Board:
         copy(self._edge_fifo, place * EDGE, buf, at, EDGE)
         self._edge_n += 1
 
-    # -- what the firmware calls
+    # -- called by the firmware
 
     def now(self, buf):
         copy(buf, 0, self._head, 6, 8)
