@@ -1,1 +1,1 @@
-"""The box's hardware as a source: one description in Python, and everything that is made of it and checked against it."""
+"""The box's hardware as source: one description in Python, and everything generated from it and checked against it."""

@@ -15,7 +15,7 @@ from hardware.netlist_check import findings
 from hardware.schematic import NAME
 from hardware.sheet import netlist
 
-# ERC findings that are allowed: (type, words in it, why). None is needed.
+# ERC findings that are allowed: (type, words in it, reason). None is needed.
 WAIVERS: tuple[tuple[str, str, str], ...] = ()
 
 
@@ -46,7 +46,7 @@ def make() -> int:
 
 
 def check() -> int:
-    """All checks. 0 when all pass, 1 when one does not, 3 when those that need KiCad or ngspice could not be run."""
+    """Run all checks. Returns 0 if all pass, 1 if one fails, 3 if those that need KiCad or ngspice could not be run."""
     made = netlist(sheets())
     failed = [f"netlist: {text}" for text in findings(made)]
     failed += [
@@ -69,7 +69,7 @@ def check() -> int:
 
 
 def erc(tools: kicad.Tools) -> list[str]:
-    """What KiCad's electrical rules check finds and no waiver covers, warnings too."""
+    """Return the findings of KiCad's electrical rules check that no waiver covers, including warnings."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         outputs.write_project(folder)
@@ -90,7 +90,7 @@ def erc(tools: kicad.Tools) -> list[str]:
 
 
 def same_netlist(tools: kicad.Tools, made: Netlist) -> list[str]:
-    """Whether KiCad reads the same netlist from the schematic that the checks were run on."""
+    """Check that KiCad reads the same netlist from the schematic as the other checks used."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         outputs.write_project(folder)
@@ -107,7 +107,7 @@ def same_netlist(tools: kicad.Tools, made: Netlist) -> list[str]:
 
 
 def same_pins(tools: kicad.Tools) -> list[str]:
-    """hardware/datasheets.py's pins against the symbols of KiCad's own libraries, which others wrote."""
+    """Compare the pins of hardware/datasheets.py with the symbols of KiCad's own libraries, which others wrote."""
     return outputs.differing_pins(tools.symbols)
 
 

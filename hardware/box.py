@@ -1,6 +1,7 @@
-"""The box: every part, every pin, every net. The only place where the circuit is written down.
+"""The box: every part, every pin, every net. This is the only description of the circuit.
 
-docs/how-to/hardware.md says what it does and how it is built, docs/decisions/ why it is so. Places are in grid units of 2.54 mm.
+docs/how-to/hardware.md explains its function and how to build it, docs/decisions/ the reasons. Positions are in grid
+units of 2.54 mm.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from hardware.parts import (
 )
 from hardware.sheet import Sheet
 
-# GPIO of the Pico → net. firmware/board_pico.py has the same pins; hardware/expectations.py holds the two together.
+# GPIO of the Pico → net. firmware/board_pico.py has the same pins; hardware/netlist_check.py checks that they match.
 GPIO = {
     2: "HEAD_START",
     3: "HEAD_STOP",
@@ -51,17 +52,17 @@ GPIO = {
 
 
 def terminals(ways: int) -> tuple:
-    """Kind and value of a row of screw terminals."""
+    """Return kind and value of a row of screw terminals."""
     return TERMINALS[ways], f"MKDS 1,5/{ways}-5,08"
 
 
 def sheets() -> list[Sheet]:
-    """All sheets, in the order in which one reads them."""
+    """Return all sheets, in reading order."""
     return [pico(), power(), converter(), lvdt(), head(), triggers()]
 
 
 def pico() -> Sheet:
-    """The Pico, the divider for its 5 V, and the thermometers' wire."""
+    """Return the Pico, the divider for its 5 V, and the thermometers' wire."""
     s = Sheet("pico", "Raspberry Pi Pico, 5 V monitor, thermometers")
     nets: dict[str, str | None] = {pin.number: GPIO.get(int(pin.name[2:])) for pin in PICO.pins if pin.name[:2] == "GP"}
     nets |= {pin.number: "GND" for pin in PICO.pins if pin.name == "GND"}
@@ -94,7 +95,7 @@ def pico() -> Sheet:
 
 
 def power() -> Sheet:
-    """The sensors' 24 V, the converter's clean 3.3 V, and where the cable screens go."""
+    """Return the sensors' 24 V, the converter's clean 3.3 V, and the connection of the cable shields."""
     s = Sheet("power", "Sensor supply 24 V, analogue supply 3.3 V, screens")
     s.note((10, 12), "24 V for the sensors (head, transducers) from a supply of their own; its 0 V is the box's GND")
     s.add("J2", *terminals(3), (10, 18), {"1": "P24_IN", "2": "GND", "3": "CHASSIS"}, note="24 V in: +, 0 V, housing")
@@ -117,7 +118,7 @@ def power() -> Sheet:
 
 
 def converter() -> Sheet:
-    """The converter and the inputs of the two transverse transducers."""
+    """Return the converter and the inputs of the two transverse transducers."""
     s = Sheet("converter", "Converter ADS131M04, transverse transducers")
     nets: dict[str, str | None] = {"3": "A0P", "4": "A0N", "6": "A1P", "5": "A1N", "7": "A2P", "8": "A2N"}
     nets |= {"10": "A3P", "9": "A3N", "1": "AVDD", "2": "GND", "20": "+3V3", "19": "GND", "18": "ADC_CAP"}
@@ -133,7 +134,7 @@ def converter() -> Sheet:
 
 
 def transducer(s: Sheet, k: int, y: int) -> None:
-    """Input of transverse transducer k: both wires through 10 kΩ over 499 Ω, so that ±30 V stays within the converter's limits."""
+    """Add the input of transverse transducer k: both wires through 10 kΩ over 499 Ω, so the converter survives ±30 V."""
     plus, minus, ap, an = f"T{k}P", f"T{k}N", f"A{k}P", f"A{k}N"
     first = 8 + 6 * (k - 1)  # references of resistors
     cap = 10 + 3 * (k - 1)
@@ -159,7 +160,7 @@ def transducer(s: Sheet, k: int, y: int) -> None:
 
 
 def lvdt() -> Sheet:
-    """Excitation of an LVDT's primary, and synchronous demodulation of secondary voltage and primary current."""
+    """Return the excitation of an LVDT's primary; synchronous demodulation of secondary voltage and primary current."""
     s = Sheet("lvdt", "LVDT: excitation 2543 Hz, synchronous demodulation of secondary voltage and primary current")
     s.note((6, 10), "Half of AVDD")
     s.add("R20", R, "10k", (8, 14), ("AVDD", "HALF"), down=True)
@@ -246,7 +247,7 @@ def lvdt() -> Sheet:
 
 
 def head() -> Sheet:
-    """The magnetostrictive head: start pulse out, start/stop pulses in."""
+    """Return the magnetostrictive head's interface: start pulse out, start/stop pulses in."""
     s = Sheet("head", "Magnetostrictive head, RS-422")
     nets = {"1": "+3V3", "2": "HEAD_STOP", "3": "HEAD_START", "4": "GND", "8": "HEAD_A", "7": "HEAD_B"}
     s.add("U8", LTC2863, "LTC2863-1", (40, 20), nets | {"6": "HEAD_Z", "5": "HEAD_Y"})
@@ -261,7 +262,7 @@ def head() -> Sheet:
 
 
 def triggers() -> Sheet:
-    """Two isolated inputs and one floating output for the robot's 24 V signals. Nothing here joins the two sides."""
+    """Return two isolated inputs and one floating output for the robot's 24 V signals. Nothing joins the two sides."""
     s = Sheet("triggers", "Triggers, isolated from everything else")
     for k, y in ((0, 16), (1, 40)):
         plus, minus, sense, inner = f"TI{k}_P", f"TI{k}_N", f"TI{k}_SENSE", f"TI{k}_IN"

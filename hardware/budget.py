@@ -1,6 +1,7 @@
-"""The numbers of the box: scales, corners, delays and errors, from the netlist's values and the sensors' data. Standard library only.
+"""The numbers of the box: scales, corners, delays and errors, from the netlist's values and the sensors' data.
 
-docs/how-to/hardware.md prints them; hardware/spice_check.py holds them against the simulated circuit.
+docs/how-to/hardware.md prints them; hardware/spice_check.py compares them with the simulated circuit. Uses only the
+standard library.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ from dataclasses import dataclass
 from hardware.netlist import Netlist, quantity
 
 SYSTEM_HZ = 125_000_000
-EXCITATION_DIVIDER = 49152  # a period of the excitation in clocks of the Pico
+EXCITATION_DIVIDER = 49152  # period of the excitation in clocks of the Pico
 EXCITATION_HZ = SYSTEM_HZ / EXCITATION_DIVIDER
 CONVERTER_HZ = SYSTEM_HZ / 15
 ADC_OHM = 330e3  # ADS131M04, gains 1, 2 and 4, typical
-ADC_OHM_TOLERANCE = 0.2  # assumed: the data sheet gives a typical value only
+ADC_OHM_TOLERANCE = 0.2  # assumed: the data sheet gives only a typical value
 ADC_NOISE_V = 3.38e-6  # rms at gain 1, OSR 4096
 ADC_REFERENCE_V = 1.2
-# Of the simulated LVDT at full travel; hardware/spice_check.py compares them with the simulation.
+# For the simulated LVDT at full travel; hardware/spice_check.py compares them with the simulation.
 SECONDARY_V, PRIMARY_V = 0.151, 0.140
-RATIO_PER_50_OHM = 0.0003  # change of the ratio by 50 Ω in the primary, at most
-RATIO_PER_EXCITATION = 0.00005  # by 20 % of excitation, at most
+RATIO_PER_50_OHM = 0.0003  # maximum change of the ratio by 50 Ω in the primary
+RATIO_PER_EXCITATION = 0.00005  # maximum change by 20 % of excitation
 
 
 def value(netlist: Netlist, ref: str) -> float:
@@ -30,7 +31,7 @@ def value(netlist: Netlist, ref: str) -> float:
 
 @dataclass(frozen=True)
 class Input:
-    """A transducer's input: volts at the converter a volt at the terminals, -3 dB frequency [Hz], delay [s], input resistance."""
+    """A transducer's input: volts at the converter per volt at the terminals, -3 dB frequency [Hz], delay [s], ohms."""
 
     scale: float
     corner_hz: float
@@ -40,7 +41,7 @@ class Input:
 
 
 def transducer(netlist: Netlist, adc_ohm: float = ADC_OHM) -> Input:
-    """Input of transducer 1 as fitted for volts, between its two terminals."""
+    """Return the input of transducer 1 as fitted for voltages, between its two terminals."""
     series, shunt = value(netlist, "R8"), value(netlist, "R9")
     source = 2 * series * shunt / (series + shunt)
     unloaded = shunt / (series + shunt)
@@ -56,14 +57,14 @@ def transducer(netlist: Netlist, adc_ohm: float = ADC_OHM) -> Input:
 
 
 def loop_scale(netlist: Netlist) -> float:
-    """Volts at the converter an ampere of a 4-20 mA loop whose lower end, signal -, is at 0 V."""
+    """Return volts at the converter per ampere of a 4-20 mA loop whose lower end, signal -, is at 0 V."""
     loop, ohm = value(netlist, "R12"), transducer(netlist)
     return loop * (ohm.ohm / 2) / (loop + ohm.ohm / 2) * ohm.scale
 
 
 @dataclass(frozen=True)
 class Demodulator:
-    """Filter behind the reversing switches: loading by the converter, corner [Hz], delay [s]."""
+    """The filter after the reversing switches: loading by the converter, corner [Hz], delay [s]."""
 
     loading: float
     corner_hz: float
@@ -77,9 +78,9 @@ def demodulator(netlist: Netlist, adc_ohm: float = ADC_OHM) -> Demodulator:
 
 
 def filter_gain(hz: float, osr: int) -> float:
-    """Gain of the converter's digital filter: sinc3, and above OSR 1024 the mean of several of its results."""
+    """Return the gain of the converter's digital filter: sinc3, and above OSR 1024 the mean of several results."""
     first = min(osr, 1024)
-    x = math.pi * hz * 2 * first / CONVERTER_HZ  # the modulator runs at half the clock
+    x = math.pi * hz * 2 * first / CONVERTER_HZ  # the modulator runs at half the clock frequency
     gain = abs(math.sin(x) / (first * math.sin(x / first))) ** 3 if x else 1.0
     n = osr // first
     if n > 1 and abs(math.sin(x)) > 1e-12:
@@ -88,6 +89,6 @@ def filter_gain(hz: float, osr: int) -> float:
 
 
 def ripple(osr: int, netlist: Netlist) -> float:
-    """Ripple at twice the excitation that the converter passes, as a part of the demodulated signal (peak)."""
+    """Return the ripple at twice the excitation that the converter passes, relative to the demodulated peak."""
     hz = 2 * EXCITATION_HZ
     return 2 / 3 / math.hypot(1, hz / demodulator(netlist).corner_hz) * filter_gain(hz, osr)

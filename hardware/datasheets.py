@@ -1,8 +1,9 @@
-"""What the makers' data sheets say of the parts' pins, supplies and limits, for checks that know nothing of the generator.
+"""The data sheets' information on pins, supplies and limits, for checks that are independent of the generator.
 
-Pin tables were taken from KiCad 9's own symbol libraries where ``symbol`` names one (``make hardware-check`` compares them
-again), and from the sources in ``source``. No maker's site could be reached when this was written: compare with the data sheet
-before the first board is ordered, LTC2863, BCP56 and BC847 first, which have no independent symbol here.
+The pin tables come from KiCad 9's own symbol libraries where ``symbol`` names one (``make hardware-check`` compares
+them again), and otherwise from the sources in ``source``. No manufacturer's site could be reached when this was
+written. Compare with the data sheets before ordering the first board, starting with LTC2863, BCP56 and BC847, which
+have no independent symbol here.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class DataSheet:
-    """Pins by number; supply pins with the capacitance [F] that the data sheet asks for and the ground that it goes to.
+    """Pins by number; supply pins with the capacitance [F] that the data sheet requires and the ground to which it
+    connects.
 
-    ``limits``: pin → lowest and highest voltage against the part's ground; a string is a supply's pin to which the number after
-    it is added. ``current``: what an input's protection may carry beyond these limits, A (0: nothing).
+    ``limits``: pin → lowest and highest voltage relative to the part's ground; a string is a supply's pin to which the
+    number after it is added. ``current``: current in A that an input's protection may carry beyond these limits (0:
+    none).
     """
 
     pins: dict[str, str]
@@ -39,7 +42,7 @@ _PICO = """
 31 GP26, 32 GP27, 33 AGND, 34 GP28, 35 ADC_VREF, 36 3V3, 37 3V3_EN, 38 GND, 39 VSYS, 40 VBUS
 """
 
-# part number begins with → data sheet
+# start of the part number → data sheet
 DATA_SHEETS = {
     "SC0917": DataSheet(
         pins(_PICO),
@@ -122,5 +125,5 @@ DATA_SHEETS = {
 
 
 def data_sheet(mpn: str) -> DataSheet | None:
-    """The data sheet of a part number; None for what has no pin table: two terminals and rows of terminals."""
+    """Return the data sheet of a part number; None without a pin table: two terminals and rows of terminals."""
     return next((sheet for begin, sheet in DATA_SHEETS.items() if mpn.startswith(begin)), None)

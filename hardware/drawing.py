@@ -1,4 +1,4 @@
-"""The sheets as SVG, drawn from the same places as the KiCad schematic. Standard library only."""
+"""The sheets as SVG, drawn from the same positions as the KiCad schematic. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from html import escape
 from hardware.schematic import GLYPHS
 from hardware.sheet import SUPPLIES, Part, Point, Sheet, wires
 
-UNIT = 10  # pixels a grid unit
+UNIT = 10  # pixels per grid unit
 PER_MM = UNIT / 2.54
 STYLE = (
     "text{font:8px sans-serif;fill:#222}.n{font-size:11px;fill:#245}.p{fill:#777;font-size:6.5px}.l{fill:#830;font-size:7.5px}"
@@ -17,7 +17,7 @@ STYLE = (
 
 
 def svg(sheet: Sheet, shared: frozenset[str]) -> str:
-    """One sheet. Nets of ``shared`` are on other sheets too and always have their name."""
+    """Return one sheet. Nets in ``shared`` are also on other sheets and always show their name."""
     drawn = wires(sheet)
     out = []
     for a, b in drawn.segments:

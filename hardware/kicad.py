@@ -1,7 +1,7 @@
-"""KiCad 9 and ngspice: found, or fetched from the Debian release's backports without installing anything and without root.
+"""Find KiCad 9 and ngspice, or download them from the Debian release's backports without installing and without root.
 
-The packages go into build/kicad of the checkout. They are those that this machine does not have: what they depend on besides is
-expected to be installed, as apt knows it. About 110 MB come over the network and 700 MB are unpacked, once.
+The packages go into build/kicad of the checkout. Only packages missing on this computer are downloaded; other
+dependencies must be installed, according to apt. The download is about 110 MB, unpacked to 700 MB, once.
 
     python -m hardware get
 """
@@ -24,12 +24,12 @@ MINIMUM = 9
 
 
 class NoTools(Exception):
-    """KiCad or ngspice cannot be had here; the text is one line that says why."""
+    """KiCad or ngspice is not available here; the text is one line that states why."""
 
 
 @dataclass(frozen=True)
 class Tools:
-    """The two programs, the environment they run in, and KiCad's own symbol libraries."""
+    """The two programs, their environment, and KiCad's own symbol libraries."""
 
     kicad: str
     ngspice: str
@@ -43,7 +43,7 @@ class Tools:
 
 
 def find(folder: Path = HOME) -> Tools:
-    """The tools that :func:`get` fetched, else the machine's own. Raises NoTools."""
+    """Return the tools downloaded by :func:`get`, otherwise the computer's own. Raises NoTools."""
     usr = folder / "root" / "usr"
     environ = {**os.environ, "OMP_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
     if (folder / "done").exists():
@@ -73,7 +73,7 @@ def find(folder: Path = HOME) -> Tools:
 
 
 def get(folder: Path = HOME, say: Callable[[str], None] = print) -> Tools:
-    """Fetch what is missing. Raises NoTools where there is no apt or no such release."""
+    """Download missing tools. Raises NoTools if there is no apt or no such release."""
     try:
         return find(folder)
     except NoTools:
@@ -111,7 +111,7 @@ def _fetch(folder: Path, say: Callable[[str], None]) -> None:
         shutil.rmtree(folder / "apt", ignore_errors=True)
         environ = debian.private_apt(folder / "apt", release, ())
         target = []
-    # what the machine has need not be fetched again
+    # Packages that the computer already has need not be downloaded again.
     shutil.copyfile("/var/lib/dpkg/status", folder / "apt" / "state" / "status")
     debian.run(
         ["apt-get", "-y", "-qq", "install", *target, "--download-only", "--no-install-recommends", *PACKAGES], environ

@@ -1,4 +1,4 @@
-"""What a circuit is, whoever wrote it: parts with a value, and nets that join their pins. Standard library only."""
+"""A circuit, whatever its origin: parts with a value, and nets that join their pins. Only the standard library."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PREFIX = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1
 
 @dataclass(frozen=True)
 class Component:
-    """A part as it is listed: its reference, value, manufacturer's part number, and whether it is soldered in as delivered."""
+    """A part as listed: its reference, value, manufacturer's part number, and whether it is fitted as delivered."""
 
     ref: str
     value: str
@@ -25,29 +25,29 @@ class Component:
 
 @dataclass(frozen=True)
 class Netlist:
-    """``pins`` gives the net of every connected pin; a pin that is not there is open."""
+    """``pins`` gives the net of every connected pin; a pin that is missing is open."""
 
     components: Mapping[str, Component]
     pins: Mapping[Pin, str]
 
     def nets(self) -> dict[str, frozenset[Pin]]:
-        """The pins of every net."""
+        """Return the pins of every net."""
         found: dict[str, set[Pin]] = {}
         for pin, net in self.pins.items():
             found.setdefault(net, set()).add(pin)
         return {net: frozenset(pins) for net, pins in found.items()}
 
     def pins_of(self, ref: str) -> dict[str, str]:
-        """Pin number → net of one part."""
+        """Return pin number → net of one part."""
         return {number: net for (owner, number), net in self.pins.items() if owner == ref}
 
     def groups(self) -> frozenset[frozenset[Pin]]:
-        """The pins that are joined, without the nets' names: what two netlists must agree in."""
+        """Return the joined pins, without net names: two netlists must agree in these."""
         return frozenset(self.nets().values())
 
 
 def quantity(value: str) -> float:
-    """The number at the beginning of a value, in SI units: "4.7k 1%" → 4700, "220n X7R" → 2.2e-7, "33R" → 33.
+    """Return the number at the beginning of a value, in SI units: "4.7k 1%" → 4700, "220n X7R" → 2.2e-7, "33R" → 33.
 
     Raises:
         ValueError: the value does not begin with a number.
@@ -62,7 +62,7 @@ def quantity(value: str) -> float:
 
 
 def to_csv(netlist: Netlist) -> str:
-    """One row a pin: net, reference, pin, value, part number, fitted; sorted, so that two texts can be compared."""
+    """Return one row per pin: net, reference, pin, value, part number, fitted; sorted, to allow comparison of texts."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["net", "ref", "pin", "value", "mpn", "fitted"])
@@ -73,7 +73,7 @@ def to_csv(netlist: Netlist) -> str:
 
 
 def from_csv(text: str) -> Netlist:
-    """The netlist that :func:`to_csv` wrote."""
+    """Return the netlist written by :func:`to_csv`."""
     components: dict[str, Component] = {}
     pins: dict[Pin, str] = {}
     for row in csv.DictReader(io.StringIO(text)):
@@ -91,7 +91,7 @@ def _natural(pin: Pin) -> tuple[str, int, int, str]:
 
 
 def s_expression(text: str) -> list:
-    """A nested list of the strings of an s-expression."""
+    """Return a nested list of the strings of an s-expression."""
     stack: list[list] = [[]]
     for match in re.finditer(r'"(?:[^"\\]|\\.)*"|[()]|[^\s()]+', text):
         token = match.group()
@@ -106,17 +106,17 @@ def s_expression(text: str) -> list:
 
 
 def children(node: Iterable, name: str) -> Iterator[list]:
-    """The lists in ``node`` that begin with ``name``."""
+    """Yield the lists in ``node`` that begin with ``name``."""
     return (child for child in node if isinstance(child, list) and child and child[0] == name)
 
 
 def text_of(node: Iterable, name: str, default: str = "") -> str:
-    """The first word after ``name`` in the first such list."""
+    """Return the first word after ``name`` in the first such list."""
     return next((child[1] for child in children(node, name) if len(child) > 1), default)
 
 
 def from_kicad(text: str) -> Netlist:
-    """The netlist that KiCad extracted from a schematic. Pins that KiCad calls unconnected are left out."""
+    """Return the netlist that KiCad extracted from a schematic, without pins that KiCad calls unconnected."""
     root = s_expression(text)
     components = {}
     for part in children(next(children(root, "components")), "comp"):

@@ -1,11 +1,11 @@
-"""Hold a netlist against the data sheets and the expectations. Knows nothing of how the netlist was made.
+"""Check a netlist against the data sheets and the expectations, independently of how the netlist was made.
 
-Four rules, each of which returns findings in words, none where all is well:
+There are four rules. Each returns findings in words, and none if everything is correct:
 
-- ``expected``: every pin of a chip and every terminal is joined to what hardware/expectations.txt says, and every part with two
-  terminals lies with its value between the two nodes that it names there;
-- ``decoupled``: every supply pin has the capacitance that its data sheet asks for;
-- ``isolated``: nothing but an isolator touches both the robot's side and the logic;
+- ``expected``: every pin of a chip and every terminal is connected as hardware/expectations.txt states, and every part
+  with two terminals is connected with its value between the two nodes named there;
+- ``decoupled``: every supply pin has the capacitance that its data sheet requires;
+- ``isolated``: only isolators touch both the robot's side and the logic;
 - ``pico``: the Pico's pins are those of firmware/board_pico.py.
 """
 
@@ -27,7 +27,7 @@ BOARD = HERE.parent / "firmware" / "board_pico.py"
 ISOLATORS = ("ISO1211", "VO615A")
 # pins of an isolator on the robot's side
 FIELD_PINS = {"ISO1211": {"SENSE", "IN", "FGND", "SUB"}, "VO615A": {"C", "E"}}
-# what of a part number says which kind a part with two terminals is; cathode first where it has one
+# the part of a part number that gives the kind of a part with two terminals; cathode first if it has one
 KINDS = (
     ("ER", "R"),
     ("RS02", "R"),
@@ -44,7 +44,7 @@ POLARISED = ("DIODE", "TVS")
 
 @dataclass(frozen=True)
 class Expectations:
-    """``nodes``: name → pins by (reference, function) with how many; ``parts``: (kind, value, first node, second node)."""
+    """``nodes``: name → pins by (reference, function) with counts; ``parts``: (kind, value, first and second node)."""
 
     nodes: Mapping[str, Counter[tuple[str, str]]]
     open: Counter[tuple[str, str]]
@@ -53,7 +53,7 @@ class Expectations:
 
 @cache
 def read_expectations() -> Expectations:
-    """hardware/expectations.txt."""
+    """Return the content of hardware/expectations.txt."""
     text = (HERE / "expectations.txt").read_text(encoding="utf-8")
     nodes: dict[str, Counter[tuple[str, str]]] = {}
     left_open: Counter[tuple[str, str]] = Counter()
@@ -81,12 +81,12 @@ def _pins(text: str) -> Counter[tuple[str, str]]:
     return found
 
 
-# ---- the netlist in the data sheets' words
+# ---- the netlist in the terms of the data sheets
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """A part with two terminals: kind, value as the expectations write it, and the nets of its terminals."""
+    """A part with two terminals: kind, value in the format of the expectations, and the nets of its terminals."""
 
     ref: str
     kind: str
@@ -96,13 +96,13 @@ class Bridge:
 
 
 def function(netlist: Netlist, pin: Pin) -> str:
-    """The data sheet's name of a pin; the number itself for a row of terminals."""
+    """Return the data sheet's name of a pin; the number itself for a row of terminals."""
     sheet = data_sheet(netlist.components[pin[0]].mpn)
     return sheet.pins.get(pin[1], f"no pin {pin[1]}") if sheet else pin[1]
 
 
 def is_anchor(netlist: Netlist, ref: str) -> bool:
-    """Whether the part is a chip or a row of terminals: what the expectations know by its reference."""
+    """Return whether the part is a chip or a row of terminals, which the expectations identify by reference."""
     return _kind(netlist.components[ref].mpn) is None
 
 
@@ -113,7 +113,7 @@ def _kind(mpn: str) -> str | None:
 
 
 def bridges(netlist: Netlist) -> Iterator[Bridge]:
-    """All parts with two terminals; an open terminal's net is empty."""
+    """Yield all parts with two terminals; an open terminal's net is empty."""
     for ref, part in netlist.components.items():
         kind = _kind(part.mpn)
         if kind:
@@ -134,13 +134,13 @@ def _wanted_value(kind: str, value: str) -> str:
 
 
 def findings(netlist: Netlist, board: str | None = None) -> list[str]:
-    """All findings. ``board`` is the text of firmware/board_pico.py."""
+    """Return all findings. ``board`` is the text of firmware/board_pico.py."""
     board = BOARD.read_text(encoding="utf-8") if board is None else board
     return [*expected(netlist), *decoupled(netlist), *isolated(netlist), *pico(netlist, board)]
 
 
 def expected(netlist: Netlist) -> list[str]:
-    """Differences from the expectations."""
+    """Return differences from the expectations."""
     wanted = read_expectations()
     anchors: dict[str, Counter[tuple[str, str]]] = {}
     for pin, net in netlist.pins.items():
@@ -194,10 +194,11 @@ def _key(kind: str, value: str, first: str, second: str) -> tuple[str, str, str,
 def _resolve(
     parts: list[tuple[str, str, str, str]], there: list[Bridge], where: dict[str, str], anchored: set[str]
 ) -> None:
-    """Find the nets of nodes that no chip is on: by the only part of its kind and value from a node that is known to one that is not.
+    """Find the nets of nodes without a chip: by the only part of its kind and value from a known node to an unknown
+    one.
 
-    An unknown node may be told from others at a known one only by what else is on it; so each candidate net is compared by
-    the parts that it has.
+    At a known node, unknown nodes may be distinguishable only by their other parts, so the parts on each candidate net
+    are compared.
     """
     signatures: dict[str, Counter[tuple[str, str]]] = {}
     for bridge in there:
@@ -228,7 +229,7 @@ def _resolve(
 
 
 def decoupled(netlist: Netlist) -> list[str]:
-    """Supply pins without the capacitance of their data sheet. A capacitor serves as many pins of a net as there are of its value."""
+    """Return supply pins without the capacitance of their data sheet. Each capacitor counts for one pin only."""
     found = []
     capacitors = Counter((frozenset((b.first, b.second)), float(b.value)) for b in bridges(netlist) if b.kind == "C")
     for ref, part in netlist.components.items():
@@ -246,7 +247,7 @@ def decoupled(netlist: Netlist) -> list[str]:
 
 
 def isolated(netlist: Netlist) -> list[str]:
-    """Parts other than isolators that touch the robot's side and the logic; isolators whose sides are joined."""
+    """Return parts other than isolators that touch both sides, the robot's and the logic; isolators with joined sides."""
     field, logic = _sides(netlist)
     found = [f"net {net} is on both sides of the isolation" for net in sorted(field & logic)]
     of: dict[str, set[str]] = {}
@@ -260,7 +261,7 @@ def isolated(netlist: Netlist) -> list[str]:
 
 
 def _sides(netlist: Netlist) -> tuple[set[str], set[str]]:
-    """The nets that parts join to the field pins of isolators, and those that they join to the logic's ground."""
+    """Return the nets that parts join to the field pins of isolators, and those joined to the logic's ground."""
     logic = {net for (ref, _), net in netlist.pins.items() if netlist.components[ref].mpn.startswith("SC0917")}
     field: set[str] = set()
     for (ref, number), net in netlist.pins.items():
@@ -285,7 +286,7 @@ def _sides(netlist: Netlist) -> tuple[set[str], set[str]]:
 
 
 def pico(netlist: Netlist, board: str) -> list[str]:
-    """The Pico's pins against the constants of firmware/board_pico.py, by the function of the chip's pin at the other end."""
+    """Compare the Pico's pins with firmware/board_pico.py, by the function of the chip's pin at the other end."""
     found = []
     for gpio, wanted in board_pins(board).items():
         number = next((n for n, name in data_sheet("SC0917").pins.items() if name == f"GP{gpio}"), "")
@@ -307,7 +308,7 @@ def pico(netlist: Netlist, board: str) -> list[str]:
 
 
 def _behind(netlist: Netlist, net: str | None) -> set[str]:
-    """Functions behind one resistor."""
+    """Return the functions behind one resistor."""
     found = set()
     for b in bridges(netlist):
         if b.kind == "R" and net in (b.first, b.second):
@@ -317,7 +318,7 @@ def _behind(netlist: Netlist, net: str | None) -> set[str]:
 
 
 def board_nodes(text: str) -> list[tuple[str, str]]:
-    """Pins of the board file that end at no chip's digital pin, and their nodes of the expectations."""
+    """Return pins of the board file that do not end at a chip's digital pin, and their nodes in the expectations."""
     constants = _constants(text)
     pins = (*constants["LVDT_PINS"], constants["THERMOMETER_PIN"])
     nodes = ("EXCITATION", "DEMODULATE_S", "DEMODULATE_P", "DQ_PIN")
@@ -336,7 +337,7 @@ def _constants(text: str) -> dict[str, Any]:
 
 
 def board_pins(text: str) -> dict[int, str]:
-    """GPIO → function of the chip's pin that it must reach, from the board file's constants."""
+    """Return GPIO → function of the chip's pin that it must reach, from the board file's constants."""
     constants = _constants(text)
     converter = ("DOUT", "CS", "SCLK", "DIN", "DRDY", "SYNC/RESET", "CLKIN")
     found = dict(zip(constants["CONVERTER_PINS"], converter, strict=True))

@@ -1,4 +1,8 @@
-"""What is made of the sources and committed: the KiCad project, netlist, parts list, drawings, and tables in docs/how-to/hardware.md."""
+"""The committed files generated from the sources: KiCad project, netlist, parts list, drawings, and tables for
+hardware.md.
+
+The tables are in docs/how-to/hardware.md.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +24,12 @@ ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "hardware" / "out"
 DOCUMENT = ROOT / "docs" / "how-to" / "hardware.md"
 DRAWINGS = ROOT / "docs" / "images" / "hardware"
-# where a net is supplied from outside or through a part that KiCad takes for no supply: net → a pin of it
+# nets supplied from outside or through a part that KiCad does not recognise as a supply: net → a pin of it
 FLAGS = {"+24V": "C3.1", "LDO_IN": "C4.1", "TI0_N": "D22.2", "TI1_N": "D23.2"}
 
 
 def committed() -> dict[Path, str]:
-    """Every file that is committed, with its text."""
+    """Return every committed file with its text."""
     made = sheets()
     found = {OUT / name: text for name, text in schematic.files(made, FLAGS).items()}
     found[OUT / "netlist.csv"] = to_csv(netlist(made))
@@ -36,12 +40,12 @@ def committed() -> dict[Path, str]:
 
 
 def stale() -> list[Path]:
-    """Files that are not what the sources make."""
+    """Return files that differ from what the sources generate."""
     return [path for path, text in committed().items() if not path.exists() or path.read_text(encoding="utf-8") != text]
 
 
 def write_project(folder: Path) -> None:
-    """The KiCad project in a folder."""
+    """Write the KiCad project to a folder."""
     for name, text in schematic.files(sheets(), FLAGS).items():
         (folder / name).write_text(text, encoding="utf-8")
 
@@ -52,7 +56,7 @@ def _shared(made: list[Sheet]) -> frozenset[str]:
 
 
 def parts_list(made: list[Sheet]) -> str:
-    """One row a part number: how many, references, value, maker, part number, source, price."""
+    """Return one row per part number: quantity, references, value, manufacturer, part number, source, price."""
     rows: dict[tuple[str, str, bool], list[str]] = {}
     for part in (part for sheet in made for part in sheet.parts):
         rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
@@ -67,7 +71,7 @@ def parts_list(made: list[Sheet]) -> str:
 
 
 def with_tables(text: str, blocks: Mapping[str, str]) -> str:
-    """A document with the blocks between its marks ``<!-- generated: NAME -->`` and ``<!-- end -->`` made again.
+    """Return a document with the blocks between its marks ``<!-- generated: NAME -->`` and ``<!-- end -->`` updated.
 
     Raises:
         ValueError: a mark names no block, or a block has no mark.
@@ -85,7 +89,7 @@ def with_tables(text: str, blocks: Mapping[str, str]) -> str:
 
 
 def differing_pins(libraries: Path) -> list[str]:
-    """Pins of the data sheets' tables that KiCad's own symbols number otherwise."""
+    """Return pins in the data sheets' tables that KiCad's own symbols number differently."""
     found = []
     for number, sheet in DATA_SHEETS.items():
         if not sheet.symbol:
@@ -104,7 +108,7 @@ def differing_pins(libraries: Path) -> list[str]:
     return found
 
 
-# names that mean the same
+# names with the same meaning
 SAME_PINS = [
     {"+A", "+"}, {"-A", "-"}, {"+B", "+"}, {"-B", "-"}, {"GP26", "GPIO26ADC0"}, {"GP27", "GPIO27ADC1"}, {"GP28", "GPIO28ADC2"},
     {"V+", "VCC"}, {"K2", "K"}, {"A1", "A"}, {"MID", "COM"}, {"OUTA", ""}, {"OUTB", ""},

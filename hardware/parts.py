@@ -1,7 +1,7 @@
-"""The kinds of part that the box is made of: what their symbols look like, their pins, their manufacturers' part numbers.
+"""The kinds of part in the box: their symbols, their pins, their manufacturers' part numbers.
 
-Pins stand in the order in which they are drawn, from top to bottom on their side. Types are KiCad's electrical types, which its
-electrical rules check uses. hardware/datasheets.py has the same pins from the data sheets' side, written independently.
+Pins are in drawing order, from top to bottom on their side. Types are KiCad's electrical types, which its electrical
+rules check uses. hardware/datasheets.py has the same pins from the data sheets, written independently.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PinShape:
-    """One pin of a symbol: KiCad's electrical type, the side that it is drawn on and its row there."""
+    """One pin of a symbol: KiCad's electrical type, the side on which it is drawn and its row there."""
 
     number: str
     name: str
@@ -23,7 +23,7 @@ class PinShape:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of part. ``width`` and rows are in grid units of 2.54 mm; ``glyph`` names a two-terminal symbol's drawing."""
+    """A kind of part. ``width`` and rows are in grid units of 2.54 mm; ``glyph`` names a two-terminal drawing."""
 
     name: str
     pins: tuple[PinShape, ...]
@@ -36,7 +36,7 @@ class Kind:
 
 
 def _side(side: str, text: str) -> Iterator[PinShape]:
-    """Pins of one side from lines "number name type"; an empty line leaves a row free."""
+    """Yield the pins of one side from lines "number name type"; an empty line leaves a row free."""
     for row, line in enumerate(text.strip("\n").splitlines()):
         if line.strip():
             number, name, kind = line.split()
@@ -44,17 +44,17 @@ def _side(side: str, text: str) -> Iterator[PinShape]:
 
 
 def chip(name: str, left: str, right: str, width: int = 6) -> Kind:
-    """A rectangle with pins on two sides."""
+    """Return a rectangle with pins on two sides."""
     return Kind(name, (*_side("L", left), *_side("R", right)), width)
 
 
 def two_terminals(name: str, first: str = "1", second: str = "2") -> Kind:
-    """A part with two pins in a line: 1 left (or above), 2 right (or below)."""
+    """Return a part with two pins in a line: 1 left (or above), 2 right (or below)."""
     return Kind(name, (PinShape("1", first, "passive", "L", 0), PinShape("2", second, "passive", "R", 0)), 2, name)
 
 
 def connector(ways: int) -> Kind:
-    """A row of screw terminals."""
+    """Return a row of screw terminals."""
     return Kind(
         f"TERMINAL_{ways}", tuple(PinShape(str(i + 1), str(i + 1), "passive", "R", i) for i in range(ways)), width=2
     )

@@ -1,4 +1,4 @@
-"""KiCad 9 schematic files of the sheets, with symbols of their own. Standard library only; the same bytes every time."""
+"""KiCad 9 schematic files of the sheets, with their own symbols. Only the standard library; reproducible output."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ GRID = 2.54
 LIBRARY = "truearm"
 NAME = "truearm-box"
 FORMAT = 20250114  # of KiCad 9.0
-IDS = uuid.UUID("5f0c1d1e-7a0b-4c3e-9d6b-3d0f6c0a8b10")  # any: identifiers are made from it and the names
+IDS = uuid.UUID("5f0c1d1e-7a0b-4c3e-9d6b-3d0f6c0a8b10")  # arbitrary: identifiers are derived from it and the names
 LENGTH = 3 * GRID
 
-# What is drawn of a two-terminal part along its axis t from pin 1 and across it, s; mm. Pins end where the drawing begins.
+# The drawing of a two-terminal part along its axis t from pin 1 and across it, s; mm. Pins end where the drawing
+# begins.
 GLYPHS: dict[str, tuple[float, list[list[tuple[float, float]]]]] = {
     "R": (1.905, [[(1.905, -0.9), (5.715, -0.9), (5.715, 0.9), (1.905, 0.9), (1.905, -0.9)]]),
     "C": (3.43, [[(3.43, -1.7), (3.43, 1.7)], [(4.19, -1.7), (4.19, 1.7)]]),
@@ -68,7 +69,7 @@ def place(point: Point | tuple[float, float]) -> str:
 
 
 def variant(part: Part) -> str:
-    """The name of the symbol that draws the part."""
+    """Return the name of the symbol that draws the part."""
     if not part.kind.glyph:
         return part.kind.name
     return part.kind.name + ("_V" if part.vertical else "_H") + ("F" if part.flip else "")
@@ -138,7 +139,7 @@ def _rectangle(kind: Kind) -> str:
 
 
 def _supply(net: str) -> str:
-    """A supply's symbol; its net is its value."""
+    """Return a supply's symbol; its net is its value."""
     hidden = "(pin_numbers (hide yes)) (pin_names (offset 0) (hide yes))"
     lines = [[(-1.27, -1), (1.27, -1), (0, -2.2), (-1.27, -1)], [(0, 0), (0, -1)]]
     if net != "GND":
@@ -159,7 +160,7 @@ def _flag() -> str:
 
 
 def library(sheets: Sequence[Sheet]) -> str:
-    """The symbol library that the schematic's symbols come from."""
+    """Return the symbol library with the schematic's symbols."""
     symbols = {variant(part): symbol(part) for sheet in sheets for part in sheet.parts}
     supplies = [_supply(net).replace(f'"{LIBRARY}:', '"', 1) for net in SUPPLIES]
     text = "\n".join([*(symbols[name] for name in sorted(symbols)), *supplies, _flag().replace(f'"{LIBRARY}:', '"', 1)])
@@ -171,7 +172,7 @@ def library(sheets: Sequence[Sheet]) -> str:
 
 @dataclass(frozen=True)
 class Page:
-    """Where a sheet's symbols are known: its path of identifiers and its page number."""
+    """How a sheet's symbols are addressed: its path of identifiers and its page number."""
 
     path: str
     page: int
@@ -215,7 +216,7 @@ def _reference(ref: str, page: Page) -> str:
 
 
 def _mark(name: str, net: str, ref: str, point: Point, page: Page) -> str:
-    """A supply's symbol or a power flag."""
+    """Return a supply's symbol or a power flag."""
     up = 1.6 if name == "GND" else -1.1
     lines = [
         f"(symbol (lib_id {quote(f'{LIBRARY}:{name}')}) (at {place(point)} 0) (unit 1) (exclude_from_sim no) (in_bom no) "
@@ -241,7 +242,7 @@ def _label(kind: str, net: str, point: tuple[float, float], angle: int, *names: 
 
 
 def sheet_file(sheet: Sheet, page: Page, shared: frozenset[str], flags: Mapping[str, str]) -> str:
-    """One sheet. ``shared`` are nets that other sheets have too; ``flags``: net → "ref.pin" where a power flag stands."""
+    """Return one sheet. ``shared`` are nets that other sheets have too; ``flags``: net → "ref.pin" for a power flag."""
     drawn = wires(sheet)
     out = [_instance(part, page, sheet.name) for part in sheet.parts]
     used: dict[str, str] = {variant(part): symbol(part) for part in sheet.parts}
@@ -312,7 +313,7 @@ def _short(segment: tuple[Point, Point]) -> bool:
 def _label_place(
     segments: Sequence[tuple[Point, Point]], points: frozenset[Point], directions: Mapping[Point, int]
 ) -> tuple[tuple[float, float], int]:
-    """Where a cluster's label goes: at its only pin, or in the middle of its longest wire, a level one if there is one."""
+    """Return the position of a cluster's label: at its only pin, or midway on its longest wire, preferably a level one."""
     mine = [segment for segment in segments if segment[0] in points]
     if not mine:
         (only,) = points
@@ -332,7 +333,7 @@ def _file(name: str, title: str, symbols: Sequence[str], body: Sequence[str], pa
 
 
 def files(sheets: Sequence[Sheet], flags: Mapping[str, str]) -> dict[str, str]:
-    """All files of the KiCad project by name: root, sheets, library, library table, project."""
+    """Return all files of the KiCad project by name: root, sheets, library, library table, project."""
     root = identifier("root")
     where = Counter(
         net for sheet in sheets for net in {net for part in sheet.parts for net in part.nets.values()} if net

@@ -1,7 +1,7 @@
-"""A sheet of the schematic: parts placed on a grid of 2.54 mm, and what of their nets is drawn as wires.
+"""A sheet of the schematic: parts placed on a grid of 2.54 mm, and the parts of their nets that are drawn as wires.
 
-Wires follow from the placement: two points of a net that lie in one row or column, with nothing of another net between them, are
-joined. What is not joined so gets labels. `via` adds a corner for a wire to go round.
+Wires follow from the placement: two points of a net in one row or column are joined if nothing of another net lies
+between them. Other points get labels. `via` adds a corner to route a wire around something.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SUPPLIES = ("GND", "+3V3", "AVDD", "VBUS", "+24V")
 
 @dataclass(frozen=True)
 class Part:
-    """A part on a sheet. ``nets``: pin number → net, None for a pin that is left open."""
+    """A part on a sheet. ``nets``: pin number → net, None for an open pin."""
 
     ref: str
     kind: Kind
@@ -33,11 +33,11 @@ class Part:
     note: str
 
     def far(self, number: str) -> bool:
-        """Whether a pin of a two-terminal part is its right or lower end."""
+        """Return whether a pin of a two-terminal part is its right or lower end."""
         return (number == "2") != self.flip
 
     def pin_at(self, number: str) -> Point:
-        """Where a pin's end is."""
+        """Return the position of a pin's end."""
         x, y = self.at
         pin = next(pin for pin in self.kind.pins if pin.number == number)
         if self.kind.glyph:
@@ -46,13 +46,13 @@ class Part:
         return (x - 1, y + 1 + pin.row) if pin.side == "L" else (x + self.kind.width + 1, y + 1 + pin.row)
 
     def direction(self, number: str) -> int:
-        """Which way a label at the pin points, in degrees: 0 right, 90 up, 180 left, 270 down."""
+        """Return the direction of a label at the pin, in degrees: 0 right, 90 up, 180 left, 270 down."""
         if self.kind.glyph:
             return (90, 270)[self.far(number)] if self.vertical else (180, 0)[self.far(number)]
         return 180 if next(pin for pin in self.kind.pins if pin.number == number).side == "L" else 0
 
     def box(self) -> tuple[int, int, int, int]:
-        """The grid points strictly inside of which no wire may go: x0, y0, x1, y1."""
+        """Return the rectangle x0, y0, x1, y1 whose inner grid points no wire may cross."""
         x, y = self.at
         if self.kind.glyph:
             return (x, y, x, y + 3) if self.vertical else (x, y, x + 3, y)
@@ -61,7 +61,7 @@ class Part:
 
 @dataclass
 class Sheet:
-    """One sheet. ``notes`` are (place, text) printed on it."""
+    """One sheet. ``notes`` are (position, text) printed on it."""
 
     name: str
     title: str
@@ -81,12 +81,13 @@ class Sheet:
         flip: bool = False,
         note: str = "",
     ) -> None:
-        """Place a part. ``nets`` of two terminals is (net of pin 1, net of pin 2), from left to right or, ``down``, downwards.
+        """Place a part. ``nets`` of two terminals is (net of pin 1, net of pin 2), from left to right or, ``down``,
+        downwards.
 
         ``flip`` draws pin 2 of a diode, its anode, first.
 
-        A value that ends in " not fitted" is a place on the board that is left empty. Raises KeyError for a part without
-        part number, ValueError for nets that do not name every pin.
+        A value that ends in " not fitted" is a position on the board that stays empty. Raises KeyError for a part
+        without part number, ValueError for nets that do not name every pin.
         """
         if isinstance(nets, tuple):
             nets = {str(i + 1): net for i, net in enumerate(nets)}
@@ -98,7 +99,7 @@ class Sheet:
         self.parts.append(Part(ref, kind, value, at, dict(nets), down, flip, fitted, note))
 
     def via(self, net: str, *points: Point) -> None:
-        """Corners of a net's wire."""
+        """Add corners to a net's wire."""
         self.vias += [(net, point) for point in points]
 
     def note(self, at: Point, text: str) -> None:
@@ -106,7 +107,7 @@ class Sheet:
 
 
 def netlist(sheets: Iterable[Sheet]) -> Netlist:
-    """What the sheets say, without how they are drawn. Raises ValueError where a reference is there twice."""
+    """Return the content of the sheets without their drawing. Raises ValueError for a duplicate reference."""
     components: dict[str, Component] = {}
     pins = {}
     for part in (part for sheet in sheets for part in sheet.parts):
@@ -123,7 +124,7 @@ def netlist(sheets: Iterable[Sheet]) -> Netlist:
 
 @dataclass(frozen=True)
 class Wires:
-    """``segments``: the wires; ``clusters``: net and the points joined by them, one entry a cluster; ``dots``: junctions."""
+    """``segments``: the wires; ``clusters``: net and points joined by them, one entry per cluster; ``dots``: junctions."""
 
     segments: tuple[tuple[Point, Point], ...]
     clusters: tuple[tuple[str, frozenset[Point]], ...]
@@ -131,7 +132,7 @@ class Wires:
 
 
 def wires(sheet: Sheet) -> Wires:
-    """Draw what can be drawn as straight wires between neighbours. Supplies stay symbols and labels."""
+    """Draw straight wires between neighbours where possible. Supplies remain symbols and labels."""
     points: dict[Point, str] = {}
     for part in sheet.parts:
         for number, net in part.nets.items():
@@ -164,7 +165,7 @@ def wires(sheet: Sheet) -> Wires:
 
 
 def _neighbours(points: Mapping[Point, str]) -> list[tuple[Point, Point]]:
-    """Pairs of points of one net in a row or column with no other point between them, except on supplies."""
+    """Return pairs of points of one net in a row or column with no other point between them, except on supplies."""
     found = []
     for axis in (0, 1):
         lines: dict[int, list[Point]] = {}
@@ -185,7 +186,7 @@ def _length(a: Point, b: Point) -> int:
 
 
 def _inside(part: Part, a: Point, b: Point) -> bool:
-    """Whether the wire goes through the part's drawing."""
+    """Return whether the wire crosses the part's drawing."""
     x0, y0, x1, y1 = part.box()
     low, high = (min(a[0], b[0]), min(a[1], b[1])), (max(a[0], b[0]), max(a[1], b[1]))
     if part.kind.glyph:  # a line between its two pins
@@ -200,7 +201,7 @@ def _inside(part: Part, a: Point, b: Point) -> bool:
 
 
 def _overlap(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether two wires lie on each other, or one ends within the other."""
+    """Return whether two wires overlap, or one ends within the other."""
 
     def within(p: Point, q: Point, r: Point) -> bool:
         return (p[0] == q[0] == r[0] and q[1] < p[1] < r[1]) or (p[1] == q[1] == r[1] and q[0] < p[0] < r[0])

@@ -1,7 +1,8 @@
 """The netlist as a SPICE circuit, and ngspice to run it.
 
-The models say what the data sheets say of the parts' limits and typical behaviour; none is the maker's. Digital chips have only what
-matters at their analogue pins. Every deck holds the whole box: what is simulated is what is built.
+The models follow the data sheets' limits and typical behaviour; none comes from a manufacturer. Digital chips are
+modelled only as far as their analogue pins require. Every deck contains the complete box: what is simulated is what is
+built.
 """
 
 from __future__ import annotations
@@ -61,13 +62,13 @@ R1 sense fgnd 1e6
 
 @dataclass(frozen=True)
 class Circuit:
-    """A netlist that is simulated. ``fitted``: places that are empty on the board and filled here."""
+    """A netlist for simulation. ``fitted``: positions that are empty on the board and filled here."""
 
     netlist: Netlist
     fitted: frozenset[str] = frozenset()
 
     def node(self, ref: str, function: str) -> str:
-        """The SPICE node of a pin, by the data sheet's name or a terminal's number."""
+        """Return the SPICE node of a pin, by the data sheet's name or a terminal's number."""
         sheet = data_sheet(self.netlist.components[ref].mpn)
         numbers = [n for n, name in sheet.pins.items() if name == function] if sheet else [function]
         for number in numbers:
@@ -76,7 +77,7 @@ class Circuit:
         return f"open_{ref}_{re.sub('[^a-z0-9]', '_', function.lower())}"
 
     def lines(self) -> list[str]:
-        """All parts as SPICE elements."""
+        """Return all parts as SPICE elements."""
         found: list[str] = []
         for ref, part in sorted(self.netlist.components.items()):
             if part.fitted or ref in self.fitted:
@@ -118,7 +119,7 @@ class Circuit:
                 found.append(f"S{ref}o{k} {at('COM' + k, 'NO' + k)} {at('IN' + k)} 0 SWITCH")
                 found.append(f"S{ref}c{k} {at('COM' + k, 'NC' + k)} {at('V+', 'IN' + k)} SWITCH")
             return found
-        if mpn.startswith("LP5907"):  # gives current, takes none
+        if mpn.startswith("LP5907"):  # sources current only
             return [f"V{ref} {ref}s 0 3.3", f"D{ref} {ref}s {at('OUT')} DIDEAL"]
         if mpn.startswith("BAT54S"):
             return [f"D{ref}a {at('A1', 'MID')} DSCH", f"D{ref}b {at('MID', 'K2')} DSCH"]
@@ -145,15 +146,16 @@ class Circuit:
 
 
 def node_of(net: str) -> str:
-    """A net's SPICE node."""
+    """Return a net's SPICE node."""
     return "0" if net == "GND" else re.sub(r"[^a-z0-9_]", "p", net.lower())
 
 
 def run(tools: Tools, circuit: Circuit, bench: Iterable[str], control: Iterable[str]) -> dict[str, float]:
-    """Simulate the box with a bench around it; returns what ``meas`` and ``print`` lines gave, by name in lower case.
+    """Simulate the box with a bench around it; return the results of ``meas`` and ``print`` lines, by name in lower
+    case.
 
     Raises:
-        RuntimeError: ngspice failed; the text is what it said.
+        RuntimeError: ngspice failed; the text is its message.
     """
     lines = ["the box", *MODELS.splitlines(), *circuit.lines(), *bench]
     lines += ["Iavdd avdd 0 8m", ".options reltol=1e-4 abstol=1e-10 vntol=1e-7 rshunt=1e12 method=gear", ".control"]
@@ -172,14 +174,14 @@ def run(tools: Tools, circuit: Circuit, bench: Iterable[str], control: Iterable[
     found = {}
     for match in re.finditer(r"^([a-z][\w.]*)\s*=\s*([-+0-9.e]+)", done.stdout, re.M | re.I):
         found[match[1].lower()] = float(match[2])
-    # after "Transient op" an operating point would be whatever the transient had reached
+    # after "Transient op" an operating point would be whatever state the transient had reached
     if not found or "singular" in done.stderr or "Transient op" in done.stderr or "aborted" in done.stderr:
         raise RuntimeError(f"ngspice: {(done.stdout + done.stderr)[-2000:]}")
     return found
 
 
 def limited_nodes(circuit: Circuit) -> list[str]:
-    """Nodes of pins whose absolute maximum is known."""
+    """Return the nodes of pins with a known absolute maximum."""
     found = set()
     for ref, part in circuit.netlist.components.items():
         sheet = data_sheet(part.mpn)
@@ -188,7 +190,7 @@ def limited_nodes(circuit: Circuit) -> list[str]:
 
 
 def within_limits(circuit: Circuit, values: Mapping[str, float], supplies: Mapping[str, float]) -> list[str]:
-    """Pins whose voltages leave their absolute maximum; values are by node."""
+    """Return pins whose voltages exceed their absolute maximum; values are by node."""
     found = []
     for ref, part in circuit.netlist.components.items():
         sheet = data_sheet(part.mpn)

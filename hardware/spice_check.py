@@ -1,4 +1,7 @@
-"""What the simulated box must do: scales, corners, faults, LVDT, triggers, RS-422. Returns rows (what, measured, wanted, passed)."""
+"""Requirements for the simulated box: scales, corners, faults, LVDT, triggers, RS-422.
+
+Returns rows (what, measured, wanted, passed).
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,9 @@ from hardware.netlist import Netlist
 from hardware.spice import Circuit, limited_nodes, run, within_limits
 
 PERIOD = 1 / budget.EXCITATION_HZ
-# Delay of the demodulators' clocks behind the excitation's, in periods. The primary's is a quarter of a period behind the
-# secondary's, since the current lags the voltage that it induces: a change of the primary's resistance turns both and cancels.
+# Delay of the demodulators' clocks relative to the excitation's, in periods. The primary's is a quarter of a period
+# behind the secondary's, since the current lags the voltage that it induces: a change of the primary's resistance
+# rotates both, and cancels.
 PHASE_S = 0.25
 PHASE_P = 0.50
 FAULT_V = 30.0
@@ -30,7 +34,7 @@ class Row:
 
 
 def check(tools: Tools, netlist: Netlist) -> list[Row]:
-    """All checks; two simulations at a time."""
+    """Run all checks, two simulations at a time."""
     circuit = Circuit(netlist)
     with ThreadPoolExecutor(2) as pool:
         jobs = [
@@ -85,9 +89,11 @@ def _near(what: str, measured: float, wanted: float, tolerance: float) -> Row:
 def lvdt_ratio(
     tools: Tools, circuit: Circuit, cases: list[tuple[float, float, float]], phase: float = PHASE_S, lead_s: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Demodulated (secondary, primary) [V] for cases of core position -1..1, high level of the excitation, primary's ohms.
+    """Return demodulated (secondary, primary) [V] for cases of core position -1..1, excitation high level, primary's
+    ohms.
 
-    The LVDT: 20 mH primary, secondaries of 30 mH, couplings 0.5 ± 0.3 x, their wires 150 Ω each, secondaries in opposition.
+    The LVDT: 20 mH primary, secondaries of 30 mH, couplings 0.5 ± 0.3 x, their wires 150 Ω each, secondaries in
+    opposition.
     """
     found = []
     for x, high, ohm in cases:
@@ -100,7 +106,7 @@ def lvdt_ratio(
 
         bench = [
             f"Vexc exc0 0 {pulse(high, 0)}",
-            f"Vmean {exc} exc0 PWL(0 {high / 2:g} 1n 0)",  # the capacitors begin with the mean
+            f"Vmean {exc} exc0 PWL(0 {high / 2:g} 1n 0)",  # the capacitors start at the mean
             f"Vds {ds} 0 {pulse(3.3, phase * PERIOD)}",
             f"Vdp {dp} 0 {pulse(3.3, (phase + PHASE_P - PHASE_S) * PERIOD)}",
             f"Rp {p1} lp1 {ohm:g}",
@@ -127,7 +133,7 @@ def lvdt_ratio(
     return found
 
 
-SETTLING = 20  # periods: 2.6 time constants of the coupling capacitors, which begin almost charged
+SETTLING = 20  # periods: 2.6 time constants of the coupling capacitors, which start almost charged
 POSITIONS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 
 
@@ -186,7 +192,7 @@ def faults(netlist: Netlist) -> Iterator:
 
 
 def fault(tools: Tools, circuit: Circuit, ref: str, way: str, volt: float) -> Row:
-    """A terminal jumps to ±30 V against the box's ground and stays there: every chip's pins in the first 50 ms."""
+    """Step a terminal to ±30 V relative to the box's ground, and check every chip's pins in the first 50 ms."""
     nodes = limited_nodes(circuit)
     supplies = {circuit.node("U3", "AVDD"): 3.3, circuit.node("U1", "3V3"): 3.3}
     bench = [f"Vfault {circuit.node(ref, way)} 0 PWL(0 0 10u 0 11u {volt:g} 1 {volt:g})"]
@@ -206,7 +212,10 @@ def fault(tools: Tools, circuit: Circuit, ref: str, way: str, volt: float) -> Ro
 
 
 def triggers_in(tools: Tools, circuit: Circuit) -> list[Row]:
-    """Sense voltage in 0 to 30 V either way; the receiver is certainly on above 8.55 V and certainly off below 6.5 V."""
+    """Check the inputs at 0 to 30 V in either direction.
+
+    The receiver is certainly on above a sense voltage of 8.55 V and certainly off below 6.5 V.
+    """
     rows = []
     for ref, chip in (("J7", "U9"), ("J8", "U10")):
         for name in ("PNP", "NPN"):

@@ -1,4 +1,4 @@
-"""The tables of docs/how-to/hardware.md that follow from the sources. Standard library only."""
+"""The tables of docs/how-to/hardware.md that follow from the sources. Uses only the standard library."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOURCE = "part number from the maker's ordering code, 2026-11; no distributor wa
 
 
 def blocks(made: list[Sheet]) -> dict[str, str]:
-    """Text of every generated block of docs/how-to/hardware.md by name."""
+    """Return the text of every generated block of docs/how-to/hardware.md by name."""
     circuit = netlist(made)
     parts = [part for sheet in made for part in sheet.parts]
     return {
@@ -37,7 +37,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def pins(circuit: Netlist) -> str:
-    """Every pin of the Pico that is used, and what it goes to."""
+    """Return every used pin of the Pico and its connection."""
     rows = []
     for number, net in sorted(circuit.pins_of("U1").items(), key=lambda item: int(item[0])):
         name = data_sheet("SC0917").pins[number]
@@ -55,7 +55,7 @@ def _function(circuit: Netlist, ref: str, number: str) -> str:
 
 
 def terminals(parts: list[Part]) -> str:
-    """Every row of terminals; what stands at which screw."""
+    """Return every row of terminals with the connection of each screw."""
     rows = []
     for part in sorted((p for p in parts if p.ref[0] == "J"), key=lambda p: int(p.ref[1:])):
         name, _, ways = part.note.partition(":")
@@ -65,7 +65,7 @@ def terminals(parts: list[Part]) -> str:
 
 
 def parts_table(parts: list[Part]) -> str:
-    """The parts list, one row a part number."""
+    """Return the parts list, one row per part number."""
     rows: dict[tuple[str, str, bool], list[str]] = {}
     for part in parts:
         rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
@@ -78,7 +78,7 @@ def parts_table(parts: list[Part]) -> str:
 
 
 def inputs(circuit: Netlist) -> str:
-    """Scale of every input of the converter."""
+    """Return the scale of every input of the converter."""
     t, loop, d = budget.transducer(circuit), budget.loop_scale(circuit), budget.demodulator(circuit)
     low = budget.transducer(circuit, budget.ADC_OHM * (1 - budget.ADC_OHM_TOLERANCE)).scale / t.scale - 1
     return table(
@@ -124,7 +124,7 @@ def _us(value: float) -> str:
     return f"{value * 1e6:.0f} µs"
 
 
-# ---- error budgets. Sensors' figures that no data sheet was found for are marked "assumed".
+# ---- error budgets. Sensor data without a data sheet are marked "assumed".
 
 TRAVEL_M = 0.0375  # half the stroke of the LVDT
 LVDT_PER_K = 100e-6  # assumed
