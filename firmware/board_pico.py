@@ -1,21 +1,23 @@
-"""The Raspberry Pi Pico as the box's board (truearm_box/box.py says what a board offers).
+"""The Raspberry Pi Pico as the box's board (truearm_box/box.py describes what a board provides).
 
-Pins are those of docs/how-to/hardware.md. Sources and triggers are drivers' own: this file gives them pins, state machines and DMA
-channels. Nothing that is called while sampling allocates.
+The pins are those of docs/how-to/hardware.md. Sources and triggers belong to drivers: this file gives them pins, state
+machines and DMA channels. Nothing that is called while sampling allocates.
 
-Time is the 64-bit microsecond timer, read raw: high, low, high again, so that a carry in between is seen. `time.ticks_us` wraps at 2^30.
+Time is the 64-bit microsecond timer, read raw: high, low, high again, to detect a carry in between. `time.ticks_us`
+wraps at 2^30.
 
-The link is USB CDC through MicroPython's own standard input and output, which leaves the REPL on the same cable.
-`kbd_intr(-1)` lets a byte 3 be data. Reading: one byte a call, after a poll that says there is one. Writing:
-`stdout` would wait up to 0.5 s for a host that does not read, and its FIFO would swallow a frame that nobody fetches. So a
-frame is handed over only when the endpoint has sent all it had: then 320 bytes fit (FIFO and packet), and the call returns at once.
-When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it has to drop.
+The link is USB CDC through MicroPython's own standard input and output, so the REPL remains on the same cable.
+`kbd_intr(-1)` makes a byte 3 ordinary data. Reading: one byte per call, after a poll that reports one. Writing:
+`stdout` would wait up to 0.5 s for a host that does not read, and its FIFO would swallow a frame that nobody fetches. A
+frame is therefore handed over only when the endpoint has sent everything: then 320 bytes fit (FIFO and packet), and the
+call returns at once. When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it
+must drop.
 
-Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO, where the image has it (image/usb_stamp). A
-stock MicroPython takes them in Python: when it looks for bytes, and before CRC and FIFO.
+Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO, if the image supports it
+(image/usb_stamp). A stock MicroPython takes them in Python: when it looks for bytes, and before CRC and FIFO.
 
-At power-on there are two seconds in which Ctrl-C leads to the REPL: only after them byte 3 is data and the watchdog runs. So
-whatever the firmware does, the box stays reachable; a command leads back too.
+For two seconds after power-on, Ctrl-C leads to the REPL; only after that is byte 3 data, and the watchdog runs. The box
+therefore stays reachable whatever the firmware does; a command leads back too.
 """
 
 import gc
@@ -39,7 +41,7 @@ from drivers.triggers import Triggers
 
 try:
     import usb_stamp
-except ImportError:  # a stock MicroPython: times of exchanges are Python's
+except ImportError:  # a stock MicroPython: Python takes the times of exchanges
     usb_stamp = None
 from truearm_wire.frame import close
 
@@ -50,13 +52,13 @@ TRIGGER_PINS = 6  # and 7, inputs; 8, output
 THERMOMETER_PIN = 9
 LVDT_PINS = (10, 12, 14)  # excitation, clocks of the secondary's and the primary's demodulator
 LED_PIN = 25
-CONVERTER_MACHINE = 0  # and 1, state machines of PIO 0; the triggers' is there too
+CONVERTER_MACHINE = 0  # and 1, state machines of PIO 0, which also has that of the triggers
 TRIGGER_MACHINE = 2
 THERMOMETER_MACHINE = 3
 HEAD_BLOCK = 1  # the head takes three machines of PIO 1, and all of its instructions
 RAIL_5V_ADC = 1  # GP27, behind a divider by three
 TEMPERATURE_ADC = 4
-TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is free too when the endpoint rests
+TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is also free when the endpoint is idle
 IDLE_MS = 2  # a block of 13 samples takes 3.2 ms at 4 kHz
 RING_SLOTS = 200  # blocks: 2 s of both streams at 1 kHz, 78 and 20 blocks a second
 
@@ -65,7 +67,7 @@ WRONG_CLOCK = "the system clock is %d Hz; the box counts times of flight and mak
 POWER = 1
 WATCHDOG = 2
 COMMAND = 3
-# what the LED shows by health's code: on and off times, ms
+# LED pattern by health's code: on and off times, ms
 BLINKS = ((50, 1950), (500, 500), (50, 450), (100, 100))
 
 
@@ -130,7 +132,7 @@ class Board:
         return WATCHDOG if reason & 1 else POWER
 
     def _boot_window(self):
-        """Blink for two seconds, in which Ctrl-C raises KeyboardInterrupt and so leads to the REPL."""
+        """Blink for two seconds, during which Ctrl-C raises KeyboardInterrupt and so leads to the REPL."""
         end = time.ticks_add(time.ticks_ms(), BOOT_WINDOW_MS)
         while time.ticks_diff(end, time.ticks_ms()) > 0:
             self._led.toggle()
@@ -178,10 +180,10 @@ class Board:
         return self._stdout.write(buf, at, close(buf, at, end) - at) or 0
 
     def _link_rests(self):
-        """Whether all that was handed over has been fetched by the host.
+        """Return whether the host has fetched everything that was handed over.
 
-        A packet may have gone just before the register is looked at, with more in the FIFO: polling lets MicroPython put that
-        into the endpoint, so a second look tells.
+        A packet may have left just before the register is read, with more in the FIFO. Polling lets MicroPython move
+        that into the endpoint, so a second look is reliable.
         """
         for _ in range(2):
             self._poll.ipoll(0)
@@ -193,10 +195,10 @@ class Board:
         sys.stdout.buffer.write(b"\0")
         sys.stdout.write(text)
         sys.stdout.buffer.write(b"\0")
-        time.sleep_ms(100)  # for the host to fetch it: a reset follows
+        time.sleep_ms(100)  # time for the host to fetch it: a reset follows
 
     def idle(self, us):
-        """Sleep until a byte comes, at most IDLE_MS. machine.idle() would not sleep at all after a step of more than its 1 ms."""
+        """Sleep until a byte arrives, at most IDLE_MS. machine.idle() would not sleep after a step longer than its 1 ms."""
         for _ in self._poll.ipoll(min(IDLE_MS, us // 1000)):
             break
 
@@ -224,7 +226,7 @@ class Board:
         return self._rail.read_u16() * 9900 // 65535
 
     def temperature_mdegc(self):
-        """27 °C at 0.706 V, −1.721 mV/K (RP2040 datasheet 4.9.5), in integers: a float would be allocated."""
+        """Return the temperature: 27 °C at 0.706 V, −1.721 mV/K (RP2040 datasheet 4.9.5), without allocated floats."""
         microvolts = self._temperature.read_u16() * 3300 // 65535 * 1000
         return 27000 - (microvolts - 706000) * 1000 // 1721
 
@@ -265,7 +267,7 @@ class Board:
 
     def to_repl(self):
         self._stop_watchdog()
-        self.adc.stop()  # whoever is at the prompt may free the buffers that DMA writes into
+        self.adc.stop()  # a user at the prompt may free the buffers that DMA writes into
         self.mag.halt()
         self._triggers.stop()
         self.thermometers.stop()

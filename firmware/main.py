@@ -1,4 +1,4 @@
-"""The sensor box: runs until the host asks for MicroPython's prompt. `board` is whichever board file the box carries; the simulator brings its own."""
+"""The sensor box: runs until the host requests MicroPython's prompt. `board` is the board file of box or simulator."""
 
 from board import Board
 

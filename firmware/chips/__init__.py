@@ -1,1 +1,1 @@
-"""One table a chip: what a driver has to know of it. RP2350 would be one more file with the same names."""
+"""One table per chip: what a driver must know about it. RP2350 would be one more file with the same names."""

@@ -1,18 +1,19 @@
-"""What the drivers must know of the RP2040: clock, register addresses, data request numbers. From its datasheet.
+"""What the drivers must know about the RP2040: clock, register addresses, data request numbers. From its datasheet.
 
-Sections: 2.5.3 (DREQ numbers), 2.5.7 (DMA registers), 3.7 (PIO), 4.4.4 (SPI), 4.5.3 (PWM), 4.6.5 (timer), 4.7.6 (watchdog),
-2.12.7 (chip reset), 2.17.8 (ROSC). Numbers alone: nothing here touches the chip.
+Sections: 2.5.3 (DREQ numbers), 2.5.7 (DMA registers), 3.7 (PIO), 4.4.4 (SPI), 4.5.3 (PWM), 4.6.5 (timer), 4.7.6
+(watchdog), 2.12.7 (chip reset), 2.17.8 (ROSC). Only numbers: nothing here accesses the chip.
 """
 
 NAME = "rp2040"
-CLOCK_HZ = 125000000  # what MicroPython sets; every divider below counts from it
+CLOCK_HZ = 125000000  # set by MicroPython; every divider below refers to it
 CONVERTER_DIVIDER = 15  # of the converter's clock: 8.33 MHz, of at most 8.4 MHz
 
-# the microsecond timer, 64 bit: the raw halves, which read without side effects
+# the microsecond timer, 64 bit: the raw halves, which can be read without side effects
 TIMERAWH = 0x40054024
 TIMERAWL = 0x40054028
 
-# DMA: channel registers from DMA + DMA_STRIDE * channel, offsets below; aliases end in what starts the channel
+# DMA: channel registers from DMA + DMA_STRIDE * channel, offsets below; in an alias the last register starts the
+# channel
 DMA = 0x50000000
 DMA_STRIDE = 0x40
 DMA_CHANNELS = 12
@@ -45,7 +46,7 @@ DREQ_SPI_RX = 17
 DREQ_SPI_STRIDE = 2
 DREQ_PWM_WRAP = 24
 DREQ_ADC = 36
-DREQ_FORCE = 63  # always: as fast as it goes
+DREQ_FORCE = 63  # always: as fast as possible
 
 # PIO blocks, four state machines and 32 instructions each
 PIO = (0x50200000, 0x50300000)
@@ -100,11 +101,12 @@ SIO_GPIO_IN = 0xD0000004
 SIO_GPIO_OUT_SET = 0xD0000014
 SIO_GPIO_OUT_CLR = 0xD0000018
 
-# a register's address plus this: what is written there sets or clears bits
+# a register's address plus this: writing there sets or clears bits
 SET = 0x2000
 CLEAR = 0x3000
 
-# USB: buffer control of the endpoint on which MicroPython's CDC sends (2 IN); the bit says that a packet waits for the host
+# USB: buffer control of the endpoint on which MicroPython's CDC sends (2 IN); the bit means that a packet waits for the
+# host
 USB_CDC_IN = 0x50100090
 USB_AVAILABLE = 1 << 10
 
@@ -112,6 +114,6 @@ USB_AVAILABLE = 1 << 10
 WATCHDOG_CTRL = 0x40058000
 WATCHDOG_ENABLE = 1 << 30
 WATCHDOG_REASON = 0x40058008  # bit 0 the watchdog's timer, bit 1 forced by software; 0 any other reset
-WATCHDOG_SCRATCH0 = 0x4005800C  # eight words that outlive all but a power-on reset; the boot ROM uses 4 to 7
+WATCHDOG_SCRATCH0 = 0x4005800C  # eight words that survive all but a power-on reset; the boot ROM uses 4 to 7
 CHIP_RESET = 0x40064008  # bit 8 power-on or brown-out, 16 the RUN pin, 20 the debugger
 ROSC_RANDOMBIT = 0x4006001C

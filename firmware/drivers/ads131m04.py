@@ -1,9 +1,9 @@
-"""ADS131M04: 24-bit delta-sigma converter, 4 channels at once. Registers, frames and their CRC; ads131m04_dma.py reads the samples.
+"""ADS131M04: 24-bit delta-sigma converter with 4 simultaneous channels. Registers, frames and CRC; ads131m04_dma.py samples.
 
 From the datasheets SBAS890 (ADS131M04) and SBASA13 (-Q1), sections 6.6, 6.7 and 8:
 - SPI mode 1 (data change on the rising edge of SCLK, are read on the falling one), SCLK period ≥ 40 ns at DVDD ≥ 2.7 V, high and
   low ≥ 20 ns; CS low ≥ 16 ns before the first SCLK, DOUT driven ≤ 50 ns after it and valid ≤ 20 ns after a rising edge; CS high
-  ≥ 15 ns. Words of 24 bits, most significant bit first; commands, registers, CRC stand in a word's upper 16 bits.
+  ≥ 15 ns. Words of 24 bits, most significant bit first; commands, registers, CRC are in a word's upper 16 bits.
 - A frame has 6 words. In: command, then zeros (WREG: the register). Out: response to the frame before, channels 0 to 3 in two's
   complement, CRC-16 of the five words (CCITT, x^16 + x^12 + x^5 + 1, from 0xFFFF, nothing reflected or inverted).
 - Commands: NULL 0000 (its response is STATUS), RESET 0011 (a whole frame; FF24), STANDBY 0022, WAKEUP 0033, LOCK 0555, UNLOCK
@@ -19,13 +19,13 @@ From the datasheets SBAS890 (ADS131M04) and SBASA13 (-Q1), sections 6.6, 6.7 and
 - SYNC/RESET low for 1 to 2047 clocks: conversions start again and the buffers are empty; ≥ 2048 clocks: reset. Registers may be used
   5 µs (t_REGACQ) after a reset.
 - DRDY (level) falls when a conversion ends and rises when its data are read, or 4 clocks before the next one ends if they are not.
-  Two conversions are buffered: who begins to read late lags by one for good, unless he gives a SYNC pulse or reads twice. So
-  ads131m04_dma.py is ready before the SYNC pulse and reads every conversion from then on.
-- Filter: sinc3 up to OSR 1024, above that sinc3 at 1024 and the mean of its last OSR / 1024 results. Nothing is held back while it
+  Two conversions are buffered: a reader that starts late lags by one permanently, unless it gives a SYNC pulse or reads twice.
+  Therefore ads131m04_dma.py is ready before the SYNC pulse and reads every conversion from then on.
+- Filter: sinc3 up to OSR 1024, above that sinc3 at 1024 and the mean of its last OSR / 1024 results. Results are output while it
   settles: three conversions after SYNC; after a reset the first two are sinc1.
 
-RX_CRC_EN stays off: while sampling, DIN is low, so that every frame is the command NULL; what disturbance could still do to the
-registers is seen by REG_MAP. Its check takes 448 clocks.
+RX_CRC_EN stays off: while sampling, DIN is low, so every frame is the command NULL. Any change of the registers by interference
+is detected by REG_MAP. Its check takes 448 clocks.
 """
 
 from array import array
@@ -52,7 +52,7 @@ GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
 
 WORDS = 6
 FRAME = 3 * WORDS  # bytes on the wire
-SETTLING = 6  # conversions after a SYNC pulse that are not used: three of sinc3 and some, two of sinc1
+SETTLING = 6  # conversions after a SYNC pulse that are not used: three for sinc3 with a margin, two of sinc1
 
 RESET_CLOCKS = 2048
 REGACQ_US = 5
@@ -84,19 +84,19 @@ def _crc16(table: ptr16, buf: ptr8, start: int, end: int) -> int:
 
 
 def crc16(buf, start, end):
-    """CRC-16 of buf[start:end] as the converter forms it."""
+    """Return the CRC-16 of buf[start:end] as the converter computes it."""
     return _crc16(TABLE, buf, start, end)
 
 
 def osr_code(osr):
-    """The OSR field of CLOCK. Raises ValueError."""
+    """Return the OSR field of CLOCK. Raises ValueError."""
     if osr not in OSRS:
         raise ValueError("an oversampling of %s; the converter has %s" % (osr, OSRS))
     return OSRS.index(osr)
 
 
 def gain_word(gains):
-    """GAIN1 for the gains of four channels. Raises ValueError."""
+    """Return GAIN1 for the gains of four channels. Raises ValueError."""
     if len(gains) != 4 or not all(gain in GAINS for gain in gains):
         raise ValueError("gains are four of %s, not %s" % (GAINS, gains))
     word = 0
@@ -123,7 +123,7 @@ class Registers:
         self.shorted = False  # inputs shorted inside the converter, to measure its noise
 
     def _frame(self, command, register):
-        """Exchange a frame. Returns the response to the frame before, or -1 if the CRC is wrong."""
+        """Exchange a frame. Returns the response to the previous frame, or -1 if the CRC is wrong."""
         out = self._out
         out[0] = command >> 8
         out[1] = command & 255
@@ -138,7 +138,7 @@ class Registers:
         return got[0] << 8 | got[1]
 
     def read(self, address):
-        """A register, or -1 if the answer's CRC is wrong."""
+        """Return a register, or -1 if the answer's CRC is wrong."""
         self._frame(RREG | address << 7, 0)
         return self._frame(NULL, 0)
 
@@ -148,13 +148,13 @@ class Registers:
         return self.read(address) == value
 
     def identified(self):
-        """Whether an ADS131M04 answers."""
+        """Return whether an ADS131M04 answers."""
         return self.read(ID) >> 8 == ID_MSB
 
     def setup(self):
-        """Reset, identify, configure. Returns whether the converter is what it should be."""
+        """Reset, identify, configure. Returns whether the converter is in the expected state."""
         self._sync.off()
-        self._wait(RESET_CLOCKS // 8 + 50)  # at 8.3 MHz, and some
+        self._wait(RESET_CLOCKS // 8 + 50)  # at 8.3 MHz, with a margin
         self._sync.on()
         self._wait(20 * REGACQ_US)
         if not (self.identified() and self.write(MODE, MODE_WORD)):

@@ -1,28 +1,33 @@
-"""Samples of an ADS131M04, read and stamped by hardware alone: two PIO state machines and three DMA channels, no interrupt, no callback.
+"""Samples of an ADS131M04, read and stamped by hardware alone: two PIO state machines, three DMA channels, no
+interrupts.
 
-Both machines wait for DRDY to fall. The counter pushes the number of the conversion; the reader clocks the frame in: six words of 24 bits,
-pushed one by one. DIN stays low (the command NULL). The DMA channels go round for ever, each started by the one before:
+Both machines wait for DRDY to fall. The counter pushes the number of the conversion; the reader clocks the frame in:
+six words of 24 bits, pushed one by one. DIN stays low (the command NULL). The DMA channels run in an endless cycle,
+each started by the previous one:
 
     number  counter's RX FIFO → survey word LATEST    1 transfer, paced by the FIFO   a conversion has ended
-    stamp   TIMERAWL → ring of stamps                 1 transfer, at once             the time of that
+    stamp   TIMERAWL → ring of stamps                 1 transfer, at once             its time
     frame   reader's RX FIFO → ring of frames         6 transfers, paced by the FIFO  its data
 
-so number, stamp and frame of a conversion cannot come apart, whatever is late; every start reloads the transfer count, so nothing
-counts out. The rings are the DMA's own (write addresses that wrap at a power of two), the number is 32 bit and never stops.
+so number, stamp and frame of a conversion always stay together, whatever is late. Every start reloads the transfer
+count, so the cycle never ends. The rings are the DMA's own (write addresses that wrap at a power of two); the number
+has 32 bits and never stops.
 
-Why it is right on the chip. Each request (DREQ) paces one channel, as the RP2040's datasheet wants it (2.5.3: channels should not share one).
-Both machines are switched on in one write and look at the pin through the same synchroniser, so they see the same edges; neither is busy
-when the next one comes. The edge is seen after 2 cycles of
-synchroniser and at most 1 of the wait; mov and push take 2, the two transfers some 10 cycles each, more only while the CPU holds
-the bus of the same peripheral: the stamp is within 0.3 µs of the edge. The first word of data comes 2.7 µs later, so the channel `frame` is
-running by then; if it were not, four words fit the FIFO and the reader would wait with SCLK low. SCLK (8.9 MHz) is high for 64
-ns and low for 48; DOUT is valid 20 ns after the rising edge and is read as it was 48 ns after it (64 less the two cycles of the
-synchroniser), so pins and wires may take 28 ns. CS falls 64 ns before SCLK rises first and stays high for more than 40 ns. A frame takes
-17 µs, more than half of the shortest period (30.72 µs) but never into the next conversion.
+Why this is correct on the chip. Each request (DREQ) paces one channel, as the RP2040's datasheet requires (2.5.3:
+channels should not share one). One write starts both machines, and they read the pin through the same synchroniser, so
+they see the same edges; neither is busy when the next one arrives. The edge is seen after 2 cycles of synchroniser and
+at most 1 of the wait. mov and push take 2, the two transfers about 10 cycles each, more only while the CPU holds the
+bus of the same peripheral: the stamp is within 0.3 µs of the edge. The first word of data arrives 2.7 µs later, so the
+channel `frame` is running by then; otherwise four words would fit the FIFO and the reader would wait with SCLK low.
+SCLK (8.9 MHz) is high for 64 ns and low for 48. DOUT is valid 20 ns after the rising edge and is sampled 48 ns after it
+(64 less the two cycles of the synchroniser), so 28 ns remain for pins and wires. CS falls 64 ns before the first rise
+of SCLK and stays high for more than 40 ns. A frame takes 17 µs, more than half of the shortest period (30.72 µs), but
+never extends into the next conversion.
 
-ads131m04_survey.py says what the CPU does with them.
+ads131m04_survey.py describes what the CPU does with them.
 
-Rings (32 KiB with what aligning takes): 16 KiB of frames hold 681 conversions, that is 669 ms at 1017 Hz, 167 ms at 4069 Hz and 21 ms at 32.55 kHz; 4 KiB of stamps.
+Rings (32 KiB including alignment): 16 KiB of frames hold 681 conversions, which is 669 ms at 1017 Hz, 167 ms at 4069 Hz
+and 21 ms at 32.55 kHz; 4 KiB of stamps.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -59,8 +64,8 @@ from .ads131m04_survey import (
 from .registers import address, aligned, arm, drain, halt, poke
 
 CHANNELS = 4
-BITS = 143  # of a frame, less one: what the state machine counts down
-NAIVE_BLOCKS = 2  # a caller that does not ask `broken` waits at most so many blocks at a gap
+BITS = 143  # of a frame, less one: the start value of the state machine's count
+NAIVE_BLOCKS = 2  # a caller that does not check `broken` waits at most this many blocks at a gap
 
 
 @micropython.viper
@@ -85,7 +90,7 @@ def counter_program(rp2):
         wait(0, pin, 0)
         mov(isr, invert(x))
         push()
-        jmp(x_dec, "next")  # from 0 it falls through to the same place
+        jmp(x_dec, "next")  # from 0 it falls through to the same instruction
 
     return numbers
 
@@ -114,17 +119,17 @@ def program(rp2):
     return frames
 
 
-# instructions that the CPU gives to the state machines; 0x0800 is CS high, SCLK low in the reader's side-set bits
+# instructions that the CPU executes on the state machines; 0x0800 is CS high, SCLK low in the reader's side-set bits
 _PULL = 0x80A0 | 0x0800  # pull(block)
 _X_TO_1 = 0xE021  # set(x, 1)
 _INVERT_X = 0xA029  # mov(x, invert(x)): the first number is 1
 
 
 class Adc:
-    """The source of stream 0 (box.py says what a source is). Pins: DOUT, CS, SCLK, DIN, DRDY, SYNC, CLKIN.
+    """The source of stream 0 (box.py describes a source). Pins: DOUT, CS, SCLK, DIN, DRDY, SYNC, CLKIN.
 
-    Takes two state machines of one block, this one and the next, 12 instructions, three DMA channels, a PWM slice and 32 KiB. Raises ValueError if
-    the pins do not suit the reader: CS and SCLK in a row, DRDY four above DOUT.
+    Uses two state machines of one block, this one and the next, 12 instructions, three DMA channels, a PWM slice and 32
+    KiB. Raises ValueError if the pins do not suit the reader: CS and SCLK adjacent, DRDY four above DOUT.
     """
 
     channels = CHANNELS
@@ -140,7 +145,7 @@ class Adc:
         select = machine.Pin(cs, machine.Pin.OUT, value=1)
         self._sync = machine.Pin(sync, machine.Pin.OUT, value=1)
         bus = machine.SoftSPI(
-            baudrate=250000,  # two µs a half: one may be a few ns, the timer's next tick, and the converter needs 20
+            baudrate=250000,  # two µs per half: one may be a few ns, the timer's next tick, and the converter needs 20
             polarity=0,
             phase=1,
             sck=machine.Pin(sclk),
@@ -160,7 +165,7 @@ class Adc:
         self.running = False
 
     def _clock(self, pin):
-        """CLKIN: the system clock by an even number would be symmetrical; 15 gives 56 ns high and 64 ns low (49 are needed)."""
+        """CLKIN: an even divider of the system clock is symmetrical; 15 gives 56 ns high, 64 ns low (49 are needed)."""
         machine, chip = self._machine, self._chip
         machine.PWM(machine.Pin(pin), freq=chip.CLOCK_HZ // chip.CONVERTER_DIVIDER, duty_u16=32768)
         registers = chip.PWM + chip.PWM_STRIDE * (pin >> 1 & 7)
@@ -187,9 +192,9 @@ class Adc:
         self._level_bits = (0xF << 4 << 8 * index, 0xF << 4 << 8 * (index + 1))
 
     def _rings(self, rp2, number):
-        """Two aligned rings in one buffer, and what the three channels do."""
+        """Two aligned rings in one buffer, and the tasks of the three channels."""
         chip = self._chip
-        self._memory = bytearray(2 * FRAMES)  # wherever it lies: one ring fits aligned, the other before or behind it
+        self._memory = bytearray(2 * FRAMES)  # wherever it lies: one ring fits aligned, the other before or after it
         self._ring = aligned(self._memory, FRAMES)
         before = aligned(self._memory, 4 * STAMPS)
         self._stamps = before if before + 4 * STAMPS <= self._ring else self._ring + FRAMES
@@ -220,18 +225,18 @@ class Adc:
         _wait(self._timer, us)
 
     def _mux(self, function):
-        """Give CS and SCLK to the CPU or to the state machine."""
-        poke(self._selects[1], function)  # SCLK first: it is low with the CPU, so CS never rises while it is high
+        """Connect CS and SCLK to the CPU or to the state machine."""
+        poke(self._selects[1], function)  # SCLK first: the CPU holds it low, so CS never rises while it is high
         poke(self._selects[0], function)
 
     # -- a source of samples
 
     def gains(self, gains):
-        """Gains of the four channels from the next start on. Raises ValueError."""
+        """Set the gains of the four channels from the next start on. Raises ValueError."""
         self.registers.gain_word = gain_word(gains)
 
     def start(self, osr):
-        """Raises ValueError if the converter has no such oversampling."""
+        """Start sampling. Raises ValueError if the converter has no such oversampling."""
         self.registers.clock_word = CLOCK_WORD | osr_code(osr) << 2
         self.stop()
         s = self._survey
@@ -249,21 +254,21 @@ class Adc:
         self._run()
 
     def stop(self):
-        """What was sampled stays to be taken."""
+        """Stop sampling; samples already taken remain available."""
         self.running = False
         self._halt()
 
     def waiting(self):
-        """Samples that wait and follow one another, as far as looked: at most 64."""
+        """Return the number of consecutive waiting samples found so far: at most 64."""
         return self._look(64)
 
     def broken(self):
-        """Whether a gap follows the samples that wait: no more come before it."""
+        """Return whether a gap follows the waiting samples: no more arrive before it."""
         return self._survey[BROKEN] != 0
 
     @micropython.native
     def take(self, n, dst, at, index, stamp):
-        """Move n samples that follow one another, if they wait. Samples before a gap come if asked for with their number (`waiting`)."""
+        """Move n consecutive samples, if they wait. Before a gap, ask for exactly the number that waits (`waiting`)."""
         if self._look(n) < n:
             self._give_up(n)
             return False
@@ -293,12 +298,12 @@ class Adc:
 
     @property
     def crc_errors(self):
-        """Frames dropped since boot: wrong CRC, data not new, DRDY out of turn. Wraps at 2^30."""
+        """Return frames dropped since boot: wrong CRC, data not new, DRDY at a wrong time. Wraps at 2^30."""
         return self._survey[CRC_ERRORS]
 
     @property
     def resets(self):
-        """How often the converter was set up again while sampling, since boot. Wraps at 2^30."""
+        """Return how often the converter was configured again while sampling, since boot. Wraps at 2^30."""
         return self._resets
 
     def _look(self, n):
@@ -308,7 +313,7 @@ class Adc:
         return found
 
     def _give_up(self, n):
-        """Drop samples before a gap that nobody asks for; the index jumps over them."""
+        """Drop samples before a gap that nobody requests; the index skips them."""
         s = self._survey
         if s[BROKEN] and (number_now(s) - s[READ]) & COUNTER > NAIVE_BLOCKS * n:
             s[READ] = (s[READ] + s[SEEN]) & COUNTER
@@ -323,7 +328,7 @@ class Adc:
         self._run()
 
     def _run(self):
-        """Set the converter up, and sample. Without a converter silence will bring the next attempt."""
+        """Configure the converter, and sample. Without a converter, silence triggers the next attempt."""
         s = self._survey
         s[LATEST] = 0
         s[READ] = 1
@@ -340,7 +345,7 @@ class Adc:
         s[ALIVE] = _time(self._timer)
 
     def _listen(self):
-        """DMA and the state machine are ready for the first conversion after this."""
+        """Prepare DMA and the state machine for the first conversion after this."""
         chip = self._chip
         for k in range(3):
             arm(self._bases[k], self._setups[k])

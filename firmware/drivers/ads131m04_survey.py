@@ -1,13 +1,14 @@
-"""What the CPU does with the samples that ads131m04_dma.py's DMA leaves in its rings. No call allocates.
+"""How the CPU processes the samples that ads131m04_dma.py's DMA leaves in its rings. No call allocates.
 
-`survey` looks at frames in the order of the ring, `unload` hands them out. A frame is handed out only if its CRC is
-right, STATUS says that the converter is configured and the data are new, and DRDY came a period after the one before.
-**A frame that is not is dropped**: the index jumps (the wire shows the gap), FLAG_CONVERTER is set in the next block. A wrong value is never
-handed out. Indices come from the stamps: a sample's index is that of the last one and the number of periods between, so they tell the
-time whatever was lost and why. A converter that was reset (RESET in STATUS, other registers) or has fallen silent is set up again; one that was silent has reported nothing, so the
-wire shows a gap and no FLAG_CONVERTER. 5 to 30 ms
-are lost, and conversions are then at other times, so t0 jumps by a part of a period more than n0 tells. Should the loop stand
-still for longer than the rings hold, that is seen by the number and half a ring is skipped; more than 17 minutes would confuse it.
+`survey` examines frames in the order of the ring, `unload` hands them out. A frame is handed out only if its CRC is
+correct, STATUS shows that the converter is configured and the data are new, and DRDY came one period after the previous
+one. **Any other frame is dropped**: the index jumps (the wire shows the gap), and FLAG_CONVERTER is set in the next
+block. A wrong value is never handed out. Indices come from the stamps: a sample's index is that of the last one plus
+the number of periods in between, so they are correct whatever was lost and why. A converter that was reset (RESET in
+STATUS, other registers) or has fallen silent is configured again. A silent one has reported nothing, so the wire shows
+a gap and no FLAG_CONVERTER. 5 to 30 ms are lost, and conversions are then at other times, so t0 jumps by a fraction of
+a period more than n0 indicates. If the loop stops for longer than the rings hold, the number shows this and half a ring
+is skipped; a stop of more than 17 minutes would not be detected correctly.
 """
 
 from truearm_wire.fast import micropython, ptr8, ptr16, ptr32
@@ -15,33 +16,33 @@ from truearm_wire.fast import micropython, ptr8, ptr16, ptr32
 RECORD = 24  # bytes of a frame in the ring: six words, the 24 bits in the lower three bytes
 FRAMES = 1 << 14  # bytes of the ring
 STAMPS = 1 << 10  # stamps, more than frames fit
-HOLDS = FRAMES // RECORD - 1  # conversions behind LATEST that are whole
-FAR = HOLDS - 41  # so far behind, half a ring is skipped: 32.55 kHz goes on for 1.2 ms while `survey` looks
+HOLDS = FRAMES // RECORD - 1  # conversions before LATEST that are complete
+FAR = HOLDS - 41  # a reader that lags by more skips half a ring: 32.55 kHz continues for 1.2 ms while `survey` runs
 
-# words of the survey; counts and times modulo 2^30, so that they are small integers on the chip
-LATEST = 0  # number of the newest conversion, from 1 on, written by DMA: those before it are whole in the ring
+# words of the survey; counts and times modulo 2^30, to be small integers on the chip
+LATEST = 0  # number of the newest conversion, from 1 on, written by DMA: all before it are complete in the ring
 READ = 1  # number of the oldest frame not handed out
-SEEN = 2  # frames from READ on that are good and follow one another
-BROKEN = 3  # 1: a frame that does not follow comes after them
+SEEN = 2  # good, consecutive frames from READ on
+BROKEN = 3  # 1: followed by a frame that is not consecutive
 STAMP = 4  # time of the last sample handed out
-FIRST = 5  # 1: none was yet
+FIRST = 5  # 1: none yet
 JUMP = 6  # periods without a sample before the one at READ
-LOST_CONVERTER = 7  # 1: it must be set up again
-EVENTS = 8  # frames dropped since FLAG_CONVERTER was last asked, those of a converter that was reset among them
+LOST_CONVERTER = 7  # 1: it must be configured again
+EVENTS = 8  # frames dropped since FLAG_CONVERTER was last read, including those of a converter that was reset
 CRC_ERRORS = 9
 OSR6 = 10  # 25 periods in µs: a period is 0.24 µs · oversampling
-SHORTEST = 11  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the one before
+SHORTEST = 11  # interval of stamps, µs: a period less the fraction and 1 µs of lateness of the previous one
 LONGEST = 12
-SILENCE = 13  # µs without a sample after which the converter is set up again
+SILENCE = 13  # µs without a sample before the converter is configured again
 ALIVE = 14  # time of the last good conversion, or of the last attempt to get one
 SURVEY = 15
 
 
 @micropython.viper
 def survey(s: ptr32, ring: ptr32, stamps: ptr32, timer: ptr32, table: ptr16, want: int) -> int:
-    """Look at frames until `want` good ones in a row are known. Returns how many are.
+    """Examine frames until `want` consecutive good ones are known. Returns how many are.
 
-    Stops at LOST_CONVERTER. 31 µs and 10 µs a frame on the emulated chip; `take` of 13 needs 0.4 ms in all.
+    Stops at LOST_CONVERTER. 31 µs and 10 µs per frame on the emulated chip; `take` of 13 needs 0.4 ms in total.
     """
     latest = s[0] & 0x3FFFFFFF
     if (latest - s[1]) & 0x3FFFFFFF > 640 and (latest - s[1]) & 0x20000000 == 0:
@@ -109,7 +110,7 @@ def survey(s: ptr32, ring: ptr32, stamps: ptr32, timer: ptr32, table: ptr16, wan
 
 @micropython.viper
 def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, stamp: ptr8) -> int:
-    """Move n frames from READ on to dst[at:], the first one's time to stamp. Returns 0 if the ring was lapped meanwhile."""
+    """Move n frames from READ on to dst[at:], the time of the first to stamp. Returns 0 if the ring was lapped."""
     first = stamps[s[1] & 1023]
     last = stamps[(s[1] + n - 1) & 1023]
     i = 0
@@ -141,5 +142,5 @@ def unload(s: ptr32, ring: ptr32, stamps: ptr32, n: int, dst: ptr8, at: int, sta
 
 @micropython.viper
 def number_now(s: ptr32) -> int:
-    """Of the newest conversion."""
+    """Return the number of the newest conversion."""
     return s[0] & 0x3FFFFFFF

@@ -1,18 +1,22 @@
-"""Thermometers DS18B20 on one wire, timed by a PIO state machine: no call but `search` waits or allocates, no interrupt is blocked.
+"""DS18B20 thermometers on one wire, timed by a PIO state machine: only `search` waits or allocates; no interrupt is
+blocked.
 
-The wire is pulled up; the state machine pulls it down by its pin's direction. One word makes one slot, at 1 MHz:
+A pull-up holds the wire high; the state machine pulls it low through its pin's direction. One word makes one slot, at 1
+MHz:
 
-    bits 0-9    the wire is low for so many µs and one more
-    bits 10-19  then so long, and two µs more, until it is looked at; the bit goes to the RX FIFO
-    bits 20-31  then so long, and three µs more, until the next slot can begin
+    bits 0-9    the wire is low for this many µs plus one
+    bits 10-19  then this many µs plus two until it is sampled; the bit goes to the RX FIFO
+    bits 20-31  then this many µs plus three until the next slot can begin
 
-A slot that nobody has asked for is not begun: between slots the wire rests high, for as long as it likes (DS18B20 datasheet, "1-Wire
-signaling"). So what is under way just goes on whenever `step` comes by: it takes the bits that came and gives as many words as
-the FIFO has room for. With at most four slots under way the RX FIFO never fills; a full one would delay a look at the wire.
+A slot starts only on request: between slots the wire stays high, for any time (DS18B20 datasheet, "1-Wire signaling").
+A transfer therefore simply continues whenever `step` is called: it takes the bits that arrived and writes as many words
+as fit the FIFO. With at most four slots in progress the RX FIFO never fills; a full one would delay the sampling of the
+wire.
 
-Times, of the datasheet: a reset is low for 480 µs at least; 60 to 75 µs later any thermometer holds the wire low (15 to 60 µs until its
-presence pulse, which lasts 60 µs at least). A 1 is low for 1 to 15 µs and a 0 for 60 to 120; what is read is valid until 15 µs after the
-falling edge, so the look is at 14 µs, 12 after the release: enough for 4.7 kΩ and 2.7 nF of cable and protection. A slot takes 70 µs.
+Times from the datasheet: a reset is low for at least 480 µs; 60 to 75 µs later every thermometer holds the wire low (15
+to 60 µs until its presence pulse, which lasts at least 60 µs). A 1 is low for 1 to 15 µs and a 0 for 60 to 120. Data
+are valid until 15 µs after the falling edge, so the wire is sampled at 14 µs, 12 after the release: enough for 4.7 kΩ
+and 2.7 nF of cable and protection. A slot takes 70 µs.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -23,16 +27,16 @@ from truearm_wire.fast import copy, micropython, ptr8, ptr32
 
 from .registers import peek, poke
 
-BUSY = 0  # what `step` answers (truearm_box/box.py)
+BUSY = 0  # results of `step` (truearm_box/box.py)
 DONE = 1
 FAILED = 2
-MOST = 8  # thermometers that are looked for
+MOST = 8  # thermometers to search for
 FAMILY = 0x28
-RESET = 499 | 68 << 10 | 427 << 20  # low for 500 µs, looked at 70 later
+RESET = 499 | 68 << 10 | 427 << 20  # low for 500 µs, sampled 70 later
 ONE = 1 | 10 << 10 | 53 << 20  # and a read
 ZERO = 64 | 0 << 10 | 1 << 20
-UNDER_WAY = 4  # slots
-SLOT_WAIT = 2000  # looks at the FIFO: some ms, of a slot of 0.07 and a reset of 1
+UNDER_WAY = 4  # slots in progress
+SLOT_WAIT = 2000  # polls of the FIFO: some ms, compared with 0.07 for a slot and 1 for a reset
 
 SEARCH = 0xF0
 MATCH = 0x55
@@ -41,16 +45,16 @@ CONVERT = 0x44
 READ = 0xBE
 SCRATCHPAD = 9  # bytes
 ADDRESSED = 10  # bytes before them: MATCH, address, READ
-POWER_ON = 85000  # m°C that a thermometer shows which has not converted since its power came
+POWER_ON = 85000  # m°C of a thermometer that has not converted since its power-on
 
 # state words
-GOT = 0  # bits that came
-FED = 1  # bits that were given
+GOT = 0  # bits received
+FED = 1  # bits written
 END = 2  # bits of the message
 
 
 def program(rp2):
-    """Slots by words. in_base and sideset_base are the wire."""
+    """Slots from words. in_base and sideset_base are the wire."""
 
     @rp2.asm_pio(
         sideset_init=rp2.PIO.IN_LOW,
@@ -79,7 +83,9 @@ def program(rp2):
 
 @micropython.viper
 def exchange(s: ptr32, levels: ptr32, shift: int, fifos: ptr32, out: ptr8, back: ptr8) -> int:
-    """Take the bits that came to `back`, give those of `out` that have room. fifos: addresses of RX, TX. Returns 1 when all have come."""
+    """Take the received bits to `back`, write those of `out` that fit. fifos: addresses of RX, TX. Returns 1 when all
+    are received.
+    """
     rx = ptr32(fifos[0])
     tx = ptr32(fifos[1])
     one = 1 | 10 << 10 | 53 << 20  # ONE, ZERO
@@ -103,7 +109,7 @@ def exchange(s: ptr32, levels: ptr32, shift: int, fifos: ptr32, out: ptr8, back:
 
 @micropython.viper
 def crc8(data: ptr8, i: int, end: int) -> int:
-    """Of data[i:end], x^8 + x^5 + x^4 + 1 reflected: 0 if its last byte is the checksum of those before it."""
+    """Return the CRC of data[i:end], x^8 + x^5 + x^4 + 1 reflected: 0 if its last byte is the others' checksum."""
     crc = 0
     while i < end:
         crc = crc ^ data[i]
@@ -114,7 +120,9 @@ def crc8(data: ptr8, i: int, end: int) -> int:
 
 
 def reading(data, at):
-    """Thousandths of a degree of a scratchpad at data[at:], or None if it is none. (A wire held low reads zeros, whose checksum is right.)"""
+    """Return thousandths of a degree from a scratchpad at data[at:], or None if invalid. (A wire held low gives zeros
+    with a valid checksum.)
+    """
     if crc8(data, at, at + SCRATCHPAD) or data[at + 4] & 0x9F != 0x1F:
         return None
     sixteenths = data[at] | data[at + 1] << 8
@@ -125,7 +133,9 @@ def reading(data, at):
 
 
 class Thermometers:
-    """The bus of thermometers on a pin (truearm_box/box.py says what a bus is). Takes a state machine and seven of its block's instructions."""
+    """The bus of thermometers on a pin (truearm_box/box.py describes a bus). Uses a state machine and seven
+    instructions of its block.
+    """
 
     def __init__(self, machine, rp2, chip, pin, state_machine):
         wire = machine.Pin(pin, machine.Pin.IN, machine.Pin.PULL_UP)
@@ -150,14 +160,14 @@ class Thermometers:
     def stop(self):
         self._sm.active(0)
 
-    # -- finding them; waits some 20 ms a thermometer
+    # -- finding them; waits about 20 ms per thermometer
 
     def search(self):
         """Find the thermometers on the wire (Maxim's application note 187), at most MOST."""
         found = []
         uid = bytearray(8)
-        last = 64  # the last bit at which addresses parted
-        for _ in range(MOST):  # a wire that is held low parts at every bit
+        last = 64  # the last bit at which addresses differed
+        for _ in range(MOST):  # on a wire that is held low, they differ at every bit
             if self._slot(RESET):
                 break
             last = self._walk(uid, last)
@@ -170,7 +180,10 @@ class Thermometers:
         self.uids = tuple(found)
 
     def _walk(self, uid, last):
-        """Go to the next address; returns the last bit at which a 0 was taken and there is a 1, -1 if none; None if nobody answers."""
+        """Go to the next address.
+
+        Returns the last bit at which a 0 was taken although there is a 1, -1 if none; None if there is no answer.
+        """
         for i in range(8):
             self._slot(ONE if SEARCH >> i & 1 else ZERO)
         parted = -1
@@ -189,7 +202,7 @@ class Thermometers:
         return parted
 
     def _slot(self, word):
-        """What the wire was in a slot: 1 or 0. Waits for it."""
+        """Return the wire in a slot: 1 or 0. Waits for it."""
         poke(self._tx, word)
         for _ in range(SLOT_WAIT):
             if self._sm.rx_fifo():

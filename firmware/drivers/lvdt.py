@@ -1,23 +1,24 @@
-"""Excitation of an LVDT and the clocks of its two demodulators: three square waves of 2543 Hz from three slices of the PWM.
+"""Excitation of an LVDT and the clocks of its two demodulators: three square waves of 2543 Hz from three PWM slices.
 
-hardware/box.py has the circuit. The excitation becomes a sine that drives the primary; two switches turn the signs of the secondary's
-voltage and of the primary's current, and the converter takes their means. A period is 49152 system clocks, so that twice the frequency falls
-on a null of the converter's filter: its clock is the system's by 15, a result at OSR 4096 takes 2 · 4096 of it, and five times that are two
-periods. The secondary's clock is a quarter of a period behind the excitation, the primary's half a period (docs/how-to/hardware.md).
+hardware/box.py has the circuit. The excitation becomes a sine that drives the primary. Two switches reverse the
+secondary's voltage and the primary's current, and the converter averages them. A period is 49152 system clocks, so that
+twice the frequency falls on a null of the converter's filter: its clock is the system's divided by 15, a result at OSR
+4096 takes 2 · 4096 of it, and five times that are two periods. The secondary's clock is a quarter of a period behind
+the excitation, the primary's half a period (docs/how-to/hardware.md).
 
-The slices start together, by one write, with counters that are apart; from then on nothing has to be done.
+One write starts the slices together, with different counter values; nothing else is needed after that.
 """
 
 from .registers import poke
 
 PERIOD = 49152  # system clocks
-BEHIND = (0, PERIOD // 4, PERIOD // 2)  # excitation, secondary's clock, primary's clock
+BEHIND = (0, PERIOD // 4, PERIOD // 2)  # delays of the excitation, the secondary's clock and the primary's clock
 
 
 class Excitation:
-    """Runs from its making on. Pins: excitation, secondary's clock, primary's clock; even ones, each of another slice.
+    """Runs from its creation. Pins: excitation, secondary's clock, primary's clock; even ones, each of another slice.
 
-    Raises ValueError if the pins do not suit.
+    Raises ValueError if the pins are unsuitable.
     """
 
     def __init__(self, machine, chip, pins):

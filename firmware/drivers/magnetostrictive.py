@@ -1,22 +1,23 @@
 """Magnetostrictive sensor with a start/stop interface: times of flight with 8 ns resolution, by PIO and DMA alone.
 
-The sensor. A current pulse through a wire meets the field of the magnet that marks the position; there the wire twists, and the twist
-runs back to the head at 2.8 km/s. The head is asked by an interrogation pulse and answers with a start pulse at once and a stop pulse
-when the twist arrives. What the makers' manuals say:
+The sensor. A current pulse through a wire meets the field of the magnet that marks the position and twists the wire there. The twist
+travels back to the head at 2.8 km/s. An interrogation pulse starts the head, which answers with a start pulse at once and a stop pulse
+when the twist arrives. From the manufacturers' manuals:
 - speed: stamped on every head, typically 9.05 us/inch (Allen-Bradley 1771-QB manual, ch. 4: transducer constant "typically 9.0500"), 8.94371
   us/inch = 2839.98 m/s in the example of MTS's MK 292 manual (7.3), 2850 m/s in Balluff's BTL7-P511 (6.2.2). 8 ns are 22.5 µm.
 - interrogation: 1 µs recommended, 0.2 µs at least (AMETEK 952 manual, 3.8); 1 to 5 µs, and 10 to 50 µs would switch to a data
   protocol (Balluff BTL7-P511, 6.2). Its leading edge starts the measurement.
 - start pulse: begins within 50 ns of it, lasts 1 µs (AMETEK) or 3 to 5 µs, typically 4 (Balluff). Stop pulse: as long.
 - blanking: 5 µs, or 21 µs for older heads with noisy signals (Delta RMC, MDT Fundamentals: Temposonics I and II with neuter output).
-- signals: RS-422 or RS-485, differential, 500 m or more. A loss of signal is for the counter to notice (MTS Temposonics II, 4.2.3).
-- rate: a shot needs the flight over the whole rod and its echo's dying away; heads of 50 to 250 mm that time themselves do 780
-  measurements a second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may go as fast as the rod's length
-  allows: the time-out here is the longest flight, and the period is at least that and 10 µs.
+- signals: RS-422 or RS-485, differential, 500 m or more. The counter must detect a loss of signal (MTS Temposonics II, 4.2.3).
+- rate: between shots the flight over the entire rod must end and its echo decay; heads of 50 to 250 mm with their own timing make 780
+  measurements per second, 600 at 1.3 m (Balluff BTL7-V50T, 6.6). An external start/stop counter may run as fast as the rod's length
+  allows: the time-out here is the longest flight, and the period is at least that plus 10 µs.
 
-What is timed. The start pulse is the reference, not the interrogation: what the head and its cable add to one they add to the other. Which edges
-count is the head's (Balluff BTL5 manual, table 4-2): the first edge of each pulse (-M; Temposonics start/stop), the second of each (-P), or begin and end
-of one long pulse, a gate (-L). For the second edges and for the gate the pin's input is inverted, so that what ends a flight rises.
+What is timed. The reference is the start pulse, not the interrogation: delays of the head and its cable affect both pulses equally. Which
+edges count depends on the head (Balluff BTL5 manual, table 4-2): the first edge of each pulse (-M; Temposonics start/stop), the second of
+each (-P), or begin and end of one long pulse, a gate (-L). For the second edges and for the gate the pin's input is inverted, so that the
+edge that ends a flight rises.
 
 Three state machines of one PIO block, at 125 MHz (a cycle is a tick of 8 ns):
 
@@ -34,12 +35,12 @@ The *pacer* repeats a loop of exactly P cycles, P the period. Count its cycles f
     B + 3 ...    osr + 1 cycles of waiting
     P - 3 ...    mov, jmp, mov: the number of the next shot. So osr = P - B - 7
 
-Two *counters* run the same program, for the start and then for the stop. Counter i (0, 1) waits for flag 4 + i, which the pacer sets in cycle C + i: C is 1
-for the start, B for the stop. A flag set in one cycle shows in the next, so `wait` ends in cycle C + 1 + i, `mov x` is in C + 2 + i, and the
-first look at the pin in C + 3 + i. From then on it looks every second cycle and takes one from x, which began at N (the start's or the stop's), between
-two looks: one cycle apart, the two look at the pin in every cycle. First each waits for a
-look that finds the pin low, then for one that finds it high: an edge, not a level. So neither a start pulse longer than the
-blanking nor a line that is stuck counts, and RS-422 receivers go high when their wires break. (A gate begins where the inverted pin is first found low.)
+Two *counters* run the same program, for the start and then for the stop. Counter i (0, 1) waits for flag 4 + i, which the pacer sets in cycle
+C + i: C is 1 for the start, B for the stop. A flag set in one cycle is visible in the next, so `wait` ends in cycle C + 1 + i, `mov x` is in
+C + 2 + i, and the first look at the pin in C + 3 + i. From then on it looks every second cycle and subtracts one from x, which began at N (the
+start's or the stop's), between two looks. Because they are one cycle apart, the two together look at the pin in every cycle. Each first waits
+for a look that finds the pin low, then for one that finds it high: an edge, not a level. Therefore neither a start pulse longer than the
+blanking nor a stuck line counts, and RS-422 receivers go high when their wires break. (A gate begins where the inverted pin is first found low.)
 
 A look in cycle t shows the pin as it was at t - 1 (two flip-flops of the synchroniser). If an edge comes at time s, the first look
 that can find it is in cycle t = floor(s) + 2. Let m = t - (C + 3). Counter 0 looks at even m, after n0 = ceil(m / 2) decrements; counter 1 at
@@ -48,33 +49,34 @@ time since the interrogation in ticks:
 
     floor(F) = t - 3 = C + m = C + 2 N - x0 - x1
 
-What is handed out is floor(F) of the stop less floor(F) of the start. The start falls anywhere in a tick, at the same place as long as the head answers
-after the same time: the difference is right on average over all such places, and off by up to half a tick, 11 µm, for one head. Both synchroniser
-delays (2 cycles), pads (some ns) and receivers are the same for both edges and fall out; what is left is part of the zero that `truearm box gauge` finds.
-The pin's synchroniser is common to both counters, so they never see different pins. n0 - n1 is neither 0 nor 1 if only one saw a pulse: it was shorter than
-16 ns, a disturbance. A resting magnet and a head without noise give the same count at every shot, and the mean is as wrong as the one; noise of some ns
-cures it.
+The output is floor(F) of the stop less floor(F) of the start. The start falls anywhere in a tick, at the same place as long as the head
+answers after the same time: the difference is correct on average over all such places, and wrong by up to half a tick, 11 µm, for one head.
+Both synchroniser delays (2 cycles), pads (some ns) and receivers are the same for both edges and cancel; the rest is part of the zero that
+`truearm box gauge` determines. The pin's synchroniser is common to both counters, so they never see different pins. n0 - n1 is neither 0 nor 1
+if only one saw a pulse: it was shorter than 16 ns, a disturbance. With a resting magnet and a head without noise, every shot gives the same
+count, and the mean has the same error as one shot; noise of some ns removes it.
 
-Limits: both counters need one low look before the edge, so a start counts from 2 ticks after the first look on, F > 3 (24 ns), and a stop from F > B + 2: B is the
-blanking less 2. A stop edge in the very last tick of the blanking is seen as one by counter 0 alone; the shot then counts as one without a stop.
-Where there is no start x ends at -1, after 2 N + 11 cycles; N is such that the counters wait for the stop's flags by then.
+Limits: both counters need one low look before the edge, so a start counts from 2 ticks after the first look on, F > 3 (24 ns), and a stop from
+F > B + 2: B is the blanking less 2. A stop edge in the very last tick of the blanking is seen by counter 0 alone; the shot then counts as one
+without a stop. Without a start, x ends at -1, after 2 N + 11 cycles; N is chosen so that the counters wait for the stop's flags by then.
 
-Time-out: a stop's x is taken from at 0, too, and then -1 is pushed. A shot without a start or without a stop is 0, counted in `missing`, and sets
-FLAG_MISSING_STOP.
+Time-out: a stop's x is decremented at 0, too, and then -1 is pushed. A shot without a start or without a stop is 0, counted in `missing`, and
+sets FLAG_MISSING_STOP.
 
-DMA. Four channels go round for ever, each started by the one before; every start reloads the transfer count, so nothing
-ever counts out:
+DMA. Four channels run in an endless cycle, each started by the previous one; every start reloads the transfer count, so the cycle
+never ends:
 
     number    pacer's RX FIFO → state word NUMBER      paced by the FIFO: a shot has begun
     stamp     TIMERAWL → ring of stamps                at once
     counts 0  counter 0's RX FIFO → ring, two words    paced by the FIFO
     counts 1  counter 1's RX FIFO → ring, two words    paced by the FIFO
 
-The push is in the cycle of the interrogation edge; two transfers of some 10 cycles follow, so TIMERAWL is read within 0.3 µs of it even with
-the bus taken: the stamp is at most 1 µs early (it is the microsecond begun) and 0.3 µs late. Number, stamp and counts of a shot cannot
-come apart: each stands in place (number of the shot) mod SHOTS of its ring. The pacer counts shots down from 2^32 - 1, so laps of the ring
-are counted exactly, whatever Python does: begun = -NUMBER, and of those whole are as many as make counts 1's write address.
-No shot is lost in hardware: the FIFOs hold four words, of two shots. Python must come by once in SHOTS - SPARE shots, else what waited is lost, and counted.
+The push is in the cycle of the interrogation edge; two transfers of about 10 cycles follow, so TIMERAWL is read within 0.3 µs of it even with
+a busy bus: the stamp is at most 1 µs early (it is the current microsecond) and 0.3 µs late. Number, stamp and counts of a shot always
+stay together: each is at index (number of the shot) mod SHOTS of its ring. The pacer counts shots down from 2^32 - 1, so laps of the ring
+are counted exactly, whatever Python does: begun = -NUMBER, and the complete ones follow from counts 1's write address.
+No shot is lost in hardware: the FIFOs hold four words, of two shots. Python must call once per SHOTS - SPARE shots; otherwise the waiting shots
+are lost, and counted.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -88,32 +90,32 @@ from .registers import address, aligned, arm, drain, halt, poke
 
 TICK_NS = 8
 SHOTS = 256  # of the rings
-STAMP_BITS = 10  # a ring of 2^10 bytes: a stamp a shot
-COUNT_BITS = 11  # and two counts a shot
-SPARE = 64  # shots of room that the DMA has while Python copies
+STAMP_BITS = 10  # a ring of 2^10 bytes: one stamp per shot
+COUNT_BITS = 11  # and two counts per shot
+SPARE = 64  # shots of space for the DMA while Python copies
 REARM_NS = 10000  # from the time-out to the next interrogation
 
-# which edges of the line are timed
+# edges of the line that are timed
 GATE = 0  # begin and end of one pulse
 FIRST = 1  # first edges of the start pulse and of the stop pulse
 SECOND = 2  # their second edges
 
 # state words
-NUMBER = 0  # of the shot begun last, minus it: written by DMA
+NUMBER = 0  # of the last shot begun, negative: written by DMA
 READ = 1  # shots handed out or lost, modulo 2^30
 
 
 @micropython.viper
 def whole(state: ptr32, channel: ptr32, ring: int) -> int:
-    """Shots whose counts stand in the ring, and that were not handed out. channel: registers of the last channel's."""
-    place = (channel[1] - ring) >> 3  # read before NUMBER, which is then never behind it
+    """Return the shots whose counts are in the ring and were not handed out. channel: registers of the last channel."""
+    place = (channel[1] - ring) >> 3  # read before NUMBER, which is then never older
     begun = 0 - state[0]
     return (begun - ((begun - place) & 255) - state[1]) & 0x3FFFFFFF
 
 
 @micropython.viper
 def unload(state: ptr32, counts0: ptr32, counts1: ptr32, n: int, top: int, dst: ptr8, at: int) -> int:
-    """Move the times of flight of n shots to dst[at:]. top: of `timing`. Returns how many had no start or no stop."""
+    """Move the times of flight of n shots to dst[at:]. top: from `timing`. Returns how many had no start or no stop."""
     missing = 0
     i = state[1]
     end = i + n
@@ -150,7 +152,7 @@ def read_stamp(state: ptr32, stamps: ptr32, stamp: ptr8):
 
 
 def pulse_rounds(pulse_ns):
-    """k of the interrogation pulse, 16 (k + 1) + 5 ticks. Raises ValueError."""
+    """Return k of the interrogation pulse, 16 (k + 1) + 5 ticks. Raises ValueError."""
     if not 1000 <= pulse_ns <= 4000:
         raise ValueError("an interrogation pulse of %d ns; 1000 to 4000 are possible" % pulse_ns)
     return (pulse_ns // TICK_NS - 5 + 8) // 16 - 1
@@ -191,7 +193,7 @@ def pacer_program(rp2, rounds):
 
 
 def counter_program(rp2):
-    """A counter of pulses. Y and OSR: N of the start, N of the stop; they change places after each."""
+    """A counter of pulses. Y and OSR: N of the start, N of the stop; they are exchanged after each."""
 
     @rp2.asm_pio(autopush=True)
     def counter():
@@ -219,7 +221,7 @@ def counter_program(rp2):
 
 
 def gate_program(rp2):
-    """A counter of a gate, whose pin is inverted. Y and OSR: N of its begin, N of its end."""
+    """A counter of a gate, with the pin inverted. Y and OSR: N of its begin, N of its end."""
 
     @rp2.asm_pio(autopush=True)
     def counter():
@@ -253,7 +255,9 @@ def gate_program(rp2):
 
 
 def timing(blanking_ns, timeout_ns, rounds):
-    """B + 7, the pacer's Y, N of the start, N of the stop, and what the counts of both are added to and taken from.
+    """Return B + 7, the pacer's Y, N of the start, N of the stop, and the constant that combines both counts.
+
+    The counts of the start are added to it, those of the stop subtracted.
 
     The pacer's OSR is the period in ticks less the first.
     """
@@ -263,7 +267,7 @@ def timing(blanking_ns, timeout_ns, rounds):
     return b + 7, b - pulse_ticks(rounds) - 2, first, n, b + 2 * n - (1 + 2 * first)
 
 
-# instructions that the CPU gives to the state machines; side set is 0 in all
+# instructions that the CPU executes on the state machines; side set is 0 in all
 _PULL = 0x80A0
 _Y_OSR = 0xA047
 _X_MINUS_1 = 0xA02B
@@ -272,9 +276,10 @@ _NOP = 0xA042
 
 
 class Magnetostrictive:
-    """The source of stream 1 (box.py says what a source is). Pins: interrogation, stop.
+    """The source of stream 1 (box.py describes a source). Pins: interrogation, stop.
 
-    Takes three state machines of one block (counters 0 and 1, pacer 2), all of its instructions, flags 4 and 5, four DMA channels and 7 KiB.
+    Uses three state machines of one block (counters 0 and 1, pacer 2), all of its instructions, flags 4 and 5, four DMA
+    channels and 7 KiB.
     """
 
     channels = 1
@@ -289,7 +294,7 @@ class Magnetostrictive:
         self._rp2 = rp2
         self._block = block
         self._stop = Pin(stop)
-        # The counters' program comes last: what follows it in the block's memory is free for the longer one.
+        # The counters' program comes last: the free memory after it in the block is for the longer one.
         self._pacer = rp2.StateMachine(4 * block + 2, pacer_program(rp2, self._rounds), sideset_base=Pin(interrogation))
         self._program = None
         self._edge = None
@@ -305,7 +310,7 @@ class Magnetostrictive:
         self.configure(10000, 500000)
 
     def _rings(self, rp2, request):
-        """Three aligned rings in one buffer, and what the four channels do."""
+        """Three aligned rings in one buffer, and the tasks of the four channels."""
         chip = self._chip
         size = 1 << COUNT_BITS
         self._memory = bytearray(3 * size + (1 << STAMP_BITS))
@@ -335,7 +340,8 @@ class Magnetostrictive:
         self._first = 1 << self._dma[0].channel
 
     def configure(self, blanking_ns, timeout_ns, edge=FIRST):
-        """In force from the next start on; nothing may be running. Both times count from the interrogation edge. Raises ValueError.
+        """Take effect from the next start on; nothing may be running. Times count from the interrogation edge. Raises
+        ValueError.
 
         edge: FIRST, SECOND or GATE.
         """
@@ -349,7 +355,7 @@ class Magnetostrictive:
         self._busy, self._blanking, self._first_n, self._n, self._top = timing(blanking_ns, timeout_ns, self._rounds)
 
     def _load(self, edge):
-        """The counters for these edges."""
+        """Load the counters for these edges."""
         rp2 = self._rp2
         if self._program:
             for counter in self._counters:
@@ -363,7 +369,7 @@ class Magnetostrictive:
     # -- a source of samples
 
     def start(self, period_ns):
-        """Raises ValueError if the period is not a multiple of 8 ns or too short for the time-out."""
+        """Start. Raises ValueError if the period is not a multiple of 8 ns or too short for the time-out."""
         if period_ns % TICK_NS or period_ns < self._timeout_ns + REARM_NS:
             raise ValueError(
                 "the period is a multiple of 8 ns, at least %d, not %d" % (self._timeout_ns + REARM_NS, period_ns)
@@ -392,7 +398,7 @@ class Magnetostrictive:
         self._pacer.active(1)
 
     def stop(self):
-        """No more shots; one under way is not waited for. What was sampled stays to be taken."""
+        """Stop without waiting for a shot in progress; samples already taken remain available."""
         self._pacer.active(0)
         self._pacer.exec(_NOP)  # its side set takes the pin down
 
@@ -432,13 +438,13 @@ class Magnetostrictive:
 
     @staticmethod
     def _restart(state_machine, word):
-        """At its first instruction, with a word in OSR."""
+        """Restart at the first instruction, with a word in OSR."""
         state_machine.restart()
         state_machine.put(word)
         state_machine.exec(_PULL)
 
     def halt(self):
-        """Stop, now: what was sampled is gone, and the buffers may go."""
+        """Stop immediately: samples are discarded, and the buffers may be freed."""
         self.stop()
         for counter in self._counters:
             counter.active(0)

@@ -1,4 +1,4 @@
-"""What the self-test measures of converter and magnetostrictive head, by the same sources that sample. May take a second."""
+"""The self-test's measurements of converter and magnetostrictive head, with the sampling sources. May take a second."""
 
 from array import array
 
@@ -7,14 +7,14 @@ BLOCK = 8
 BLOCKS = 12  # of 8 samples: 96 samples, 0.1 s
 SHOTS = 16
 PERIOD_NS = 2000000
-WAIT_MS = 300  # longest for a block
+WAIT_MS = 300  # longest wait for a block
 NV_PER_COUNT_NUM, NV_PER_COUNT_DEN = 1200000000, 1 << 23  # 1.2 V / 2^23
 
 
 def converter(adc, channels, sleep_ms, feed):
-    """converter_id, excitation [uV], noise_0 … noise_3 [nV RMS]; what cannot be measured is left out.
+    """Return converter_id, excitation [uV], noise_0 … noise_3 [nV RMS]; what cannot be measured is omitted.
 
-    The excitation is of the channel by which another is divided; a box without such a one has no LVDT that could be tested.
+    The excitation is that of the channel by which another is divided; a box without such a channel has no LVDT to test.
     """
     found = {"converter_id": max(0, adc.registers.read(0))}
     samples = _run(adc, True, sleep_ms, feed)
@@ -31,7 +31,7 @@ def converter(adc, channels, sleep_ms, feed):
 
 
 def stops(mag, sleep_ms, feed):
-    """How many of 16 interrogations were answered."""
+    """Return how many of 16 interrogations were answered."""
     block = bytearray(4 * SHOTS)
     mag.start(PERIOD_NS)
     came = _take(mag, SHOTS, block, sleep_ms, feed)
@@ -42,7 +42,7 @@ def stops(mag, sleep_ms, feed):
 
 
 def _run(adc, shorted, sleep_ms, feed):
-    """Samples of the four channels at gain 1, or None if none came."""
+    """Return samples of the four channels at gain 1, or None if none arrived."""
     gain_word = adc.registers.gain_word
     adc.registers.gain_word = 0
     adc.registers.shorted = shorted
@@ -73,7 +73,7 @@ def _take(source, n, block, sleep_ms, feed):
 
 
 def _spread(values):
-    """RMS deviation from the mean, rounded down, in integers."""
+    """Return the RMS deviation from the mean, rounded down, in integers."""
     mean = sum(values) // len(values)
     square = sum([(value - mean) * (value - mean) for value in values]) // len(values)
     root = 0

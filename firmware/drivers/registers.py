@@ -1,16 +1,16 @@
-"""Single registers and addresses, for drivers whose work is done by DMA and PIO. No call but `aligned` allocates."""
+"""Single registers and addresses, for drivers that work by DMA and PIO. Only `aligned` allocates."""
 
 from truearm_wire.fast import micropython, ptr8, ptr32
 
 
 @micropython.viper
 def address(buffer: ptr8) -> int:
-    """Where a buffer lies."""
+    """Return the address of a buffer."""
     return int(buffer)
 
 
 def aligned(buffer, size):
-    """The first multiple of size, a power of two, in a buffer: a DMA ring of size bytes must begin there."""
+    """Return the first multiple of size, a power of two, in a buffer: a DMA ring of size bytes must begin there."""
     return (address(buffer) + size - 1) & -size
 
 
@@ -21,13 +21,13 @@ def poke(register: ptr32, value: int):
 
 @micropython.viper
 def peek(register: ptr32, bits: int) -> int:
-    """Those bits of a register, at most 30 of them."""
+    """Return these bits of a register, at most 30."""
     return register[0] & bits
 
 
 @micropython.viper
 def arm(channel: ptr32, setup: ptr32):
-    """Read address, write address, count and control of a DMA channel, without starting it."""
+    """Set read address, write address, count and control of a DMA channel, without starting it."""
     channel[0] = setup[0]
     channel[1] = setup[1]
     channel[2] = setup[2]
@@ -35,7 +35,8 @@ def arm(channel: ptr32, setup: ptr32):
 
 
 def halt(chip, bases, setups, channels):
-    """Stop DMA channels that start one another: none may while it is stopped, so each is disabled first (RP2040 datasheet 2.5.5.3).
+    """Stop DMA channels that start one another. Each is disabled first, as none may be started meanwhile (RP2040
+    datasheet 2.5.5.3).
 
     bases: of their registers; setups: as of `arm`; channels: a bit for each.
     """

@@ -1,30 +1,33 @@
-"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone, every edge handed out or counted.
+"""Trigger edges: two inputs and the box's own output, stamped by PIO and DMA alone; every edge is handed out or
+counted.
 
-One state machine looks at three pins in a row: the inputs (lines 0 and 1) and the output (line 2), read back from its own pad, so all
-three are stamped alike. Its loop has four cycles (32 ns at 125 MHz):
+One state machine reads three adjacent pins: the inputs (lines 0 and 1) and the output (line 2), read back from its own
+pad, so all three are stamped in the same way. Its loop has four cycles (32 ns at 125 MHz):
 
     mov isr, null; in pins, 3; mov x, isr; jmp x != y     the levels differ from those in Y: a change
 
-A change takes seven cycles more. It pushes one word, (number << 3 | levels); the number counts down from 0 at every change, in OSR. Two
-DMA channels go round for ever, each started by the one before, one transfer at a time (every start reloads the count of 1):
+A change takes seven cycles more. It pushes one word, (number << 3 | levels); the number counts down from 0 at every
+change, in OSR. Two DMA channels run in an endless cycle, each started by the previous one, one transfer at a time
+(every start reloads the count of 1):
 
     word     RX FIFO → ring of words      paced by the FIFO
     stamp    TIMERAWL → ring of stamps    at once
 
-so word and stamp stand in the same place of their rings. The change is seen 2 cycles (synchroniser) to 6 (the loop) after the edge, pushed 6 later, and
-TIMERAWL is read within 0.2 µs of that even with the bus taken: a stamp is at most 1 µs early (it is the microsecond begun) and 0.3 µs late.
-Both edges of a pulse of 100 ns are seen; what is shorter, or within 88 ns of another edge, may be missed: opto-couplers are slower.
+so word and stamp have the same index in their rings. The change is seen 2 cycles (synchroniser) to 6 (the loop) after
+the edge and pushed 6 later. TIMERAWL is read within 0.2 µs of that even with a busy bus: a stamp is at most 1 µs early
+(it is the current microsecond) and 0.3 µs late. Both edges of a pulse of 100 ns are seen. A shorter pulse, or an edge
+within 88 ns of another, may be missed: opto-couplers are slower.
 
-Bursts: the FIFO is joined to 8 words, the ring holds EDGES, of which Python may leave 240 waiting. What finds the FIFO full (changes
-faster than two transfers, for long) or is overwritten in the ring is lost, yet counted: the number of the next word says how many changes
-there were. Which lines they were on is not known any more, so the word after a gap only tells the levels from which the next edges are
-formed, and counts as lost itself.
+Bursts: the FIFO is joined to 8 words. The ring holds EDGES, of which Python may leave 240 waiting. A change that finds
+the FIFO full (a long series faster than two transfers) or is overwritten in the ring is lost, but counted: the number
+of the next word gives the number of changes. Their lines are unknown, so the word after a gap only gives the levels
+from which the next edges are formed, and counts as lost itself.
 
 The first word, number 0, is pushed at the start: the levels from which edges are formed.
 
 Two lines that change at the same look make one word and two edges with one stamp.
 
-Debouncing is the box's (truearm_box/ring.py), on stamps: here every edge counts.
+The box debounces (truearm_box/ring.py), by stamps: here every edge counts.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)
@@ -36,14 +39,14 @@ from truearm_wire.fast import micropython, ptr8, ptr32
 from .registers import aligned, arm, drain, halt, poke
 
 OUTPUT = 2  # line of the box's own output
-EDGES = 256  # changes that the ring holds
+EDGES = 256  # capacity of the ring in changes
 RING_BITS = 10  # 2^10 bytes
 
 # state words
-READ = 0  # number of the change read last, modulo 2^29
+READ = 0  # number of the last change read, modulo 2^29
 PLACE = 1  # in the ring of the next one
-LEVELS = 2  # after the one read last
-PENDING = 3  # its lines whose edges are still to be handed out
+LEVELS = 2  # after the last change read
+PENDING = 3  # its lines whose edges are not yet handed out
 TIME = 4  # its stamp
 DROPPED = 5  # changes that were lost, modulo 2^30
 STATE = 6
@@ -51,13 +54,13 @@ STATE = 6
 
 @micropython.viper
 def next_change(s: ptr32, channel: ptr32, words: ptr32, stamps: ptr32) -> int:
-    """Read the next change: its lines to PENDING. Returns 0 if there is none. channel: registers of the stamps'."""
+    """Read the next change: its lines to PENDING. Returns 0 if there is none. channel: registers of the stamps."""
     place = (channel[1] - int(stamps)) >> 2 & 255
     newest = (0 - (words[(place - 1) & 255] >> 3)) & 0x1FFFFFFF
     behind = (newest - s[0]) & 0x1FFFFFFF
     if behind == 0:
         return 0
-    if behind > 240:  # what comes next is, or soon will be, overwritten: go on in the newer half
+    if behind > 240:  # the next ones are, or soon will be, overwritten: continue in the newer half
         s[1] = (place + 128) & 255
     i = s[1]
     s[1] = (i + 1) & 255
@@ -78,7 +81,7 @@ def next_change(s: ptr32, channel: ptr32, words: ptr32, stamps: ptr32) -> int:
 
 @micropython.viper
 def hand_out(s: ptr32, edge: ptr8):
-    """One of the PENDING edges to `edge`."""
+    """Copy one of the PENDING edges to `edge`."""
     line = 0
     while s[3] & (1 << line) == 0:
         line += 1
@@ -122,22 +125,23 @@ def program(rp2):
     return watcher
 
 
-# instructions that the CPU gives to the state machine
+# instructions that the CPU executes on the state machine
 _IN_PINS_3 = 0x4003
 _X_ISR = 0xA026
 _OSR_0 = 0xA0E3
 
 
 class Triggers:
-    """Trigger lines 0 and 1 on the first two of three pins in a row, the box's output, line 2, on the third. Runs from the first moment.
+    """Trigger lines 0 and 1 on the first two of three adjacent pins; the box's output, line 2, on the third. Runs at
+    once.
 
-    Takes one state machine, eleven instructions, two DMA channels and 4 KiB.
+    Uses one state machine, eleven instructions, two DMA channels and 4 KiB.
     """
 
     def __init__(self, machine, rp2, chip, first_pin, state_machine=2):
         Pin = machine.Pin
         for pin in (first_pin, first_pin + 1):
-            Pin(pin, Pin.IN, Pin.PULL_DOWN)  # a line that nobody drives is low
+            Pin(pin, Pin.IN, Pin.PULL_DOWN)  # a line that is not driven is low
         self._output = Pin(first_pin + OUTPUT, Pin.OUT, value=0)
         self._chip = chip
         self._sm = rp2.StateMachine(state_machine, program(rp2), in_base=Pin(first_pin))
@@ -151,7 +155,7 @@ class Triggers:
         self._start()
 
     def _rings(self, rp2, request):
-        """Two aligned rings in one buffer, and what the two channels do."""
+        """Two aligned rings in one buffer, and the tasks of the two channels."""
         chip = self._chip
         size = 4 * EDGES
         self._memory = bytearray(3 * size)
@@ -188,7 +192,7 @@ class Triggers:
         state[PLACE] = 1
 
     def stop(self):
-        """No more edges: the buffers may go."""
+        """Stop: the buffers may be freed."""
         self._sm.active(0)
         halt(self._chip, self._bases, self._setups, self._all)
 
@@ -198,7 +202,7 @@ class Triggers:
         self._output.value(level)
 
     def edge(self, edge):
-        """If an edge waits: line, rising, stamp (1, 1, 4 bytes, big endian) to edge."""
+        """If an edge waits, copy line, rising, stamp (1, 1, 4 bytes, big endian) to edge."""
         state = self._state
         while not state[PENDING]:  # the change after a gap has none
             if not next_change(state, self._bases[1], self._words, self._stamps):
@@ -208,5 +212,5 @@ class Triggers:
 
     @property
     def dropped(self):
-        """Changes of the lines that were lost, since boot. Wraps at 2^30."""
+        """Return the changes lost since boot. Wraps at 2^30."""
         return self._state[DROPPED]

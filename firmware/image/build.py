@@ -1,15 +1,17 @@
 """One flashable file: MicroPython for the Pico with the firmware frozen in, from Debian's packages alone.
 
-MicroPython's sources, the Pico SDK and TinyUSB come as packages of Debian 13 through a private apt (truearm_sim/debian.py), so
-on Debian 12 too; the compilers must be installed. The image is the same to the byte wherever and whenever it is built
-from the same packages by the same compiler: no path, no date and no host name goes in. `versions.txt` lists what it was made
-of; compare versions, not hashes, since a point release of Debian may change a byte.
+MicroPython's sources, the Pico SDK and TinyUSB come as packages of Debian 13 through a private apt
+(truearm_sim/debian.py), so this works on Debian 12 too; the compilers must be installed. The image is identical to the
+byte wherever and whenever it is built from the same packages by the same compiler: it contains no path, no date and no
+host name. `versions.txt` lists its sources. Compare versions, not hashes, since a point release of Debian may change a
+byte.
 
-The first build takes about a minute and downloads 45 MB; afterwards only what changed is built: some seconds for the firmware.
+The first build takes about a minute and downloads 45 MB. Later builds compile only what changed: some seconds for the
+firmware.
 
     python firmware/image/build.py [--out build/uf2] [--work build/image]
 
-Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this is not a machine that can (no Debian).
+Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this computer cannot build it (no Debian).
 """
 
 import argparse
@@ -38,7 +40,7 @@ COMPILERS = {  # program → Debian package
     "xz": "xz-utils",
     "bzip2": "bzip2",
 }
-NEWLIB = "libnewlib-arm-none-eabi"  # no program: looked for by its specs file
+NEWLIB = "libnewlib-arm-none-eabi"  # no program: detected by its specs file
 FROZEN = ("truearm_box", "drivers", "chips")  # folders of firmware/
 UF2_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 UF2_FAMILY_PRESENT, UF2_RP2040 = 0x2000, 0xE48BFF56
@@ -47,7 +49,7 @@ PAGE = 256
 
 
 class ImageError(Exception):
-    """The image cannot be built; the text says why and what to do."""
+    """The image cannot be built; the text states why and what to do."""
 
     def __init__(self, text: str, exit_code: int = 2) -> None:
         super().__init__(text)
@@ -71,7 +73,7 @@ def main() -> int:
 
 
 def build(out: Path, work: Path, suite: str = SUITE) -> str:
-    """Build what is not up to date; returns one line about it. Raises ImageError, DebianError."""
+    """Build what is not up to date; return one line about it. Raises ImageError, DebianError."""
     version = firmware_version()
     image = out / f"truearm-{version}.uf2"
     key = inputs_key(work)
@@ -99,8 +101,8 @@ def build(out: Path, work: Path, suite: str = SUITE) -> str:
 
 @contextmanager
 def only_one(work: Path) -> Iterator[None]:
-    """Wait until no other process builds in this folder. A process that dies lets go."""
-    import fcntl  # not where there is no apt either
+    """Wait until no other process builds in this folder. The lock is released if a process dies."""
+    import fcntl  # also missing where there is no apt
 
     work.mkdir(parents=True, exist_ok=True)
     with (work / "lock").open("w") as file:
@@ -108,7 +110,7 @@ def only_one(work: Path) -> Iterator[None]:
         yield
 
 
-# ---- what the machine has
+# ---- what the computer has
 
 
 def check_machine() -> None:
@@ -135,7 +137,7 @@ def firmware_version() -> str:
 
 
 def inputs_key(work: Path) -> str:
-    """A digest of everything that goes into the image."""
+    """Return a digest of all inputs of the image."""
     digest = hashlib.sha256()
     digest.update(_output(["arm-none-eabi-gcc", "--version"]).encode())
     digest.update(_read(work / "packages.txt").encode())
@@ -146,7 +148,7 @@ def inputs_key(work: Path) -> str:
 
 
 def frozen_files() -> list[tuple[str, Path]]:
-    """(path in the image, source), sorted."""
+    """Return (path in the image, source), sorted."""
     firmware = ROOT / "firmware"
     found = [("main.py", firmware / "main.py"), ("board.py", firmware / "board_pico.py")]
     folders = [firmware / name for name in FROZEN] + [ROOT / "protocol" / "truearm_wire"]
@@ -156,7 +158,7 @@ def frozen_files() -> list[tuple[str, Path]]:
 
 
 def lay_out_frozen(folder: Path) -> None:
-    """The folder that manifest.py freezes. A file that did not change keeps its time, so it is not compiled again."""
+    """Create the folder that manifest.py freezes. An unchanged file keeps its time, so it is not compiled again."""
     wanted = dict(frozen_files())
     for path in [p for p in folder.rglob("*.py") if str(p.relative_to(folder)) not in wanted]:
         path.unlink()
@@ -197,7 +199,7 @@ def sources(work: Path, suite: str) -> None:
         shutil.rmtree(link, ignore_errors=True)
         link.symlink_to(os.path.relpath(target, link.parent))
     (tree / "lib" / "micropython-lib").mkdir(exist_ok=True)
-    (tree / "lib" / "micropython-lib" / "README.md").touch()  # CMake only looks whether it is there
+    (tree / "lib" / "micropython-lib" / "README.md").touch()  # CMake only checks that it exists
     _compile_mpy_cross(work)
     names = {
         re.sub(r"_(all|amd64|arm64)\.deb$|\.dsc$", "", p.name)
@@ -209,9 +211,11 @@ def sources(work: Path, suite: str) -> None:
 
 
 def align_native_code(tool: Path) -> None:
-    """Let mpy-tool align frozen native code to words. MicroPython 1.25 aligns it to half words for all of ARM's M profile, but
-    code for ARMv6-M (viper's constants above 255) loads words relative to the word that its own address is in: at an odd half
-    word it would get other constants. Seen first in the emulator: `x & 0x3FFFFFFF` in a frozen function was wrong.
+    """Make mpy-tool align frozen native code to words.
+
+    MicroPython 1.25 aligns it to half words for all of ARM's M profile. But code for ARMv6-M (viper's constants above
+    255) loads words relative to the word that contains its own address: at an odd half word it would load other
+    constants. First seen in the emulator: `x & 0x3FFFFFFF` in a frozen function was wrong.
     """
     text = tool.read_text()
     half, word = " __attribute__ ((aligned (2)))", " __attribute__ ((aligned (4)))"
@@ -229,7 +233,7 @@ def _compile_mpy_cross(work: Path) -> None:
 
 
 def _environ(work: Path) -> dict[str, str]:
-    """Nothing of this machine may reach the image: neither paths, nor dates, nor the order of a set."""
+    """Keep anything of this computer out of the image: paths, dates, the order of a set."""
     found = re.search(r"^micropython ([0-9.]+)", _read(work / "packages.txt"), re.M)
     epoch = int((work / "micropython" / "py" / "mpconfig.h").stat().st_mtime)
     return {
@@ -247,7 +251,7 @@ def compile_image(work: Path) -> None:
     """Configure once, then build what changed: firmware.bin in work/cmake."""
     cmake = work / "cmake"
     environ = _environ(work)
-    key = f"{_board_key()} {cmake}"  # CMake keeps absolute paths: in a copy of this folder it would build the original's firmware
+    key = f"{_board_key()} {cmake}"  # CMake keeps absolute paths: a copy of this folder would build the original's firmware
     if not (cmake / "configured").exists() or _read(cmake / "configured") != key:
         shutil.rmtree(cmake, ignore_errors=True)
         cmake.mkdir()
@@ -258,8 +262,11 @@ def compile_image(work: Path) -> None:
 
 
 def _configure(work: Path, cmake: Path, environ: dict[str, str]) -> None:
-    """The image's only C++ is the SDK's operator new and delete: two headers and four empty archives stand in for a
-    libstdc++ of 313 MB, always, so that the image does not depend on whether that is installed."""
+    """Configure the build.
+
+    The image's only C++ is the SDK's operator new and delete. Two headers and four empty archives replace a libstdc++
+    of 313 MB, always, so that the image does not depend on whether that is installed.
+    """
     stub = work / "stub"
     stub.mkdir(exist_ok=True)
     (stub / "cstdlib").write_text(
@@ -300,7 +307,7 @@ def _board_key() -> str:
 
 
 def uf2(binary: bytes) -> bytes:
-    """A flash image as UF2: blocks of 512 bytes that hold 256 each (github.com/microsoft/uf2)."""
+    """Return a flash image as UF2: blocks of 512 bytes that hold 256 each (github.com/microsoft/uf2)."""
     pages = [binary[at : at + PAGE] for at in range(0, len(binary), PAGE)]
     blocks = []
     for number, page in enumerate(pages):
@@ -312,7 +319,7 @@ def uf2(binary: bytes) -> bytes:
 
 
 def versions(work: Path, version: str, image: Path) -> str:
-    """What the image was made of, one line each."""
+    """Return the components of the image, one line each."""
     compiler = _output(["arm-none-eabi-gcc", "-dumpfullversion"]).strip()
     digest = hashlib.sha256(image.read_bytes()).hexdigest()
     return (
@@ -321,13 +328,13 @@ def versions(work: Path, version: str, image: Path) -> str:
 
 
 def symbols(elf: Path) -> dict[str, list[int]]:
-    """Address and size of everything in flash that has a name, for the emulator: to raise an exception, to profile (hil_sim/chip/)."""
+    """Return address and size of all named items in flash, for the emulator: exceptions and profiles (hil_sim/chip/)."""
     table = _output(["arm-none-eabi-nm", "--print-size", str(elf)])
     rows = (line.split() for line in table.splitlines())
     return {row[3]: [int(row[0], 16), int(row[1], 16)] for row in rows if len(row) == 4 and row[2] in "tTwWrR"}
 
 
-# ---- small things
+# ---- helpers
 
 
 def _read(path: Path) -> str:
@@ -346,7 +353,7 @@ def _output(command: list[str]) -> str:
 
 
 def _run(command: list[str | Path], environ: dict[str, str] | None = None, log: Path | None = None) -> None:
-    """Run a program; its output goes to `log`. Raises ImageError with the lines that say what failed."""
+    """Run a program; its output goes to `log`. Raises ImageError with the lines that describe the failure."""
     done = subprocess.run(
         command,
         env=environ,

@@ -1,59 +1,59 @@
-"""The box's main loop. What the board has to offer:
+"""The box's main loop. A board provides:
 
     name                      "rp2040", "vm"
     uid, boot_id (4 bytes), reset_cause, ring_slots, config_path, error_path
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
-    receive(buf, stamp) → n   bytes that came over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first of
-                              them was there already
+    receive(buf, stamp) → n   bytes received over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first
+                              of them had already arrived
     send(buf, at, n) → taken  of buf[at:at + n], 0 … n
     send_stamped(buf, at, end, place) → taken
-                              finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the time now in the 8 bytes
-                              at place, and sends it, with as little between as it can. 0: the link takes nothing, nothing was changed
+                              finishes the frame whose payload is buf[at + HEAD:end], as frame.close does, with the current time in the 8 bytes
+                              at place, and sends it, with the shortest possible delay. 0: the link takes nothing, nothing was changed
     adc, mag                  the sources of samples, see below
     thermometers              the thermometers' bus, see below
-    configure(settings)       the configuration (config.DEFAULT shows one) is in force from now on: gains, blanking and time-out, the
-                              watchdog. At boot and whenever it changed, never while sampling
+    configure(settings)       apply the configuration (config.DEFAULT shows one): gains, blanking and time-out, the
+                              watchdog. At boot and after every change, never while sampling
     edge(edge) → bool         if a trigger edge waits: line, rising, stamp (1, 1, 4 bytes) to edge. Lines 0 and 1 are the inputs, 2 is
                               the box's own output
     edges_lost                counter since boot that wraps at 2^30: edges that the board had no room for
     output(level)             sets the trigger output
-    alive()                   feeds the watchdog; called once a step, so it may blink the LED too
-    led(code)                 what the LED shows from now on: health.IDLE, STREAMING, HOST_GONE or FAULT
-    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is left out.
-                              Never while sampling. May take a second, in which it feeds the watchdog itself
-    idle(us)                  nothing to do: wait for an interrupt, at most some milliseconds and at most so many microseconds
-    console(text), reset()    the way out of an exception; reset() lets the link take what was sent, as boot_loader() does
-    to_repl(), boot_loader()  the ways out by command; to_repl() returns, and then main ends
+    alive()                   feeds the watchdog; called once per step, so it may blink the LED too
+    led(code)                 sets the LED pattern: health.IDLE, STREAMING, HOST_GONE or FAULT
+    self_test(settings) → dict  measurements by name, integers in the units of selftest.LIMITS; what cannot be measured is omitted.
+                              Never while sampling. May take a second, during which it feeds the watchdog itself
+    idle(us)                  nothing to do: wait for an interrupt, at most some milliseconds and at most this many microseconds
+    console(text), reset()    exit after an exception; reset() lets the link take what was sent, as boot_loader() does
+    to_repl(), boot_loader()  exits by command; to_repl() returns, and then main ends
     heap_free(), temperature_mdegc()
 
-A source samples by itself, in hardware, into a buffer of its own:
+A source samples independently, in hardware, into its own buffer:
 
     channels                  4 and 1: a sample is 4 * channels bytes, little-endian 32-bit integers
-    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start forgets what was there and counts from 0
+    start(rate), stop()       rate: oversampling (adc), period in ns (mag). A start discards old samples and counts from 0
     waiting() → n             samples that wait
     take(n, dst, at, index, stamp) → bool
                               if n contiguous samples wait: move them to dst[at:], the first one's index since start to index (8
                               bytes) and the lower half of its hardware stamp to stamp (4 bytes, big endian)
-    broken() → bool           a gap follows the samples that wait: no more will come before it
+    broken() → bool           a gap follows the waiting samples: no more will arrive before it
     lost() → n                samples lost in the board before those just taken; counts from zero again
     fault() → flags           of those just taken, FLAG_CONVERTER and FLAG_MISSING_STOP of the wire
-    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, resets of the converter by itself)
+    crc_errors, resets        counters since boot that wrap at 2^30 (adc: frames with a wrong CRC, spontaneous resets of the converter)
     missing                   the same (mag: samples without a stop, which are 0)
 
-The thermometers' bus is never waited for:
+The main loop never waits for the thermometers' bus:
 
-    uids                      tuple of addresses (8 bytes each) of the thermometers that were found at boot
-    begin(uid)                begin to read the one of this address; None: tell all to convert
-    step() → state            do a little of it: 0 there is more to do, 1 it is done, 2 it failed: no answer, or a wrong one
+    uids                      tuple of addresses (8 bytes each) of the thermometers found at boot
+    begin(uid)                begin to read the one with this address; None: make all convert
+    step() → state            do a part of it: 0 there is more to do, 1 it is done, 2 it failed: no answer, or a wrong one
     mdegc                     what was read, thousandths of a degree Celsius
 
-None of them may allocate but configure, self_test, output, console, reset, to_repl and boot_loader.
+None of them may allocate except configure, self_test, output, console, reset, to_repl and boot_loader.
 
-Functions of the way of samples that need many words are native code (`micropython.native`): MicroPython takes the frame of a bytecode
-function from the heap if locals and operands are more than 11 words. It gives it back, so nothing grows, but looking for room took 2 to 3
-ms a block; a native function's frame is on the stack. tests/chip/test_speed.py holds it; docs/explanation/benchmarks.md has the figures. Not all is
-native: as files on a stock MicroPython the code is in the heap, and native code is twice as long.
+Functions in the path of the samples that need many words are native code (`micropython.native`): MicroPython allocates the frame of a
+bytecode function on the heap if locals and operands exceed 11 words. It frees it again, so nothing grows, but the search for space took 2 to 3
+ms per block; a native function's frame is on the stack. tests/chip/test_speed.py checks it; docs/explanation/benchmarks.md has the figures. Not
+everything is native: as files on a stock MicroPython the code is on the heap, and native code is twice as long.
 """
 
 import gc
@@ -74,7 +74,7 @@ from .stream import Streams
 from .temperatures import Temperatures
 from .toggle import Toggle
 
-EDGES_A_STEP = 8  # a line that nobody terminated may have edges faster than they can be handled
+EDGES_A_STEP = 8  # a line without termination may have edges faster than they can be handled
 
 
 class Box:
@@ -85,27 +85,27 @@ class Box:
         self.streams = Streams(board, self._ring)
         self.temperatures = Temperatures(board)
         self.settings = Settings(board, self.temperatures)
-        self.health = Health(board, self.temperatures)  # from here on memory is collected by call alone
+        self.health = Health(board, self.temperatures)  # from here on memory is collected only by explicit calls
         self.commands = Commands(board, self.link, self.streams, self.health, self.settings)
         self._splitter = Splitter()
         self._rx = bytearray(64)
         self._rx_at = 0
         self._rx_end = 0
-        self._rx_begun = 0  # a frame that begins before this place began with the first byte
-        self._t_first = bytearray(8)  # a time at which that was there
-        self._t_read = bytearray(8)  # at which all of them were
-        self._t1 = bytearray(8)  # at which the frame under way had begun
+        self._rx_begun = 0  # a frame that begins before this position began with the first byte
+        self._t_first = bytearray(8)  # a time at which that had arrived
+        self._t_read = bytearray(8)  # a time at which all of them had
+        self._t1 = bytearray(8)  # a time at which the current frame had begun
         self._edge = bytearray(6)
         self._t_edge = bytearray(8)
         self._events = Events()
         self.toggle = Toggle(board)
         self._now = bytearray(8)
         self._sending_block = False
-        self.ended = False  # the host asked for MicroPython's prompt
+        self.ended = False  # the host requested MicroPython's prompt
         self.commands.identify(0)  # the ident that every boot sends
 
     def step(self):
-        """One pass: samples into the ring, at most one frame onto the link. Returns whether there was anything to do."""
+        """Make one pass: samples into the ring, at most one frame onto the link. Returns whether it did anything."""
         start = self._board.ticks()
         self._board.alive()
         busy = self.streams.pull()
@@ -131,7 +131,7 @@ class Box:
         return busy
 
     def _next_frame(self):
-        """Begin the most urgent frame. Answers first: they carry times; blocks can wait in the ring."""
+        """Begin the most urgent frame. Answers first: they carry times, while blocks can wait in the ring."""
         if self.commands.pending():
             self.commands.send_page()
             return True
@@ -158,10 +158,11 @@ class Box:
         return self.commands.send_deferred()
 
     def _receive(self):
-        """Read what came until a frame is whole, and handle it.
+        """Read received bytes until a frame is complete, and handle it.
 
-        A request left its host before its first byte was there. Of what is read at once only the first byte's time is known: a
-        frame that begins with it, or behind a delimiter that ends nothing, has that for its t1; one that begins further on may have been sent later.
+        A request left its host before its first byte arrived. Of bytes read together only the first byte's time is
+        known. A frame that begins with it, or after a delimiter that ends nothing, has that time as its t1; one that
+        begins later may have been sent later.
         """
         while True:
             while self._rx_at < self._rx_end:
@@ -180,7 +181,7 @@ class Box:
             self._rx_begun = 2 if self._rx[0] == 0 and self._splitter.n == 0 else 1
 
     def _keep_edges(self):
-        """Edges get their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
+        """Give edges their full time at once: later their stamps could have wrapped. Returns whether more may wait."""
         for _ in range(EDGES_A_STEP):
             if not self._board.edge(self._edge):
                 return False
@@ -197,7 +198,7 @@ class Box:
         self.link.send()
 
     def _leave(self):
-        """The host asked for it and has its answer."""
+        """Leave the loop, as the host requested; it has its answer."""
         if self.commands.leaving != RESET:
             self.ended = True
             return
@@ -208,7 +209,9 @@ class Box:
 
 
 def run(board):
-    """Run until the host asks for the prompt. An exception is stored, printed on the link between delimiters, and the box starts again."""
+    """Run until the host requests the prompt. An exception is stored, sent on the link between delimiters, and the box
+    restarts.
+    """
     try:
         box = Box(board)
         while not box.ended:
@@ -216,7 +219,7 @@ def run(board):
                 board.idle(box.toggle.wait())
     except Exception as e:
         box = None
-        gc.collect()  # telling of it takes memory, which may be what is lacking
+        gc.collect()  # reporting it takes memory, which may be short
         text = io.StringIO()
         if sys.implementation.name == "micropython":
             sys.print_exception(e, text)

@@ -1,6 +1,7 @@
-"""What the host may ask. A sync request is answered without allocation; commands may allocate, they are rare.
+"""The host's requests. A sync request is answered without allocation; commands may allocate, as they are rare.
 
-A command is executed once: one that comes again with the req_id of the last (its answer was lost) is only answered again.
+A command is executed once: if it is repeated with the req_id of the last (its answer was lost), it is only answered
+again.
 """
 
 from truearm_wire.cbor import CborError, decode
@@ -40,7 +41,7 @@ EMPTY = pages(b"")
 
 
 class Refused(Exception):
-    """A command that is answered with an error of this code and text."""
+    """A command that is answered with an error with this code and text."""
 
     def __init__(self, code, text):
         super().__init__(text)
@@ -57,21 +58,21 @@ class Commands:
         self._settings = settings
         self._last = 0  # req_id of the last command
         self._error = None  # it was refused
-        self._document = EMPTY  # whose pages its answer carries; None: it has none
-        self._with_ident = False  # the ident is its answer, or follows it
-        self._pages = ()  # (frame type, req_id, page, pages, data) of what is being answered
+        self._document = EMPTY  # its pages are in the answer; None: it has none
+        self._with_ident = False  # the ident is the answer, or follows it
+        self._pages = ()  # (frame type, req_id, page, pages, data) of the current answer
         self._page = 0
-        self._stop_id = 0  # of a stop that is to be answered
-        self.leaving = 0  # the command by which the box leaves its loop when all is answered
+        self._stop_id = 0  # of a stop that waits for its answer
+        self.leaving = 0  # the command by which the box leaves its loop when everything is answered
         self.mode = 0  # of a reset
-        self.bad = 0  # frames that were whole but no command
+        self.bad = 0  # complete frames that are not commands
 
     def pending(self):
-        """Whether pages of an answer wait."""
+        """Return whether pages of an answer wait."""
         return self._page < len(self._pages)
 
     def identify(self, req_id):
-        """Lay the ident document out in pages."""
+        """Split the ident document into pages."""
         self._lay_out(_paged(IDENT, req_id, pages_of(self._settings.document())))
 
     def _lay_out(self, answer):
@@ -85,7 +86,7 @@ class Commands:
         link.begin(kind, 4 if kind != ERROR else 3)
         link.put_int(req_id)
         if kind == ERROR:
-            link.put_int(page)  # the code stands in its place
+            link.put_int(page)  # the code is in its place
             link.put_bytes(data, 3)
         else:
             link.put_int(page)
@@ -94,7 +95,7 @@ class Commands:
         link.send()
 
     def handle(self, buf, start, end, t1):
-        """Answer the frame whose payload is buf[start:end] and whose beginning was there at device time t1."""
+        """Answer the frame whose payload is buf[start:end] and whose beginning had arrived at device time t1."""
         if not self._usual_sync(buf, start, end, t1):
             self._unusual(buf, start, end, t1)
 
@@ -105,7 +106,7 @@ class Commands:
         except CborError:
             values = None
         if not isinstance(values, list) or len(values) < 2 or not _is_id(values[0]) or not _is_id(values[1]):
-            self.bad = (self.bad + 1) & COUNTER  # there is no one to answer
+            self.bad = (self.bad + 1) & COUNTER  # there is nobody to answer
         elif values[0] == SYNC_REQUEST:
             self._sync(values[1], t1)
         elif IDENTIFY <= values[0] < REPLY and values[1] > 0:
@@ -115,7 +116,7 @@ class Commands:
 
     @micropython.native
     def _usual_sync(self, buf, start, end, t1):
-        """Answer [32, id] in its shortest form without allocating. Returns whether it was that."""
+        """Answer [32, id] in its shortest form without allocating. Returns whether it was in that form."""
         if end - start < 4 or buf[start] != 0x82 or buf[start + 1] != 0x18 or buf[start + 2] != SYNC_REQUEST:
             return False
         n = buf[start + 3]
@@ -143,12 +144,12 @@ class Commands:
             self._last = values[1]
             self._execute(values)
         if values[0] == STOP and not self._error:
-            self._stop_id = values[1]  # answered when what was sampled has gone
+            self._stop_id = values[1]  # answered when all samples have been sent
         else:
             self._answer(self._last)
 
     def send_deferred(self):
-        """Answer a stop, now that no block waits. Returns whether there was one to answer."""
+        """Answer a stop, when no block waits. Returns whether there was one to answer."""
         req_id = self._stop_id
         if not req_id:
             return False
@@ -168,7 +169,7 @@ class Commands:
         self._lay_out(answer)
 
     def _execute(self, values):
-        """Do what a command says, and keep what it is answered with."""
+        """Execute a command, and keep its answer."""
         self._error = None
         self._with_ident = False
         self._document = EMPTY
@@ -179,11 +180,11 @@ class Commands:
             do(self, values)
         except Refused as e:
             self._error = e
-        except ValueError as e:  # values that are out of range; of a configuration, its text says which
+        except ValueError as e:  # values out of range; for a configuration, its text says which
             self._error = Refused(ERROR_RANGE, str(e))
         except OSError as e:
             self._error = Refused(ERROR_STORAGE, "the flash does not take it: %s" % e)
-        except MemoryError:  # of a configuration of many parts; they are let go here
+        except MemoryError:  # a configuration with many parts; they are freed here
             self._error = Refused(ERROR_RANGE, "it takes too much memory")
 
     def _identify(self, values):
@@ -258,11 +259,11 @@ def _paged(kind, req_id, pages):
 
 
 def _need(values, n, text):
-    """Raises Refused unless n unsigned integers follow type and req_id."""
+    """Raise Refused unless n unsigned integers follow type and req_id."""
     if len(values) < 2 + n or not all(_is_id(value) for value in values[2 : 2 + n]):
         raise Refused(ERROR_MALFORMED, text)
 
 
 def _is_id(value):
-    """Whether a value is an integer of the range of identifiers (SPEC §6)."""
+    """Return whether a value is an integer in the range of identifiers (SPEC §6)."""
     return isinstance(value, int) and 0 <= value < SMALL

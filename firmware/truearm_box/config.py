@@ -1,6 +1,6 @@
-"""What the box can be told: rates, channels, scales, calibrations, times. A table of integers, text and lists (SPEC §5).
+"""The configuration: rates, channels, scales, calibrations, times. A table of integers, text and lists (SPEC §5).
 
-Decimals are [mantissa, exponent], so that the chip's single-precision floats never touch them.
+Decimals are [mantissa, exponent], so that the chip's single-precision floats are never used for them.
 """
 
 from truearm_wire.cbor import Tag
@@ -12,8 +12,8 @@ TICK_NS = 8
 PERIOD_MIN_NS = 100000
 PERIOD_MAX_NS = 1000000000
 TRIGGER_MIN_MS = 10
-TRIGGER_MAX_MS = 16000  # a 65536th part of it, times 65535, is a small integer
-THERMOMETERS = 4  # that a configuration can name
+TRIGGER_MAX_MS = 16000  # a 65536th of it, times 65535, is a small integer
+THERMOMETERS = 4  # maximum number in a configuration
 REARM_NS = 10000  # between the time-out and the next interrogation
 DEFAULT = {
     "version": VERSION,
@@ -23,9 +23,9 @@ DEFAULT = {
         {"name": "transverse_a", "unit": "V", "scale": [1430511474609375, -22]},
         {"name": "transverse_b", "unit": "V", "scale": [1430511474609375, -22]},
         {"name": "excitation", "unit": "V", "scale": [1430511474609375, -22]},
-    ],  # 1.2 V / 2^23 a count
+    ],  # 1.2 V / 2^23 per count
     "magnetostrictive": {
-        "period_ns": 983040,  # as the converter's at its osr of 4096
+        "period_ns": 983040,  # as for the converter at its osr of 4096
         "blanking_ns": 10000,
         "timeout_ns": 500000,  # 1.4 m
         "us_per_inch": [905, -2],
@@ -40,7 +40,7 @@ DEFAULT = {
 
 
 def completed(config):
-    """A configuration of version 1 as one of version 2; any other as it is. A box of then had no magnetostrictive sensor."""
+    """Return a configuration of version 1, without magnetostrictive sensor, as version 2; any other unchanged."""
     if not isinstance(config, dict) or "version" in config or "osr" not in config or "channels" not in config:
         return config
     new = dict(DEFAULT)
@@ -51,7 +51,7 @@ def completed(config):
 
 
 def check(config):
-    """The configuration, if it is one. Raises ValueError."""
+    """Return the configuration, if it is valid. Raises ValueError."""
     if not isinstance(config, dict):
         raise ValueError("it is not a table")
     if config.get("version") != VERSION:
@@ -75,7 +75,7 @@ def check(config):
 
 
 def check_storable(value):
-    """Raises ValueError where a value that CBOR can carry is none that JSON can. Nested no deeper than CBOR is here."""
+    """Raise ValueError for a value that CBOR can carry but JSON cannot. Nesting is limited as in CBOR here."""
     if isinstance(value, (bytes, Tag)):
         raise ValueError("bytes have no place in it")
     if isinstance(value, list):
@@ -87,7 +87,7 @@ def check_storable(value):
 
 
 def check_rate(config, stream, rate):
-    """Raises ValueError unless a stream can run at this rate."""
+    """Raise ValueError unless a stream can run at this rate."""
     if stream == 0 and rate not in OSRS:
         raise ValueError("osr is a power of two, 128 to 16384")
     if stream == 1 and rate:
@@ -97,9 +97,9 @@ def check_rate(config, stream, rate):
 
 
 def group_delay_ns(osr):
-    """Delay of the converter's filter: sinc3 up to an oversampling of 1024, an average of its outputs beyond.
+    """Return the delay of the converter's filter: sinc3 up to an oversampling of 1024, an average of its outputs above.
 
-    In modulator periods of 240 ns: 3 (osr - 1) / 2, or that at 1024 plus half of what the average spans (ADS131M04
+    In modulator periods of 240 ns: 3 (osr - 1) / 2, or that at 1024 plus half of the averaged span (ADS131M04
     datasheet, digital filter).
     """
     if osr <= 1024:

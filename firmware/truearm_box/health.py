@@ -1,8 +1,9 @@
-"""How the box is: counters for the heartbeat, and garbage collection at a moment of our choosing.
+"""The state of the box: counters for the heartbeat, and garbage collection at a chosen moment.
 
-Automatic collection is off: it would come in the middle of a block. `tidy` collects after something was allocated, when no
-frame waits; on the chip that takes some 10 ms, and `heap_free`, once a second for the heartbeat, 8: they walk through the heap. The
-board's buffers and the ring bridge them. On a link that is never idle `make_room` collects before the heap runs out.
+Automatic collection is off: it would occur in the middle of a block. `tidy` collects after an allocation, when no frame
+waits. On the chip that takes about 10 ms, and `heap_free`, once a second for the heartbeat, 8: both walk through the
+heap. The board's buffers and the ring bridge these pauses. On a link that is never idle `make_room` collects before the
+heap is full.
 """
 
 import gc
@@ -10,12 +11,13 @@ import gc
 from truearm_wire.fast import add, copy, less
 from truearm_wire.messages import HEARTBEAT, LAYOUT
 
-# between collections: one takes up to 13 kB (the longest ident), a heartbeat nothing; a new configuration makes its own room
+# between collections: one uses up to 13 kB (the longest ident), a heartbeat none; a new configuration frees its own
+# space
 COMMANDS = 2
-ELEMENTS = len(LAYOUT[HEARTBEAT]) - 1  # that `send` puts behind seq, in the layout's order
-GONE_US = 2000000  # a link that takes nothing for so long has no host
+ELEMENTS = len(LAYOUT[HEARTBEAT]) - 1  # written by `send` after seq, in the layout's order
+GONE_US = 2000000  # a link that takes nothing for this long has no host
 
-IDLE = 0  # what the LED shows
+IDLE = 0  # LED patterns
 STREAMING = 1
 HOST_GONE = 2
 FAULT = 3
@@ -23,7 +25,7 @@ FAULT = 3
 
 class Health:
     def __init__(self, board, temperatures):
-        gc.collect()  # what booting left: 160 kB on the chip
+        gc.collect()  # left over from booting: 160 kB on the chip
         gc.disable()
         self._board = board
         self.temperatures = temperatures
@@ -35,14 +37,14 @@ class Health:
         self._shown = -1
         self.loop_max_us = 0
         self.gc_max_us = 0
-        self._commands = 1  # that were handled since the last collection
+        self._commands = 1  # handled since the last collection
 
     def loop(self, us):
         if us > self.loop_max_us:
             self.loop_max_us = us
 
     def due(self):
-        """Whether a heartbeat is due; the next one is then due a second later."""
+        """Return whether a heartbeat is due; the next one is then due a second later."""
         self._board.now(self._now)
         if less(self._now, self._due, 8):
             return False
@@ -51,7 +53,7 @@ class Health:
         return True
 
     def show(self, running, troubled, held):
-        """Set the LED; `held`: the link has not taken a frame whole yet."""
+        """Set the LED; `held`: the link has not taken a complete frame yet."""
         if troubled:
             code = FAULT
         else:
@@ -97,13 +99,16 @@ class Health:
         self.gc_max_us = 0
 
     def make_room(self):
-        """A command will allocate: collect now if several have, else when no frame waits. (Asking how much is free takes as long.)"""
+        """Prepare for a command that allocates: collect now after several, otherwise when no frame waits.
+
+        (Asking how much is free takes equally long.)
+        """
         if self._commands == COMMANDS:
             self.tidy()
         self._commands += 1
 
     def tidy(self):
-        """Collect, if something was allocated. Called when no frame waits."""
+        """Collect, if there was an allocation. Called when no frame waits."""
         if not self._commands:
             return
         start = self._board.ticks()

@@ -1,4 +1,4 @@
-"""What the box says of itself (SPEC §5), put together from its board and its configuration."""
+"""The box's description of itself (SPEC §5), from its board and its configuration."""
 
 from truearm_wire import PROTOCOL
 from truearm_wire.messages import STREAM_ADC, STREAM_MAG
@@ -9,11 +9,11 @@ from .temperatures import thermometers
 
 FAULT_MAX = 400  # characters
 ERROR_MAX = 600
-INT_MAX = 1 << 63  # what fits the wire, with a sign
+INT_MAX = 1 << 63  # limit of a signed integer on the wire
 
 
 def document(board, config, osr, mag_period_ns, fault, last_error):
-    """The ident document. A stream that is off is left out."""
+    """Return the ident document. A stream that is off is omitted."""
     boot_id = 0
     for byte in board.boot_id:
         boot_id = boot_id << 8 | byte
@@ -39,8 +39,8 @@ def document(board, config, osr, mag_period_ns, fault, last_error):
 
 
 def plain(text, length):
-    """The beginning of a text that may be a stranger's: ASCII, so that characters are bytes."""
-    found = bytearray(text[:length].encode())  # in place: a list of characters takes ten times as much
+    """Return the beginning of a text that may be external: ASCII, so that characters are bytes."""
+    found = bytearray(text[:length].encode())  # in place: a list of characters takes ten times as much memory
     for i in range(len(found)):
         if not (32 <= found[i] <= 126 or found[i] == 10):
             found[i] = 63  # a question mark
@@ -59,7 +59,7 @@ def _adc(config, osr):
 
 
 def _input(channel):
-    """A channel with the scale of the volts before the gain."""
+    """Return a channel with the scale of the volts before the gain."""
     gain = channel.get("gain", 1)
     if gain == 1:
         return channel
@@ -74,7 +74,7 @@ def _input(channel):
 
 
 def _mag(sensor, period_ns):
-    """Stream 1, with position = v · (time of flight - delay), v = 25.4 mm / us_per_inch."""
+    """Return stream 1, with position = v · (time of flight - delay), v = 25.4 mm / us_per_inch."""
     mantissa, exponent = sensor["us_per_inch"]
     speed = (25400 * 10**14 + mantissa // 2) // mantissa  # m/s, times 10^(14 + exponent)
     return {
@@ -100,7 +100,7 @@ def _mag(sensor, period_ns):
 
 
 def _fitting(mantissa, exponent):
-    """A decimal whose mantissa the wire can carry; 18 digits are left at least."""
+    """Return a decimal with a mantissa that fits the wire; at least 18 digits remain."""
     while not -INT_MAX <= mantissa < INT_MAX:
         mantissa = (mantissa + 5) // 10
         exponent += 1

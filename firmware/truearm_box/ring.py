@@ -1,6 +1,6 @@
-"""What waits to be sent, in preallocated buffers: frames of samples, and trigger edges.
+"""Data that wait to be sent, in preallocated buffers: frames of samples, and trigger edges.
 
-A slot of the ring is where a frame is built and whence it is sent: no copies.
+A frame is built in a slot of the ring and sent from there, without copies.
 """
 
 from array import array
@@ -14,47 +14,47 @@ SLOT = 252  # the longest data frame (13 samples of 4 x 32 bit) has 251 bytes
 
 class Ring:
     def __init__(self, slots):
-        """`slots` frames fit, or fewer if memory is short; one slot more takes what is thrown away while the ring is full."""
+        """Create `slots` slots, or fewer if memory is short, and one for data discarded while the ring is full."""
         while True:
             try:
                 self.buf = bytearray((slots + 1) * SLOT)
                 break
             except (
                 MemoryError
-            ):  # as files on a stock MicroPython the code is in the heap too, and leaves no such piece free
+            ):  # as files on a stock MicroPython the code is on the heap too, and leaves no such block free
                 if slots < SLOTS_LEAST:
                     raise
                 slots = slots * 3 // 4
-        self._ends = array("H", bytearray(2 * (slots + 1)))  # end of the payload in each slot, relative to it
+        self._ends = array("H", bytearray(2 * (slots + 1)))  # end of the payload in each slot, relative to the slot
         self._slots = slots
-        self._head = 0  # slot that is filled next
+        self._head = 0  # next slot to fill
         self.used = 0
-        self.overruns = 0  # samples that were lost in the box
+        self.overruns = 0  # samples lost in the box
 
     def full(self):
         return self.used == self._slots
 
     def claim(self):
-        """Offset of the slot to fill next; the spare one while the ring is full."""
+        """Return the offset of the slot to fill next; the spare one while the ring is full."""
         return (self._slots if self.used == self._slots else self._head) * SLOT
 
     def commit(self, end):
-        """The claimed slot holds a payload that ends at offset `end` of the buffer. Only when the ring was not full."""
+        """Keep the claimed slot's payload, which ends at offset `end` of the buffer. Only if the ring was not full."""
         self._ends[self._head] = end - self._head * SLOT
         self._head = (self._head + 1) % self._slots
         self.used += 1
 
     def oldest(self):
-        """Offset of the oldest slot."""
+        """Return the offset of the oldest slot."""
         return ((self._head - self.used) % self._slots) * SLOT
 
     def oldest_end(self):
-        """Offset behind the oldest slot's payload."""
+        """Return the offset after the oldest slot's payload."""
         slot = (self._head - self.used) % self._slots
         return slot * SLOT + self._ends[slot]
 
     def release(self):
-        """The oldest slot has been sent."""
+        """Free the oldest slot, which has been sent."""
         self.used -= 1
 
     def lose(self, n):
@@ -63,7 +63,7 @@ class Ring:
 
 
 class Events:
-    """Trigger edges that wait to be sent, their stamps already in full time. Fixed records in one buffer."""
+    """Trigger edges that wait to be sent, with their stamps in full time. Fixed records in one buffer."""
 
     RECORD = 10  # line, edge, time (8)
 
@@ -71,16 +71,17 @@ class Events:
         self._buf = bytearray(size * self.RECORD)
         self._size = size
         self._first = 0
-        # until when edges of lines 0 and 1 are the bouncing of one that was kept
+        # time until which edges of lines 0 and 1 are bounces of one that was kept
         self._quiet = (bytearray(8), bytearray(8))
         self.used = 0
         self.dropped = 0
 
     @micropython.native
     def put(self, edge, now, full, debounce_us):
-        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there is no room.
+        """Keep an edge of the board (line, rising, stamp of 4 bytes); `full` is scratch of 8 bytes. Drops it if there
+        is no space.
 
-        `debounce_us` of lines 0 and 1: an edge that soon after a kept one of its line is none.
+        `debounce_us` of lines 0 and 1: an edge this soon after a kept one of its line is ignored.
         """
         extend(now, edge, 2, full, 0)
         if edge[0] < 2 and debounce_us[edge[0]] and self._bounces(self._quiet[edge[0]], full, debounce_us[edge[0]]):
@@ -102,7 +103,7 @@ class Events:
         return False
 
     def take(self, edge, full):
-        """The oldest edge: line and edge to `edge`, its time to `full`."""
+        """Take the oldest edge: line and edge to `edge`, its time to `full`."""
         at = self._first * self.RECORD
         copy(edge, 0, self._buf, at, 2)
         copy(full, 0, self._buf, at + 2, 8)

@@ -1,12 +1,12 @@
-"""What the board measured in its self-test, judged.
+"""The board's measurements in its self-test, evaluated.
 
 converter_id        the ADS131M04's ID register, 24xx
-excitation          µV on the channel by which another one is divided: the current of the LVDT's primary, demodulated (docs/how-to/hardware.md)
+excitation          µV on the channel by which another is divided: the current of the LVDT's primary, demodulated (docs/how-to/hardware.md)
 noise_0 … noise_3   nV RMS with the inputs shorted, at gain 1 and osr 4096: about 3000 by the datasheet; 0: the converter does not run
 stops               of 16 interrogations
 rail_5v             mV; USB allows 4.4 to 5.5 V
 temperature         thousandths of a degree Celsius
-thermometers_missing  of those that the configuration names
+thermometers_missing  those named in the configuration but not found
 """
 
 LIMITS = {  # name: unit, low, high
@@ -37,7 +37,7 @@ WORDS = {
 
 
 def judge(measured):
-    """The results (SPEC §5) of measurements by name."""
+    """Return the results (SPEC §5) of measurements by name."""
     results = {}
     for name in measured:
         value = measured[name]
@@ -47,7 +47,7 @@ def judge(measured):
 
 
 def failure(results):
-    """The results that are not good in words, or None."""
+    """Return the failed results in words, or None."""
     bad = []
     for name in sorted(results):
         r = results[name]

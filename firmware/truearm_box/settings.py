@@ -1,4 +1,4 @@
-"""The configuration in force, the rates of the streams, and what the box knows of its own faults."""
+"""The current configuration, the rates of the streams, and the faults that the box knows of."""
 
 import gc
 
@@ -8,14 +8,14 @@ from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages_of
 from . import config, ident, selftest, storage, temperatures
 
 PAGES_MAX = 16  # of a configuration: 3200 bytes
-ROOM = 60000  # for commands (health.py): bytes of heap that a configuration has to leave: of many small parts it may be 40 times its size
+ROOM = 60000  # bytes of heap that a configuration must leave for commands (health.py); many small parts take up to 40 times its size
 
 
 class Settings:
     def __init__(self, board, temperatures):
         self._board = board
         self._temperatures = temperatures
-        self._parts = []  # pages of a configuration that is being put
+        self._parts = []  # received pages of a new configuration
         self._pages = 0
         self.last_error = storage.last_error(board.error_path)
         self.test_fault = None
@@ -26,12 +26,14 @@ class Settings:
     def _use(self):
         self.osr = self.config["osr"]
         self.mag_period_ns = self.config["magnetostrictive"]["period_ns"]
-        self.trigger_ms = self.config.get("trigger_ms", config.DEFAULT["trigger_ms"])  # a host of 1.1 leaves it out
+        self.trigger_ms = self.config.get("trigger_ms", config.DEFAULT["trigger_ms"])  # a host of 1.1 omits it
         self._board.configure(self.config)
         self._temperatures.configure(self.config)
 
     def _try_out(self, found):
-        """What cannot be told to the host must not stop the box from booting: raises ValueError for it."""
+        """Raise ValueError for a configuration that cannot be reported to the host: it must not stop the box from
+        booting.
+        """
         gc.collect()
         count = len(pages_of(found))
         if count > PAGES_MAX:
@@ -44,16 +46,16 @@ class Settings:
             raise ValueError("it takes too much memory")
 
     def troubled(self):
-        """Whether the operator should look."""
+        """Return whether the operator should check the box."""
         return bool(self.fault or self.test_fault or self.last_error)
 
     def document(self):
-        """The ident document."""
+        """Return the ident document."""
         fault = "; ".join([text for text in (self.fault, self.test_fault) if text])
         return ident.document(self._board, self.config, self.osr, self.mag_period_ns, fault, self.last_error)
 
     def self_test(self):
-        """Test the board; returns the results."""
+        """Test the board; return the results."""
         measured = self._board.self_test(self.config)
         missing = temperatures.missing(self.config, self._board.thermometers.uids)
         if missing is not None:
@@ -63,7 +65,7 @@ class Settings:
         return results
 
     def set_rate(self, stream, rate):
-        """The rate of a stream until the next boot. Raises ValueError."""
+        """Set the rate of a stream until the next boot. Raises ValueError."""
         config.check_rate(self.config, stream, rate)
         if stream == STREAM_ADC:
             self.osr = rate
@@ -71,9 +73,10 @@ class Settings:
             self.mag_period_ns = rate
 
     def put(self, page, count, data):
-        """Take a page of a new configuration; returns whether it was the last, and the configuration is in force.
+        """Take a page of a new configuration; return whether it was the last, and the configuration is active.
 
-        Raises ValueError if it comes out of order or the whole is not a configuration, OSError if the flash does not take it.
+        Raises ValueError if a page is out of order or the result is not a configuration, OSError if writing to flash
+        fails.
         """
         if page == 0:
             self._parts = []

@@ -1,9 +1,10 @@
-"""Files on the box's flash: the configuration, and the last traceback. Never used while streaming: flash stops the chip.
+"""Files on the box's flash: the configuration, and the last traceback. Never used while streaming: flash stops the
+chip.
 
-A configuration is written beside the one that is there, read back, and takes its place by renaming, which littlefs does at
-once; the one before stays as .old. Wherever power fails, one of the two is whole, and `load` finds it:
+A configuration is written next to the existing one, read back, and then renamed to replace it, which littlefs does
+atomically; the previous one remains as .old. Whenever power fails, one of the two is complete, and `load` finds it:
 
-    before the last rename   path or path.old is what was there; path.new is not looked at
+    before the last rename   path or path.old is the previous one; path.new is ignored
     after it                 path is new
 """
 
@@ -15,14 +16,14 @@ from .ident import ERROR_MAX, plain
 
 # bytes of a configuration's JSON; more would not fit the heap next to the ring, several times over
 SIZE_MAX = 8000
-PIECE = 256  # characters that are read back at once
-END = 100  # bytes in which a file has to end
+PIECE = 256  # characters read back at once
+END = 100  # bytes within which a file must end
 
 
 def load(path, try_out):
-    """(configuration, fault in words or None): of the file, else of the one before it, else the default one.
+    """Return (configuration, fault in words or None): from the file, otherwise the previous one, otherwise the default.
 
-    `try_out(configuration)` raises ValueError for one that cannot be used. No file at all is not a fault.
+    `try_out(configuration)` raises ValueError for one that cannot be used. A missing file is not a fault.
     """
     found, fault = _read(path, try_out)
     if found:
@@ -38,9 +39,9 @@ def _read(path, try_out):
         size = os.stat(path)[6]
         if size > SIZE_MAX:
             raise ValueError("it is longer than %d bytes" % SIZE_MAX)
-        with open(path, "rb") as f:  # as a stream: a heap that holds the firmware's code may have no 8 kB in one piece
+        with open(path, "rb") as f:  # as a stream: a heap with the firmware's code may have no 8 kB block
             f.seek(max(0, size - END))
-            if f.read().strip()[-1:] != b"}":  # MicroPython takes a table that breaks off for a whole one
+            if f.read().strip()[-1:] != b"}":  # MicroPython accepts a truncated table as complete
                 raise ValueError("it is not a table, or is cut off")
             f.seek(0)
             found = config.check(config.completed(json.load(f)))
@@ -50,12 +51,12 @@ def _read(path, try_out):
         return None, None
     except ValueError as e:
         return None, "config: %s" % e
-    except MemoryError:  # short, yet of too many parts
+    except MemoryError:  # short, but with too many parts
         return None, "config: it does not fit the memory"
 
 
 def save(path, settings, try_out):
-    """Store a configuration; raises OSError if the flash does not take it, and what was there is still there.
+    """Store a configuration; raises OSError if writing to flash fails, and the previous content is kept.
 
     Raises ValueError if it is too long.
     """
@@ -67,7 +68,7 @@ def save(path, settings, try_out):
         with open(new, "w") as f:
             f.write(text)
         with open(new) as f:
-            for at in range(0, len(text), PIECE):  # the heap may have no room for all of it twice
+            for at in range(0, len(text), PIECE):  # the heap may have no space for two copies
                 if f.read(PIECE) != text[at : at + PIECE]:
                     raise OSError("it does not read back")
         text = None
@@ -81,23 +82,23 @@ def save(path, settings, try_out):
 
 
 def keep_error(path, text):
-    """Store the end of a traceback, unless it is the one that is stored: a box that fails at every boot wears no flash."""
-    text = plain(text[-ERROR_MAX:], ERROR_MAX)  # the end says what happened
+    """Store the end of a traceback, unless already stored: a box that fails at every boot must not wear out its flash."""
+    text = plain(text[-ERROR_MAX:], ERROR_MAX)  # the end describes what happened
     try:
         if last_error(path) != text:
             with open(path, "w") as f:
                 f.write(text)
             _sync()
     except OSError:
-        _remove(path)  # a full flash; the text goes over the link anyway
+        _remove(path)  # a full flash; the text is sent over the link anyway
 
 
 def last_error(path):
-    """The text of the traceback that is stored, or ""."""
+    """Return the text of the stored traceback, or ""."""
     try:
         with open(path) as f:
             return f.read(ERROR_MAX)
-    except (OSError, ValueError):  # ValueError: it is not text any more
+    except (OSError, ValueError):  # ValueError: it is no longer text
         return ""
 
 

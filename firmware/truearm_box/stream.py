@@ -1,8 +1,8 @@
 """Samples into data frames: blocks of up to 208 bytes of samples, built in the ring's slots. No call allocates.
 
-Every source of the board has a stream; all of them fill one ring, so frames go out in the order in which blocks became
-whole. Samples are lost in two places, and both are counted in `Ring.overruns` and show as a jump of n0: in the board (its
-buffer was lapped) and here (the ring is full because the link does not take the frames).
+Every source of the board has a stream. All of them fill one ring, so frames are sent in the order in which blocks
+became complete. Samples can be lost in two places; both are counted in `Ring.overruns` and appear as a jump of n0: in
+the board (its buffer was lapped) and here (the ring is full because the link does not take the frames).
 """
 
 from truearm_wire.cbor import SINT32_LE, put_head
@@ -10,7 +10,7 @@ from truearm_wire.fast import copy, extend, micropython
 from truearm_wire.frame import HEAD
 from truearm_wire.messages import DATA, FLAG_OVERRUN, STREAM_ADC, STREAM_MAG
 
-BLOCK_BYTES = 208  # the most that fits a frame: 13 samples of 4 channels, 52 of one
+BLOCK_BYTES = 208  # the most that fits in a frame: 13 samples of 4 channels, 52 of one
 PERIOD_NS_PER_OSR = 240  # converter clock 125 MHz / 15, modulator at half of it
 
 # offsets in the slot of a data frame: head, array head, type, then the elements of fixed width
@@ -32,14 +32,16 @@ class Streams:
         self.running = False
 
     def start(self, osr, mag_period_ns):
-        """Start sampling; a period of 0 leaves its stream off. Only when no block waits: its indices would belong to another start."""
+        """Start sampling; a period of 0 leaves its stream off. Only when no block waits: its indices would belong to
+        another start.
+        """
         self.running = True
         self.adc.start(osr, osr * PERIOD_NS_PER_OSR)
         if mag_period_ns:
             self.mag.start(mag_period_ns, mag_period_ns)
 
     def stop(self):
-        """Stop sampling; what was sampled stays in the ring."""
+        """Stop sampling; existing samples stay in the ring."""
         self.adc.stop()
         self.mag.stop()
         self.adc.flush()
@@ -47,12 +49,12 @@ class Streams:
         self.running = False
 
     def pull(self):
-        """Move at most one block of each source into the ring. Returns whether there was one."""
+        """Move at most one block from each source into the ring. Returns whether there was one."""
         adc = self.adc.pull()
         return self.mag.pull() or adc
 
     def waiting(self):
-        """Whether blocks wait to be sent."""
+        """Return whether blocks wait to be sent."""
         return self._ring.used > 0
 
     def send_oldest(self, link):
@@ -99,7 +101,7 @@ class Stream:
             self._source.stop()
 
     def flush(self):
-        """Move all that was sampled into the ring, after a stop."""
+        """Move all existing samples into the ring, after a stop."""
         while self.pull():
             pass
         rest = self._source.waiting() if self._on else 0
@@ -113,7 +115,7 @@ class Stream:
         return self._pull_block(self._block) or (self._source.broken() and self._pull_rest())
 
     def _pull_rest(self):
-        """What waits before a gap: no more samples will follow it."""
+        """Move the samples that wait before a gap: no more will follow them."""
         rest = self._source.waiting()
         return rest > 0 and self._pull_block(rest)
 
@@ -142,7 +144,7 @@ class Stream:
 
     @micropython.native
     def _fill(self, buf, at, size, samples, flags):
-        copy(buf, at, self._template, 0, samples - at)  # with the heads of a whole block
+        copy(buf, at, self._template, 0, samples - at)  # with the heads of a full block
         copy(buf, at + _N0 + 1, self._index, 0, 8)
         self._board.now(self._now)
         extend(self._now, self._stamp, 0, buf, at + _T0 + 1)

@@ -1,7 +1,9 @@
-"""Thermometers on the bar and at the sensor: each is read every two seconds, whatever else the box does, and a frame tells it.
+"""Thermometers on the bar and at the sensor: each is read every two seconds, regardless of other work, and sent in a
+frame.
 
-All convert together; then one after the other is read, some bits a call. No call of `step` waits or allocates. A reading that does not
-come is counted, and asked for again two seconds later: a thermometer may be missing from the start, or come and go.
+All convert together; then each is read in turn, some bits per call. No call of `step` waits or allocates. A missing
+reading is counted, and requested again two seconds later: a thermometer may be missing from the start, or disconnect
+and return.
 """
 
 from truearm_wire.fast import copy
@@ -9,21 +11,21 @@ from truearm_wire.messages import COUNTER, TEMPERATURE
 
 PERIOD_US = 2000000
 CONVERSION_US = 800000  # 750 ms by the DS18B20's datasheet
-MOST = 8  # that are read
+MOST = 8  # maximum number read
 
-# what a bus answers
+# results of a bus
 BUSY = 0
 DONE = 1
 FAILED = 2
 
 _REST = 0
-_ASK = 1  # all are told to convert
+_ASK = 1  # all are made to convert
 _CONVERT = 2
 _READ = 3
 
 
 def thermometers(config, found):
-    """(name, uid) of each thermometer: those of the configuration by name, then others of `found`."""
+    """Return (name, uid) of each thermometer: those of the configuration by name, then others of `found`."""
     known = [(name, bytes.fromhex(uid)) for name, uid in sorted(config.get("thermometers", {}).items())]
     named = [uid for _, uid in known]
     known.extend([("".join(["%02x" % byte for byte in uid]), uid) for uid in found if uid not in named])
@@ -31,13 +33,13 @@ def thermometers(config, found):
 
 
 def missing(config, found):
-    """How many thermometers of the configuration are not there; None if it names none."""
+    """Return how many thermometers of the configuration are missing; None if it names none."""
     named = config.get("thermometers")
     return len([uid for uid in named.values() if bytes.fromhex(uid) not in found]) if named else None
 
 
 class Temperatures:
-    """`configure` says which thermometers there are; `ready` is True while a reading waits to be sent."""
+    """`configure` defines the thermometers; `ready` is True while a reading waits to be sent."""
 
     def __init__(self, board):
         self._board = board
@@ -47,17 +49,17 @@ class Temperatures:
         self._begun = board.ticks()
         self._which = 0
         self._time = bytearray(8)  # when the conversion began
-        self._told = bytearray(8)  # of the reading that waits
+        self._told = bytearray(8)  # time of the waiting reading
         self.ready = False
         self.errors = 0
 
     def configure(self, config):
-        """A configuration is in force. Allocates."""
+        """Apply a configuration. Allocates."""
         self._uids = tuple([uid for _, uid in thermometers(config, self._bus.uids)])
         self._doing = _REST
 
     def step(self, ticks):
-        """Do a little of what is due; `ticks` are the board's. Returns whether there may be more to do."""
+        """Do a part of what is due; `ticks` are the board's. Returns whether there may be more to do."""
         if not self._uids or self.ready:
             return False
         if self._doing == _REST:
@@ -83,7 +85,7 @@ class Temperatures:
         if self._doing == _ASK:
             if state == DONE:
                 self._doing = _CONVERT
-            else:  # nobody is there
+            else:  # nobody answers
                 self.errors = (self.errors + len(self._uids)) & COUNTER
                 self._doing = _REST
             return

@@ -1,7 +1,9 @@
-"""The trigger output, toggled at random times while the box streams: edges that tie a robot's clock to the box's (SPEC §5).
+"""The trigger output, toggled at random times while the box streams: edges that relate a robot's clock to the box's
+(SPEC §5).
 
-A robot controller looks at its input once a cycle. Edges that kept step with its cycle would all fall on the same place in it and
-say no more than one; so the intervals are random to the microsecond. The stamp of an edge is the hardware's, as any edge's. Nothing here allocates.
+A robot controller samples its input once per cycle. Edges synchronous with its cycle would all fall at the same point
+in it and carry no more information than one, so the intervals are random to the microsecond. The stamp of an edge is
+the hardware's, as for any edge. Nothing here allocates.
 """
 
 LATER = 1 << 29  # µs: nothing is due
@@ -17,7 +19,7 @@ class Toggle:
         self._interval = 0  # µs to the next one
 
     def step(self, running, limits):
-        """Set the output if it is time. limits: shortest and longest interval in ms, 0 and 0: never. Returns whether it was set."""
+        """Set the output if it is time. limits: shortest and longest interval in ms, both 0: never. Returns whether it was set."""
         if not running or not limits[1]:
             return self._on and self._end()
         ticks = self._board.ticks()
@@ -32,7 +34,7 @@ class Toggle:
         return True
 
     def wait(self):
-        """Microseconds until the next edge."""
+        """Return the microseconds until the next edge."""
         if not self._on:
             return LATER
         return max(0, self._interval - self._board.ticks_diff(self._board.ticks(), self._since))
@@ -44,9 +46,10 @@ class Toggle:
         return True
 
     def _draw(self, least_ms, span_ms):
-        """The next interval, even over the span in steps of its 65536th part; small integers all the way.
+        """Return the next interval, uniform over the span in steps of its 65536th part, using only small integers.
 
-        x ← 75 x + 74 mod 65537 runs through 0 … 65535 (Lehmer's generator x + 1 ← 75 (x + 1), of which 75 is a primitive root).
+        x ← 75 x + 74 mod 65537 runs through 0 … 65535 (Lehmer's generator x + 1 ← 75 (x + 1), with 75 a primitive
+        root).
         """
         self._random = (75 * self._random + 74) % 65537
         share = span_ms * self._random

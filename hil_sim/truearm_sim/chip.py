@@ -42,7 +42,7 @@ QUERY = struct.Struct("<BHQQQ")
 CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # free space reported by a link that is never full; USB then accepts everything
-ANSWERS_WITHIN_US = 3000  # for most requests: a step of this length ends after the answer has arrived
+ANSWERS_WITHIN_US = 3000  # most requests: whoever grants time then receives the answer without delay
 SETTLING = 6  # conversions after a start that the driver discards (firmware/drivers/ads131m04.py)
 _FAULTS: dict[int, dict[str, Any]] = {
     CRASH: {"pico": "crash"},

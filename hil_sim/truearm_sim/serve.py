@@ -38,7 +38,7 @@ def serve(
     may be slower than the wall clock. The lab's time advances by at most this much at once and falls behind, for box
     and robot alike. Without it a late box would get longer and longer steps.
     """
-    clock = HostClock()  # as for the recorder: a slew of the wall clock would look like a drift of the box
+    clock = HostClock()  # the recorder's clock: a slew of the wall clock would look like a drift of the box
     start_ns: int | None = None
     sent_until_ns = 0
     running = True

@@ -167,7 +167,7 @@ def working_folder(parent: Path) -> Iterator[Path]:
 
 def _is_running(process: int) -> bool:
     if os.name != "posix":
-        return True  # a signal of 0 would end the process on Windows
+        return True  # a signal of 0 would end the process
     try:
         os.kill(process, 0)
     except ProcessLookupError:
