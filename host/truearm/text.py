@@ -12,6 +12,11 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
 
 
+def page(title: str) -> str:
+    """Name a page of the documentation in a message: by title, because an installed truearm has no docs folder."""
+    return f'see "{title}" in the documentation'
+
+
 def counted(count: int, one: str, many: str = "") -> str:
     """A number with its noun: "1 row", "7 rows"."""
     return f"{count} {one if count == 1 else many or one + 's'}"

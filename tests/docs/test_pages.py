@@ -1,5 +1,6 @@
 """Every command and every block of Python in the documentation runs as it stands there, page by page."""
 
+import ast
 import shlex
 import shutil
 from pathlib import Path
@@ -67,6 +68,19 @@ def test_the_tutorials_and_guides_are_run():
     for page in PAGES:
         if page.parent.name in ("tutorials", "how-to") and "```sh" in page.read_text(encoding="utf-8"):
             assert page in run_pages or "<!-- test: " in page.read_text(encoding="utf-8"), page
+
+
+def test_messages_name_pages_by_a_title_that_exists():
+    """And no message names a file of docs/, which an installed truearm does not have."""
+    titles = {line[2:] for page in PAGES for line in page.read_text(encoding="utf-8").splitlines()[:1]}
+    for path in sorted((ROOT / "host" / "truearm").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "page":
+                assert ast.literal_eval(node.args[0]) in titles, path
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in alone:
+                assert "docs/" not in node.value, f"{path}:{node.lineno}: name the page by truearm.text.page"
 
 
 PAGE = """

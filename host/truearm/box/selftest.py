@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from truearm.text import page
+
 PASS, WARN, FAIL = "pass", "warn", "fail"
 MAX_RESULTS = 64
 
@@ -37,38 +39,39 @@ class _Item:
     shown_as: str = "d"
 
 
+_HARDWARE = page("The sensor box: order, build, wire, accuracy")
 _NOISE = _Item(
     "noise of converter input {0}, shorted",
-    "look at the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter",
+    "check the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter",
     (1, 10_000), "µV", 1000, ".2f",
 )  # fmt: skip
 _ITEMS = {
     "converter_id": _Item(
         "the converter answers",
-        "check its supply and the SPI wires: DOUT, CS, SCLK, DIN (docs/how-to/hardware.md)",
+        f"check its supply and the SPI wires: DOUT, CS, SCLK, DIN ({_HARDWARE})",
         (0x2400, 0x24FF), shown_as="#x",
     ),
     "excitation": _Item(
         "current of the LVDT's primary",
-        "check the LVDT's plug, primary and supply (docs/how-to/hardware.md, first power-up); "
-        "without an LVDT no channel of the configuration may have over",
+        f"check the LVDT's plug, primary and supply ({_HARDWARE}); "
+        "without an LVDT, remove over from all channels of the configuration",
         (60_000, 1_100_000), "mV", 1000, ".1f",
     ),
     "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,
     "stops": _Item(
         "stop pulses of 16 interrogations of the magnetostrictive head",
         "check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking and time-out; "
-        "without such a head say truearm box config set magnetostrictive.period_us=0",
+        "without such a head, run truearm box config set magnetostrictive.period_us=0",
         (16, 16),
     ),
     "rail_5v": _Item(
         "5 V of the USB port", "use another port or a shorter cable, or a hub with a supply of its own",
         (4_500, 5_400), "V", 1000, ".2f",
     ),
-    "temperature": _Item("temperature of the chip", "give the box air, or warm it", (-10_000, 60_000), "°C", 1000, ".1f"),
+    "temperature": _Item("temperature of the chip", "cool or warm the box", (-10_000, 60_000), "°C", 1000, ".1f"),
     "thermometers_missing": _Item(
         "thermometers of the configuration that do not answer",
-        "check the wires at J1 and the addresses: truearm box config get shows those that are named",
+        "check the wires at J1 and the addresses: truearm box config get prints those of the configuration",
         (0, 0),
     ),
 }  # fmt: skip

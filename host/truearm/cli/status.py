@@ -11,6 +11,7 @@ from truearm.cli.options import JsonOption
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
+from truearm.text import page
 
 if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState
@@ -61,7 +62,7 @@ def _next(state: ProjectState) -> tuple[str, str]:
 
     match state.next:
         case Step.DESCRIBE:
-            return f"write {state.project.rig}", "the rig is not described yet: docs/how-to/rig.md"
+            return f"write {state.project.rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
         case Step.PLAN:
             return "truearm plan ballbar --minutes 30", "there is no plan yet"
         case Step.RECORD:

@@ -13,8 +13,9 @@ from pathlib import Path
 from truearm.errors import InputError
 from truearm.files.disk import parse_toml, read_text
 from truearm.schema import Key, Table, Text, read
+from truearm.text import page
 
-FIRST_LINE = "# A truearm project (docs/how-to/project.md)"
+FIRST_LINE = f"# A truearm project; {page('A project folder')}"
 MAX_BYTES = 2**16
 
 _LINE = Text(longest=400, one_line=True)
@@ -66,15 +67,15 @@ def format_project(project: Project) -> str:
         "branch": "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]",
         "serial": "serial number of the robot, for the certificate",
         "operator": "who measures, for the certificate",
-        "address": "how truearm record reads the joints, such as rtde://192.168.0.2 (docs/how-to/robots.md)",
+        "address": "how truearm record reads the joints, such as rtde://192.168.0.2",
         "box": "the box's port; without it the one that is plugged in",
-        "rig": "chucks, spheres, bars (docs/reference/table-format.md)",
+        "rig": f"chucks, spheres, bars; {page('Build and measure the rig')}",
         "plan": "the poses to measure",
         "sessions": "folder of the recordings",
         "results": "folder of the results",
     }
     values = vars(project)
-    lines = [FIRST_LINE, "# What a command in this folder or below it is not told, it takes from here.", ""]
+    lines = [FIRST_LINE, "# Commands in this folder or below it take missing options from here.", ""]
     for key in KEYS:
         said = values[key.name] != ""
         lines.append(f"{'' if said else '# '}{key.name} = {_LINE.format(values[key.name])}  # {remarks[key.name]}")

@@ -14,6 +14,7 @@ from truearm.errors import InputError, TruearmError
 from truearm.files.disk import write_atomic
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
+from truearm.text import page
 from truearm.units import MM
 
 if TYPE_CHECKING:
@@ -23,18 +24,18 @@ if TYPE_CHECKING:
 PLAN_MINUTES = 30.0
 OTHER_BARS = 1e-3  # m, how well an estimated bar length is known: an extension rod measured by tape
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
-RIG_HEAD = """\
-# The rig of {name}: docs/reference/table-format.md says what may stand here, docs/how-to/rig.md what of it is worth measuring.
-# The coordinates are a proposal for an arm of this reach. Build the fixtures about so, then put in where things are in the end.
-# sigma: how well that was measured; "unknown": it is estimated from the measurements of the robot.
+RIG_HEAD = f"""\
+# The rig of {{name}}; {page("Build and measure the rig")}.
+# The coordinates are a proposal for an arm of this reach. Build the fixtures approximately like this, then enter their measured positions.
+# sigma: standard deviation of a position; "unknown": it is estimated from the measurements of the robot.
 """
 CHUCKS = """
-# Chucks: magnetic cups on the table, in the robot's base frame. Measured with a coordinate measuring machine, a height gauge, a tape?"""
+# Chucks: magnetic cups on the table, in the robot's base frame. sigma follows from how you measured them: coordinate measuring machine, height gauge or tape."""
 SPHERES = """
-# Spheres: steel balls on the robot's end, in the frame of its flange."""
+# Spheres: steel balls on the robot's flange, in the flange frame."""
 BARS = """
-# Bars: zero is the length at mid-travel, centre to centre; gain its change with the reading; travel the full stroke; sigma what one
-# reading repeats to. Measure the first bar (a calliper over both balls, less their radii) and let the others be estimated."""
+# Bars: zero is the length at mid-travel, centre to centre; gain is its change per change of the reading; travel is the full stroke;
+# sigma is the repeatability. Measure the first bar (a calliper over both balls, minus their radii); the others are estimated."""
 
 
 class Wanted(NamedTuple):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from truearm.box.readiness import FAR, LVDT_DRIFT, STEEL
+from truearm.text import page
 from truearm.units import DEGC, MM, PPM_PER_K
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> 
         f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {channel} was calibrated, "
         f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, most), '.3f')} "
         f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
-        "put a thermometer on the bar (docs/how-to/hardware.md), or calibrate the box at this temperature"
+        f"put a thermometer on the bar ({page('Build and measure the rig')}), or calibrate the box at this temperature"
     )
 
 
