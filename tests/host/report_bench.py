@@ -267,7 +267,7 @@ def full_page():
         page,
         estimate=estimate,
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
-        usability=("What explains the observations: the names of chuck c1 and c2 are exchanged.",),
+        usability=("This explains the observations: the names of chuck c1 and c2 are exchanged.",),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",
         certificate=CERTIFICATE,

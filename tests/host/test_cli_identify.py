@@ -41,8 +41,8 @@ def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: l
     for words in (
         "puma560: 70 ball_bar to fit, 20 held out; converged",
         "rank 36 of 54 free",
-        "not seen",
-        "18 combinations of parameters cannot be seen",
+        "unidentifiable",
+        "18 combinations of parameters are unidentifiable",
         "held out, mean",
         "--out result.json",
     ):
@@ -62,9 +62,11 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     assert outcome.code == 3
     assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
     assert outcome.out.startswith("This fit is not usable. It did not converge")
-    assert "tool errs" not in outcome.out
+    assert "Tool error predicted" not in outcome.out
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
-    assert "Next: measure with one more chuck, not in line with the others, to tell 2 more parameters" in outcome.out
+    assert (
+        "Next: measure with one more chuck, not in line with the others, to identify 2 more parameters" in outcome.out
+    )
     assert "one more sphere" not in outcome.out
     document = json.loads(run(*arguments, "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
@@ -84,10 +86,13 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     document = json.loads(run("identify", tmp_path / "t.csv", "--model", "ulb", "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
     (stopped,) = not_converged(document)
-    assert "A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg." in stopped
+    assert (
+        "A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg."
+        in stopped
+    )
     hardly = [{"names": ["joint2.d"], "weights": [1.0]}]
     (stopped,) = not_converged({**document, "prior": "none", "hardly_seen": hardly})
-    assert "leave out --prior none" in stopped
+    assert "omit --prior none" in stopped
 
 
 @pytest.mark.parametrize(
@@ -136,14 +141,17 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1, fit sphere s0"
     lines = text.splitlines()
     assert lines[0].startswith("This fit is not usable. Residuals of ")
-    assert lines[1].startswith(f"What explains the observations: {found['text']} (RMS 0.0")
+    assert lines[1].startswith(f"This explains the observations: {found['text']} (RMS 0.0")
 
 
 def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
     result, text = identified(run, tmp_path, *noisy)
     low, high = result["chi2_band"]
     assert low < result["chi2_reduced"] < high
-    assert f"χ² per degree of freedom {result['chi2_reduced']:.3g}, within the {low:.3g} to {high:.3g}" in text
+    assert (
+        f"χ² per degree of freedom {result['chi2_reduced']:.3g}, within its 95 % range of {low:.3g} to {high:.3g}."
+        in text
+    )
 
 
 def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None:
@@ -223,8 +231,8 @@ def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
             # 4 σ: one of four clean parameters lies beyond in one draw of 4,000
             assert abs(p["value"] - p["nominal"] - 0.01) < 4 * p["sigma"]
     text = run(*arguments).out
-    assert "1 combination of parameters cannot be seen" in text
-    assert "to tell 1 more parameter: joint6.offset" in text
+    assert "1 combination of parameters is unidentifiable" in text
+    assert "to identify 1 more parameter: joint6.offset" in text
 
 
 def documented_figures() -> list[list[str]]:
@@ -263,14 +271,14 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     few.write_text("\n".join(lines[:12]) + "\n")
     outcome = run("identify", str(few), "--model", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
     assert outcome.code == 0, outcome
-    assert "the residual says nothing about accuracy" in outcome.out
+    assert "the residuals say nothing about accuracy" in outcome.out
 
 
 def test_an_error_of_the_tool_that_is_not_determined_is_no_number(run: Run, good: list[object]) -> None:
     document = json.loads(run(*good, "--json").out)
-    assert predicted(document)[0].startswith("By these sigmas the tool errs by ")
+    assert predicted(document)[0].startswith("Tool error predicted from these sigmas: ")
     assert predicted({**document, "predicted_error": None}) == [
-        "How far the tool may be off is not determined: what is not seen, or hardly, would move it."
+        "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
     ]
 
 

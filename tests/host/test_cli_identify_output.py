@@ -144,8 +144,8 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     predicted = result["predicted_error"]
     assert (predicted["n"], predicted["relative"]) == (180, False)
     assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
-    assert f"By these sigmas the tool errs by {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
-    assert "Solved by map with a wide prior of the robot, huber loss." in text
+    assert f"Tool error predicted from these sigmas: {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
+    assert "Solved by map with a wide prior on the robot's parameters, huber loss." in text
     o1 = result["observability"]["o1"]
     assert f"Observability of {len(result['suggested_free'])} parameters: O1 {o1:.3g}" in text
     (entry,) = result["observations"]

@@ -56,7 +56,7 @@ def held_as_a_choice_of_frame(result, text, n_base, rank):
     assert len(result["defaults"]["base"]) == n_base
     assert result["null_space"] == []
     assert (
-        f"A choice of frame that these observations cannot see in any pose, held at the nominal values: how the base stands ({result['defaults']['base'][0]}"
+        f"Held at the nominal values, because such observations cannot determine them in any pose: the pose of the base ({result['defaults']['base'][0]}"
         in text
     )
 
@@ -71,10 +71,10 @@ def unseen_and_advised(result, text, rank, advice, promised=None):
     assert all(p["sigma"] is None for p in result["parameters"] if p["name"] in unseen)
     assert all(np.isfinite(p["value"]) for p in result["parameters"])
     assert f"rank {rank} of {result['n_free']} free" in text
-    assert f"{lost} combination{'s' * (lost > 1)} of parameters cannot be seen" in text
+    assert f"{lost} combination{'s' * (lost > 1)} of parameters {'are' if lost > 1 else 'is'} unidentifiable" in text
     assert f"Next: measure with {advice}" in text
     more = promised or lost
-    assert f"to tell {more} more parameter{'s' * (more > 1)}" in text
+    assert f"to identify {more} more parameter{'s' * (more > 1)}" in text
 
 
 POSES = "what is mounted in poses that differ more"
@@ -152,9 +152,9 @@ def test_a_wrist_that_stays_in_the_arms_plane(identified):
     """Nine parameters lost (docs/decisions/0007), some of them since joint 4 stands still: these are held."""
     q, pairs = vertical_tool_poses(200, np.random.default_rng(7)), all_pairs(200)
     result, text = identified(table(q, lengths(DESIGN, q, pairs), pairs))
-    assert "joint4 moves by only 0.00 deg, too little to show its axis; move it more to identify it." in text
+    assert "joint4 moves by only 0.00 deg, too little to identify its axis; move it more." in text
     lost = result["defaults"]["lost"]
-    assert f"Held at the nominal values therefore: {lost[0]}" in text
+    assert f"Therefore also held at the nominal values: {lost[0]}" in text
     assert result["rank"] == 27
     assert result["n_free"] == 36 - len(lost)
     assert len(result["null_space"]) == 9 - len(lost)
@@ -171,11 +171,14 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
     # Where the base and where the tool is: shifts of the one undo those of the other.
     parts = {name.partition(".")[0] for direction in result["hardly_seen"] for name in direction["names"]}
     assert {"link1", "link7"} <= parts
-    assert "3 combinations of parameters are hardly seen, less well than a drawing tells (1 mm, 5 mrad" in text
-    assert f"Next: measure with {POSES} to tell 3 more parameters" in text
+    assert (
+        "3 combinations of parameters are weakly identifiable, less accurately than from a drawing (1 mm, 5 mrad"
+        in text
+    )
+    assert f"Next: measure with {POSES} to identify 3 more parameters" in text
     varied, plain = identified(random_table(200, np.random.default_rng(9), SIGMA))
     assert (varied["hardly_seen"], varied["additions"]) == ([], [])
-    assert "The observations see every free parameter." in plain
+    assert "All free parameters are identifiable." in plain
 
 
 def test_nothing_measured_is_misuse(tmp_path, capsys):

@@ -117,7 +117,9 @@ def test_lines_are_planned(folder, capsys):
 def test_lines_with_a_delay_that_is_not_known(folder, capsys):
     write_rig(folder / "delay.toml", replace(bench.RIGS["irb120"], time_offset_sigma=None))
     assert main(["plan", "line", *LINES, "--rig", str(folder / "delay.toml")]) == 0
-    (said,) = [line for line in capsys.readouterr().out.splitlines() if "time_offset" in line and "seen" not in line]
+    (said,) = [
+        line for line in capsys.readouterr().out.splitlines() if "time_offset" in line and "identifiable" not in line
+    ]
     assert said.split()[-1] == "ms"
 
 
@@ -200,8 +202,8 @@ def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
     few = [text.replace("36", "12") for text in COMMON]
     assert main(["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert [line for line in said if line.startswith("Next: 12 poses are fewer than there are unknowns")]
-    unseen = [line for line in said if line.startswith("not seen: ")]
+    assert [line for line in said if line.startswith("Next: 12 poses are fewer than the unknowns")]
+    unseen = [line for line in said if line.startswith("unidentifiable: ")]
     assert len(unseen) == 30 - 12
     assert all(line.count("·") <= 4 for line in unseen)
 

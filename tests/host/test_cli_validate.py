@@ -65,7 +65,7 @@ def test_a_robot_that_did_not_change_passes(folder, run):
     assert found["verdict"] in said
     assert "shell=one" in said
     assert (
-        f"once base and tool are placed on these rows; where the rig says they stand: {found['rms_raw_mm']:.4f} mm RMS"
+        f"with base and tool fitted to these rows; with base and tool as described: {found['rms_raw_mm']:.4f} mm RMS"
         in said
     )
 

@@ -162,7 +162,7 @@ def in_time(rows, size, pause_s, swing):
 
 
 DRIFTS = {
-    "bar.bar46.zero.thermal_drift": "bar.bar46.zero drifts with the box's temperature (6.0 °C warmer at the most than at the least) by ",
+    "bar.bar46.zero.thermal_drift": "bar.bar46.zero drifts with the box's temperature (which varies by 6.0 °C) by ",
     "bar.bar46.zero.drift": "bar.bar46.zero drifts linearly in 132 min by ",
 }
 

@@ -346,7 +346,7 @@ def test_beyond_the_covered_range_curves_fade_to_the_geometry_and_correct_says_s
     (tmp_path / "targets.csv").write_text("\n".join(lines) + "\n")
     files = CorrectFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "targets.csv", tmp_path / "corrected.csv")
     done = correct_file(found, files, CorrectOptions())
-    assert any("curves fade out" in line and "rows 3, 4, 5" in line for line in done.warnings)
+    assert any("Error curves end there" in line and "rows 3, 4, 5" in line for line in done.warnings)
 
 
 def test_a_second_day_is_validated_with_the_laws(learned_arm):

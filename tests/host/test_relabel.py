@@ -112,7 +112,7 @@ class TestOneMissedEnter:
         assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
         line = capsys.readouterr().out.splitlines()
         said = " ".join(line[:8])
-        assert "need your word: truearm relabel" in said
+        assert "need a decision: truearm relabel" in said
         (count,) = json.loads((path.parent / "r.json").read_text())["sessions"]
         assert count["session"] == "s.mcap"
         assert count["rejected"]["contradiction"] == 29

@@ -188,7 +188,7 @@ def test_suspects_are_named_the_farthest_first():
 
 def test_a_fit_that_is_not_usable_is_the_headline_and_what_explains_it_the_first_doubt():
     page = make_page(20)
-    said = ("This fit is not usable. Residuals of 43.0 mm RMS remain.", "What explains the observations: labels.")
+    said = ("This fit is not usable. Residuals of 43.0 mm RMS remain.", "This explains the observations: labels.")
     bad = replace(page, estimate=replace(page.estimate, unusable=Unusable.WRONG_INPUTS), usability=said)
     assert (verdict(bad), doubts(bad)[0]) == said
     assert "times smaller" not in render(bad)
@@ -284,16 +284,19 @@ def test_what_is_not_seen_is_marked_and_said():
     name = page.estimate.parameter_names[lost]
     estimate = replace(page.estimate, identifiable=seen, rank=35, null_space=(NullDirection((name,), (1.0,)),))
     text = render(replace(page, estimate=estimate))
-    assert text.count("not seen alone") == 1
+    assert text.count("unidentifiable alone") == 1
     assert "<strong>35 of 36</strong>" in text
-    assert f"{name}: not seen at all" in text
+    assert f"{name}: unidentifiable" in text
 
 
 def test_what_is_hardly_seen_is_said():
     page = make_page(50)
     weak = (NullDirection(("link2.z", "link3.z"), (1.0, -1.0)), NullDirection(("link6.z",), (1.0,)))
     text = render(replace(page, estimate=replace(page.estimate, hardly_seen=weak)))
-    assert "2 combinations of parameters are hardly seen: by the observations alone less well than a drawing" in text
+    assert (
+        "2 combinations of parameters are weakly identifiable: the observations alone determine them less accurately"
+        in text
+    )
     assert "<li>link2.z up, link3.z down by as much</li><li>link6.z: by itself</li>" in text
     assert "hardly seen" not in render(page)
 

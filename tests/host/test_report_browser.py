@@ -83,7 +83,7 @@ def test_everything_at_once_is_one_sound_page():
     words = " ".join(" ".join(parsed.text).split())
     assert len(drawings(text)) == len(parsed.all("figure"))
     for said in (
-        "What explains the observations",
+        "This explains the observations",
         "χ² per degree of freedom",
         "touched flat",
         "What to measure next",

@@ -48,11 +48,11 @@ def test_escape_leaves_nothing_active():
 @pytest.mark.parametrize(
     ("names", "weights", "words"),
     [
-        (("link6.alpha",), (1.0,), "link6.alpha: not seen at all"),
+        (("link6.alpha",), (1.0,), "link6.alpha: unidentifiable"),
         (("link2.z", "link3.z"), (1.0, -1.0), "link2.z up, link3.z down by as much"),
         (("link4.z", "link2.x"), (1.0, 1.0), "link4.z up, link2.x up by as much"),
         (("a", "b", "c"), (0.4, 1.0, -0.2), "+1.00 b +0.40 a −0.20 c"),
-        (("a", "b"), (1.0, 0.001), "a: not seen at all"),
+        (("a", "b"), (1.0, 0.001), "a: unidentifiable"),
     ],
 )
 def test_direction_words(names, weights, words):

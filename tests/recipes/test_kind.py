@@ -99,7 +99,7 @@ def test_it_is_proposed_where_it_would_show_more(copy):
         "\n".join([lines[0], *(line for line in lines if line[:9] == "position,")]) + "\n"
     )
     said = copy.run("identify", "points.csv", *COMMAND, "--also-free", "joint6.offset")
-    assert "Next: measure with an inclinometer on the end to tell 1 more parameter: joint6.offset." in said
+    assert "Next: measure with an inclinometer on the end to identify 1 more parameter: joint6.offset." in said
 
 
 def test_a_saved_table_gives_the_same_result(copy):

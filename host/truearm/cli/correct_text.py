@@ -18,20 +18,18 @@ _REMEDIES = {
     "tool": "; give --tool X,Y,Z,RX,RY,RZ",
     "tools": "; give --tool NAME=X,Y,Z,RX,RY,RZ",
     "works": "; give --work NAME=X,Y,Z,RX,RY,RZ",
-    "split": "; --split writes numbers of its own into this move",
-    "harmless": "; --harmless says that it does not",
+    "split": "; --split writes a separate target into this move",
+    "harmless": "; give --harmless NAME if it does not",
 }
 
 
 def lines(found: CorrectedFile) -> list[str]:
-    """What was corrected, target by target, and what is left to doubt."""
+    """Return what was corrected, target by target, and the warnings."""
     done, calibration, chain = found.correction, found.calibration, found.calibration.chain
     if found.own_frames:
-        frames = "Targets lie in the robot's own base and flange frames; these mountings are left to you:"
+        frames = "Targets are in the robot's own base and flange frames; these mountings are not corrected:"
     else:
-        frames = (
-            f"Targets are of {chain.end_frame} in {chain.base_frame}; how robot and tool were mounted is corrected too:"
-        )
+        frames = f"Targets are poses of {chain.end_frame} in {chain.base_frame}; the mountings of robot and tool are corrected too:"
     text = [
         one_line(frames),
         *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
@@ -43,12 +41,12 @@ def lines(found: CorrectedFile) -> list[str]:
     text += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
     before, after = map(rms_of_columns, (done.before, done.after))
     text.append(f"{'RMS':<10}{_cells(before, after)}")
-    text.append("These errors are what the identified robot says; its own uncertainty comes on top.")
+    text.append("These errors are computed with the identified robot; its uncertainty is not included.")
     return [*text, *found.warnings, *found.notes, f"Written: {one_line(str(found.out))}"]
 
 
 def refused_lines(refused: Sequence[Refused]) -> list[str]:
-    """The moves of a program that are not corrected, the count first."""
+    """Return the moves of a program that are not corrected, their number first."""
     if not refused:
         return []
     rows = [

@@ -10,7 +10,7 @@ from truearm.types import Figures
 from truearm.units import MM
 from truearm.workflows.export import ExportedRobot, cost_lines
 
-REMEDY = "Give --over FILE, a plan or a table, to have it best where you work."
+REMEDY = "For the best fit where you work, give --over FILE, a plan or a table of poses there."
 
 
 def lines(found: ExportedRobot, out: Path, over: Path | None) -> list[str]:

@@ -1,6 +1,6 @@
-"""A result as a person reads it: parameters in mm and deg, what cannot be seen, errors, what to do next.
+"""What ``truearm identify`` prints: parameters in mm and deg, unidentifiable combinations, errors, what to do next.
 
-Everything is taken from the content of result.json, so that what is printed and what is stored cannot differ.
+All of it comes from the content of result.json, so that what is printed and what is stored cannot differ.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
 MAX_NAMES = 12
-OUTLIERS = 0.05  # of the rows: more than that are not bad rows (estimate.outliers)
+OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
 def show_result(document: Document, out: Path | None) -> None:
     """Print the content of a result.json; ``out`` is where it was written, if it was."""
-    # Names come from strangers' files: no markup. Into a pipe rich would wrap at 80 columns.
+    # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
@@ -74,26 +74,28 @@ def show_result(document: Document, out: Path | None) -> None:
 
 
 def not_converged(document: Document) -> list[str]:
-    """That the fit did not converge, and what to do about it."""
+    """Return what to do about a fit that did not converge."""
     if document["status"] == "converged" or SOLVERS[document["solver"]].ends_by_recipe or document["explanations"]:
         return []
-    line = "Its parameters and errors mean nothing."
+    line = "Its parameters and errors are meaningless."
     if any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", parameter["name"]) for parameter in document["parameters"]):
-        line += " A straight line hardly shows its device's roll: give it in the rig, with turn_sigma_deg."
+        line += (
+            " A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg."
+        )
     if document["hardly_seen"] and document["prior"] == Prior.NONE:
-        return [f"{line} What is hardly seen makes a fit creep: leave out --prior none, or take --prior weak."]
+        return [f"{line} Weakly identifiable parameters slow a fit down: omit --prior none, or give --prior weak."]
     raised = ", or raise --max-iterations" if document["status"] == "max_iterations" else ""
-    return [f"{line} Check the units, the joints' order and signs, and the labels{raised}."]
+    return [f"{line} Check the units, the order and signs of the joints, and the labels{raised}."]
 
 
 def little_freedom(document: Document) -> list[str]:
-    """That the residuals say nothing, where they have fewer degrees of freedom than parameters were fitted."""
+    """Return a warning if the residuals have fewer degrees of freedom than parameters were fitted."""
     if not few_freedom(document["chi2_freedom"], document["rank"]):
         return []
     freedom = counted(round(document["chi2_freedom"]), "degree of freedom", "degrees of freedom")
     return [
-        f"{freedom} beside {counted(document['rank'], 'parameter')}: the residual says nothing about accuracy. Measure more, and judge "
-        "by rows held out."
+        f"Only {freedom} for {counted(document['rank'], 'parameter')}: the residuals say nothing about accuracy. Measure more rows, and "
+        "hold some of them out."
     ]
 
 
@@ -102,7 +104,7 @@ def _option(argument: str) -> str:
 
 
 def dwell_lines(document: Document) -> list[str]:
-    """What became of the dwells of each session, a line each."""
+    """Return a line per session: how its dwells were used."""
     lines = []
     for count in document.get("sessions", ()):
         rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
@@ -111,13 +113,13 @@ def dwell_lines(document: Document) -> list[str]:
         line += f"; {counted(count['mountings'], 'stop')} for mounting" * bool(count["mountings"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_WORDS)
         if unsettled:
-            line += f"; {unsettled} need your word: truearm relabel {one_line(count['session'])}"
+            line += f"; {unsettled} need a decision: truearm relabel {one_line(count['session'])}"
         lines.append(line + " (as relabelled)" * count["labels"])
     return lines
 
 
 def headline(document: Document) -> str:
-    """One line: the robot, the observations, how the solver ended."""
+    """Return one line: the robot, the observations, how the solver ended."""
     fitted: dict[str, int] = {}
     for entry in document["observations"]:
         fitted[entry["kind"]] = fitted.get(entry["kind"], 0) + entry["fitted"]
@@ -129,7 +131,7 @@ def headline(document: Document) -> str:
 
 
 def how(document: Document) -> str:
-    """One line: the solver and what it believed."""
+    """Return one line: the solver and its prior."""
     loss = "" if document["loss"] == Loss.LINEAR else f", {document['loss']} loss"
     return f"Solved by {document['solver']} {_prior(document)}{loss}."
 
@@ -140,30 +142,30 @@ def _prior(document: Document) -> str:
             return "without a prior"
         case Prior.DEFAULT:
             believed = document["defaults"]["believed"]
-            return f"with a weak prior of {_names(believed)}, which the observations hardly tell (off: --prior none)"
+            return f"with a weak prior on {_names(believed)}, weakly identifiable here (off: --prior none)"
         case Prior.WEAK | Prior.WIDE as name:
-            return f"with a {name} prior of the robot"
+            return f"with a {name} prior on the robot's parameters"
         case never:
             assert_never(never)
 
 
 def held(document: Document) -> list[str]:
-    """What is held without having been asked for: a choice of frame, joints that stand still."""
+    """Return what is held by default: a choice of frame, and joints that do not move."""
     defaults = document["defaults"]
     lines = []
-    frames = {"how the base stands": defaults["base"], "how the tool is mounted": defaults["tool"]}
+    frames = {"the pose of the base": defaults["base"], "the mounting of the tool": defaults["tool"]}
     if any(frames.values()):
         what = " and ".join(f"{words} ({_names(names)})" for words, names in frames.items() if names)
         lines.append(
-            f"A choice of frame that these observations cannot see in any pose, held at the nominal values: {what}."
+            f"Held at the nominal values, because such observations cannot determine them in any pose: {what}."
         )
     for joint in defaults["still"]:
         spread = UNITS[joint["unit"]].scale.text(joint["spread"], ".2f")
         lines.append(
-            f"{one_line(joint['joint'])} moves by only {spread}, too little to show its axis; move it more to identify it."
+            f"{one_line(joint['joint'])} moves by only {spread}, too little to identify its axis; move it more."
         )
     if defaults["lost"]:
-        lines.append(f"Held at the nominal values therefore: {_names(defaults['lost'])}.")
+        lines.append(f"Therefore also held at the nominal values: {_names(defaults['lost'])}.")
     return lines
 
 
@@ -195,20 +197,20 @@ def _law_table(steps: list[tuple[str, str, str]], unit: str) -> Table:
 
 
 def unseen(document: Document) -> list[str]:
-    """What the observations cannot see, a line each."""
+    """Return the unidentifiable and the weakly identifiable combinations, a line each."""
     directions, weak = document["null_space"], document["hardly_seen"]
     if not directions and not weak:
-        return ["The observations see every free parameter."]
+        return ["All free parameters are identifiable."]
     lines = []
     if directions:
         what = counted(len(directions), "combination")
-        which = "it" if what[:2] == "1 " else "them"
-        lines.append(f"{what} of parameters cannot be seen; predictions do not depend on {which}:")
+        are, them = ("is", "it") if len(directions) == 1 else ("are", "them")
+        lines.append(f"{what} of parameters {are} unidentifiable; predictions do not depend on {them}:")
         lines += _directions(directions, "null_space")
     if weak:
         what = counted(len(weak), "combination")
         lines.append(
-            f"{what} of parameters {'is' if what[:2] == '1 ' else 'are'} hardly seen, less well than a drawing tells "
+            f"{what} of parameters {'is' if len(weak) == 1 else 'are'} weakly identifiable, less accurately than from a drawing "
             f"({drawing()}):"
         )
         lines += _directions(weak, "hardly_seen")
@@ -223,7 +225,7 @@ def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
 
 
 def direction_text(direction: Mapping[str, Any]) -> str:
-    """A null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
+    """Format a null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
     terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
     shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
     words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
@@ -232,7 +234,7 @@ def direction_text(direction: Mapping[str, Any]) -> str:
 
 
 def _error_table(document: Document, suffix: str) -> Table:
-    """The errors in one unit, of which ``suffix`` ends the keys: of the fitted rows, of each kind, of the held-out rows."""
+    """Return the errors in the unit of ``suffix``: of the fitted rows, of each kind, of the held-out rows."""
     scale = SUFFIXES[suffix]
     before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
     decimals = UNITS[scale.si].decimals
@@ -259,28 +261,30 @@ def _error_table(document: Document, suffix: str) -> Table:
 
 
 def _of(entry: Mapping[str, Any]) -> str:
-    """A kind of observation, and its rig where there are several."""
+    """Return a kind of observation, and its rig if there are several."""
     return one_line(f"{entry['rig']}: {kind_name(entry['kind'])}" if entry["rig"] else kind_name(entry["kind"]))
 
 
 def predicted(document: Document) -> list[str]:
-    """How far the tool may be off."""
+    """Return the predicted error of the tool."""
     error = document["predicted_error"]
     if document["status"] != "converged" or not document["usable"]:
         return []
     if document["unexplained"] is not None:
         return [_unexplained(document["unexplained"])]
     if error is None:
-        return ["How far the tool may be off is not determined: what is not seen, or hardly, would move it."]
-    where = " (the base's own place apart)" if error["relative"] else ""
+        return [
+            "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
+        ]
+    where = " (without the pose of the base)" if error["relative"] else ""
     return [
-        f"By these sigmas the tool errs by {_cell(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
+        f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
         f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
     ]
 
 
 def _unexplained(error: Document) -> str:
-    """The mean error of poses that were not fitted, where the declared noise explains less."""
+    """Return the mean error of poses that were not fitted, if the declared noise does not explain it."""
     found = {}
     for unit in (SUFFIXES[name[5:]] for name in error if name.startswith("mean_")):
         mean, low, high = (from_shown(error[f"{name}_{unit.suffix}"], unit.si) for name in ("mean", "low", "high"))
@@ -289,7 +293,7 @@ def _unexplained(error: Document) -> str:
 
 
 def seen(document: Document) -> list[str]:
-    """The observability indices of the set that can be distinguished."""
+    """Return the observability indices of the suggested free set."""
     indices = document["observability"]
     if indices is None or any(value is None for value in indices.values()):
         return []
@@ -298,35 +302,31 @@ def seen(document: Document) -> list[str]:
 
 
 def raw(document: Document) -> list[str]:
-    """What "before" means, and the errors without placing base and tool where they differ."""
+    """Return what "before" means, and the errors without fitting base and tool, if they differ."""
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
     before, as_described = ([document[f"{name}_{unit.suffix}"] for unit in units] for name in ("rms_before", "rms_raw"))
     if before == as_described:
-        return ["Before is the robot as described."]
+        return ['"Before" is the nominal robot.']
     sizes = " and ".join(
         f"{_cell(rms, UNITS[unit.si].decimals)} {unit.symbol}" for unit, rms in zip(units, as_described, strict=True)
     )
-    return [
-        f"Before is the robot as described, once base and tool are placed; where the rig says they stand: {sizes} RMS."
-    ]
+    return [f'"Before" is the nominal robot with base and tool fitted; with base and tool as described: {sizes} RMS.']
 
 
 def timing(document: Document) -> list[str]:
-    """How late the joint readings are, of each rig that has a time offset."""
+    """Return the delay of the joint readings of each rig that has a time offset."""
     offsets = [p for p in document["parameters"] if p["unit"] == "s" and p["free"]]
     return [time_offset(one_line(p["name"]), p["value"], p["sigma"]) for p in offsets]
 
 
 def chi2_notes(document: Document) -> list[str]:
-    """χ² and where it should be; what declared noise explains of the residuals, and what it does not; what rows of a pose share."""
+    """Return χ² and its range; which part of the residuals declared noise explains; the error that rows of a pose share."""
     lines = []
     low, high = document["chi2_band"]
     if None not in (low, high, document["chi2_reduced"]):
         chi2 = document["chi2_reduced"]
         where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
-        lines.append(
-            f"χ² per degree of freedom {chi2:.3g}, {where} the {low:.3g} to {high:.3g} of right sigmas (95 %)."
-        )
+        lines.append(f"χ² per degree of freedom {chi2:.3g}, {where} its 95 % range of {low:.3g} to {high:.3g}.")
     parts = {}
     for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
         both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
@@ -340,13 +340,13 @@ def chi2_notes(document: Document) -> list[str]:
 
 
 def suspects(document: Document) -> list[str]:
-    """The rows that disagree with all others."""
+    """Return the outliers."""
     rows, fitted = document["suspect"], document["n_observations"]
     if not rows:
         return []
     if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
         return [
-            f"{len(rows)} of {counted(fitted, 'row')} disagree with all others beyond chance: too many to be bad rows. The model is "
+            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
             "wrong, or the sigmas are too small."
         ]
     named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
@@ -354,7 +354,7 @@ def suspects(document: Document) -> list[str]:
     out = sum(row["weight"] == 0.0 for row in rows)
     end = f"; {out} left out of the fit" if out else ""
     who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
-    lines = [f"{who} with all others beyond chance{end}: {named}{more}."]
+    lines = [f"{who} significantly with all others{end}: {named}{more}."]
     every = document["with_outliers"]
     if every is not None:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
@@ -367,34 +367,34 @@ def suspects(document: Document) -> list[str]:
 
 
 def held_out_notes(document: Document) -> list[str]:
-    """What the held-out error does not say by itself."""
+    """Return the limits of the held-out error."""
     held_out, notes = document["held_out"], []
     gone = [one_line(name) for name in document["all_held_out"] if name not in document["held_out_by"]]
     if held_out and gone:
-        other = f" In place of that{_proposal(document)}." * (document["hold_out_proposal"] is not None)
-        notes.append(f"No row of {_names(gone)} is left in the fit.{other}")
+        other = f" Instead{_proposal(document)}." * (document["hold_out_proposal"] is not None)
+        notes.append(f"The fit has no row of {_names(gone)} left.{other}")
     if held_out and held_out["n_settled"]:
         notes.append(
-            f"{counted(held_out['n_settled'], 'unknown of the rig was', 'unknowns of the rig were')} settled on the held-out rows themselves."
+            f"{counted(held_out['n_settled'], 'unknown of the rig was', 'unknowns of the rig were')} estimated from the held-out rows themselves."
         )
     if held_out and held_out["n_left_out"]:
         notes.append(
-            f"{counted(held_out['n_left_out'], 'held-out row is', 'held-out rows are')} not judged: every value fits such unknowns."
+            f"{counted(held_out['n_left_out'], 'held-out row is', 'held-out rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
     if held_out is None and document["held_out_by"]:
         notes.append(
-            "No held-out row can judge: each fits unknowns of the rig whatever it says; measure more rows there."
+            "No held-out row can be judged: unknowns of the rig fit each of them exactly. Measure more rows there."
         )
     return notes
 
 
 def _cell(value: float | None, decimals: int = UNITS["m"].decimals) -> str:
-    """A number that is in the unit of its column already."""
+    """Format a number that is already in the unit of its column."""
     return "-" if value is None else f"{value:.{decimals}f}"
 
 
 def advice(document: Document, out: Path | None) -> list[str]:
-    """What to do next, a line each."""
+    """Return what to do next, a line each."""
     lines = []
     solver = SOLVERS[document["solver"]]
     if solver.ends_by_recipe:
@@ -407,12 +407,12 @@ def advice(document: Document, out: Path | None) -> list[str]:
         lines.append(
             f"Residuals are {factor:.1f} times what the declared sigmas allow: the robot has errors that these parameters "
             f"do not model, or the sigmas are too small{prior}."
-            + " The sigmas above rest on the declared noise alone."
+            + " The sigmas above follow from the declared noise alone."
             * (not read_off and document["pose_error"] is None)
         )
     lines += further_measurements(document)
     if not document["held_out_by"]:
-        lines.append(f"Next: judge the result on rows that it has not seen{_proposal(document)}.")
+        lines.append(f"Next: judge the result by held-out rows{_proposal(document)}.")
     if out is None:
         lines.append("Next: keep the result with --out result.json.")
     else:
@@ -421,10 +421,10 @@ def advice(document: Document, out: Path | None) -> list[str]:
 
 
 def _proposal(document: Document) -> str:
-    """A hold-out that leaves something of everything in the fit."""
+    """Return a hold-out that keeps rows of every combination in the fit."""
     proposed = document["hold_out_proposal"]
     if proposed is None:
-        return ", of other poses: these are too few to spare any"
+        return " of other poses: these are too few to hold any out"
     seed = f" --seed {proposed['seed']}" * (proposed["seed"] > 0)
     n = proposed["combinations"]
     every = "" if n == 1 else f" and leaves at least half of each of the {n} pairings in the fit"
@@ -432,12 +432,12 @@ def _proposal(document: Document) -> str:
 
 
 def further_measurements(document: Document) -> list[str]:
-    """The most useful proposal of each kind."""
+    """Return the most useful proposal of each kind."""
     best: dict[str, Mapping[str, Any]] = {}
     for addition in document["additions"]:  # the most useful first
         best.setdefault(addition["kind"], addition)
     return [
-        f"Next: {one_line(a['text'])} to tell {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
+        f"Next: {one_line(a['text'])} to identify {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
         for a in best.values()
     ]
 

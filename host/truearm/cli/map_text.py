@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region
+from truearm.text import counted
 from truearm.types import Figures
 from truearm.units import MM
 from truearm.workflows.error_map import Mapped, axis
 
 
 def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
-    """The errors over the section, and the best place for a task (the option's text); ``cell`` [m]."""
+    """Return the errors over the section, and the best place for a task (the option's text); ``cell`` [m]."""
     found = mapped.map
     error = MM.of(found.error[~np.isnan(found.error)])
     rms = Figures.of(error).rms
@@ -24,11 +25,11 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
     sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
     if sigma.size:
         text.append(
-            f"With it, by the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
+            f"Error with calibration, from the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
         )
     if sigma.size < error.size:
         text.append(
-            f"In {error.size - sigma.size} cells that cannot be said: combinations of parameters that were not seen move the end."
+            f"In {counted(error.size - sigma.size, 'cell')} it is unknown: unidentifiable combinations of parameters move the end."
         )
     if task:
         text.append(_task_line(found, mapped.region, task))
@@ -37,7 +38,7 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
 
 def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:
     if region is None:
-        return f"A task of {task} mm fits nowhere into what the arm reaches in this section."
+        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches."
     u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
     names = [axis(direction) for direction in found.axes]
     return (

@@ -1,4 +1,4 @@
-"""A plan's forecast as a person reads it."""
+"""What ``truearm plan`` prints: the plan and its forecast."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from truearm.units import UNITS
 
 
 def forecast_lines(document: Mapping[str, Any]) -> list[str]:
-    """What ``plan ballbar`` and ``plan line`` planned, what will be known after it, and the error to be expected."""
+    """Return what ``plan ballbar`` and ``plan line`` planned, the predicted sigmas, and the expected error."""
     return [
         *visit_lines(document),
         *_known_after(document),
@@ -23,7 +23,7 @@ def forecast_lines(document: Mapping[str, Any]) -> list[str]:
 
 
 def _curves(document: Mapping[str, Any]) -> list[str]:
-    """What will be known of error curves, and which part of them the poses cannot see."""
+    """Return the predicted sigmas of error curves, and the readings that the poses do not cover."""
     lines = []
     for curve in document.get("curves", ()):
         low, high = curve["covered_deg"]
@@ -31,19 +31,17 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
             f"error curve of {curve['joint']}: covered {low:.0f} to {high:.0f} deg, to {curve['sigma_mrad']:.2g} mrad"
         )
         gaps = ", ".join(f"{a:.0f} to {b:.0f}" for a, b in curve["unseen_deg"])
-        lines.append(line + (f"; not seen: {gaps} deg" if gaps else ""))
+        lines.append(line + (f"; not covered: {gaps} deg" if gaps else ""))
     if lines:
-        lines.append(
-            "Outside of these ranges corrections are those of the geometry: measure where the robot will work."
-        )
+        lines.append("Outside these ranges, corrections use the geometry alone: measure where the robot will work.")
     return lines
 
 
 def approach_lines(document: Mapping[str, Any]) -> list[str]:
-    """What ``plan characterize`` planned."""
+    """Return what ``plan characterize`` planned."""
     return [
         f"{document['poses']} poses of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
-        f"{document['via_points']} places to come from, {document['minutes']:.0f} minutes",
+        f"{document['via_points']} approach points, {document['minutes']:.0f} minutes",
         *_written(document),
     ]
 
@@ -53,7 +51,7 @@ def _written(document: Mapping[str, Any]) -> list[str]:
 
 
 def visit_lines(document: Mapping[str, Any]) -> list[str]:
-    """What is visited, how long that takes and what of it can be held out."""
+    """Return what is visited, how long it takes, and what can be held out."""
     if "lines" not in document:
         return [
             f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
@@ -66,13 +64,13 @@ def visit_lines(document: Mapping[str, Any]) -> list[str]:
         ends = " to ".join(", ".join(f"{v:.0f}" for v in place[end]) for end in ("from_mm", "to_mm"))
         turn = ", ".join(f"{v:.4f}" for v in place["rotation_rad"])
         lines.append(
-            f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; error before about {place['a_priori_mm']:.1f} mm"
+            f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; expected error {place['a_priori_mm']:.1f} mm"
         )
     return [*lines, f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes"]
 
 
 def _pairing_lines(document: Mapping[str, Any]) -> list[str]:
-    """The pairings in the order of their first mount, and what would be left to fit of them if some poses were held out."""
+    """Return the pairings in the order of their first mount, and what would be left to fit if some poses were held out."""
     rows = [
         f"  {' '.join(pairing[key] for key in BAR_MOUNTED):<32} {counted(pairing['poses'], 'pose'):>9}"
         for pairing in document["pairings"]
@@ -86,44 +84,44 @@ def _hold_out(one: Mapping[str, Any], document: Mapping[str, Any]) -> str:
     words = f"--hold-out {one['hold_out']}{seed}"
     without = f", no pose of {', '.join(gone)}" * bool(gone)
     return (
-        f"  {words:<32} {counted(one['poses'], 'pose'):>9} to judge by; "
+        f"  {words:<32} {counted(one['poses'], 'pose'):>9} held out; "
         f"left to fit: rank {one['rank']} of {document['rank']}{without}"
     )
 
 
 def _against_drift(document: Mapping[str, Any]) -> list[str]:
     if document["visits"] > 1:
-        return [f"every mount is visited {document['visits']} times: drift and slip show"]
+        return [f"every mount is visited {document['visits']} times, to reveal drift and slip"]
     if document["check_poses"]:
         return [
-            f"{document['check_poses']} check poses of the first mount again in the middle and at the end: drift shows"
+            f"{document['check_poses']} check poses of the first mount, visited again half-way and at the end, to reveal drift"
         ]
     return []
 
 
 def _known_after(document: Mapping[str, Any]) -> list[str]:
-    lines = [f"rank {document['rank']}; what will be known after {document['rows']} observations:"]
+    lines = [f"rank {document['rank']}; predicted sigmas after {document['rows']} observations:"]
     lines += [f"  {parameter['name']:<24}{_in_words(parameter)}" for parameter in document["parameters"]]
     defaults = document["defaults"]
     for names, what in (
-        (defaults["base"] + defaults["tool"], "held, as these fixtures leave them a choice of frame"),
-        (defaults["lost"], "held, as joints that hardly move do not show them"),
-        (defaults["believed"], "with a weak prior, as these observations hardly tell them"),
+        (defaults["base"] + defaults["tool"], "held, because these fixtures cannot determine them in any pose"),
+        (defaults["lost"], "held, because their joints hardly move"),
+        (defaults["believed"], "with a weak prior, because they are weakly identifiable"),
     ):
         if names:
             lines.append(f"{what}: {', '.join(names)}")
-    for key, what in (("null_space", "not seen"), ("hardly_seen", "hardly seen")):
+    for key, what in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
         for direction in document[key]:
             lines.append(f"{what}: {_direction(direction)}")
     if "poses" in document and document["poses"] < document["rank"] + len(document["null_space"]):
         lines.append(
-            f"Next: {document['poses']} poses are fewer than there are unknowns; give more, or spend less on mounts with --bar NAME."
+            f"Next: {document['poses']} poses are fewer than the unknowns; plan more poses, or fewer mounts with --bar NAME."
         )
     return lines
 
 
 def _direction(weights: Mapping[str, float]) -> str:
-    """Its largest terms; --json has all."""
+    """Format its largest terms; --json has all."""
     terms = sorted(weights.items(), key=lambda term: -abs(term[1]))
     rest = f" and {len(terms) - MAX_TERMS} others" * (len(terms) > MAX_TERMS)
     return " ".join(f"{weight:+.2f}·{name}" for name, weight in terms[:MAX_TERMS]) + rest
@@ -131,8 +129,8 @@ def _direction(weights: Mapping[str, float]) -> str:
 
 def _region(document: Mapping[str, Any]) -> list[str]:
     if document["cartesian_rms_mm"] is None:
-        return ["error in the region: none can be given, something unseen moves the tool"]
-    relative = ", but for how the base stands" * document["cartesian_relative"]
+        return ["error in the region: unknown, an unidentifiable combination moves the tool"]
+    relative = ", without the pose of the base" * document["cartesian_relative"]
     return [
         f"error in the region: {document['cartesian_rms_mm']:.3f} mm RMS, "
         f"{document['cartesian_worst_mm']:.3f} mm at its worst pose{relative}"
@@ -141,4 +139,4 @@ def _region(document: Mapping[str, Any]) -> list[str]:
 
 def _in_words(parameter: Mapping[str, Any]) -> str:
     sigma = parameter["sigma"]
-    return "not seen" if sigma is None else f"± {UNITS[parameter['unit']].scale.text(sigma, '.2g')}"
+    return "unidentifiable" if sigma is None else f"± {UNITS[parameter['unit']].scale.text(sigma, '.2g')}"

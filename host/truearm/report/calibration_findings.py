@@ -71,12 +71,12 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
     """Return the fitted rows that disagree with all others, the farthest first."""
     rows = np.flatnonzero(e.suspect)
     if not rows.size:
-        return "<p>No fitted row disagrees with all others beyond chance (one clean row in a million would).</p>"
+        return "<p>No fitted row is an outlier (a clean row is one with a probability of one in a million).</p>"
     rows = rows[np.argsort(-e.distance[rows], kind="stable")]
     left_out = int(np.sum(e.weight[rows] == 0.0))
     units = Figures.by_unit(e.residual, rows)
     verb = "disagrees" if rows.size == 1 else "disagree"
-    words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million would"
+    words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million does"
     words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
     cells = [
         [
@@ -103,8 +103,8 @@ def observability_table(e: Estimate) -> str:
     rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
     length, angle, gain = tolerances("weak")
     text = (
-        f"How well the observations alone see {counted(len(names), 'parameter')} that they distinguish. A step is {length}, "
-        f"{angle} or {gain}; larger is better, and figures of one robot compare one set of poses with another."
+        f"How well the observations alone determine {counted(len(names), 'parameter')} that they distinguish. A step is {length}, "
+        f"{angle} or {gain}. Larger is better. Compare sets of poses of the same robot only."
     )
     table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")
     return f"<p>{escape(text, 600)}</p>{table}" + _suggested(e, names)
@@ -126,9 +126,7 @@ def addition_list(additions: Sequence[Addition]) -> str:
     for a in additions:
         names = ", ".join(a.parameters[:MAX_NAMES])
         more = f" and {len(a.parameters) - MAX_NAMES} others" if len(a.parameters) > MAX_NAMES else ""
-        words = (
-            f"{a.text[0].upper()}{a.text[1:]} to tell {counted(len(a.parameters), 'more parameter')}: {names}{more}."
-        )
+        words = f"{a.text[0].upper()}{a.text[1:]} to identify {counted(len(a.parameters), 'more parameter')}: {names}{more}."
         items.append(f"<li>{escape(words, 900)}</li>")
     return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
 
@@ -136,12 +134,12 @@ def addition_list(additions: Sequence[Addition]) -> str:
 def predicted_words(predicted: PredictedError) -> str:
     """Return the predicted error of the tool as a sentence of plain text."""
     where = (
-        "relative to all poses together, as the base's own place is not measured"
+        "relative to all poses together, because the pose of the base is not measured"
         if predicted.relative
         else "in the base frame"
     )
     return (
-        f"By the covariance of the parameters the measured point of the tool errs by {size(predicted.rms, 'm')} RMS "
-        f"over {counted(predicted.n, 'pose')}, {where}; most at {row_name(predicted.source)}, by {size(predicted.largest, 'm')}. "
-        "That is what noise and priors leave if the model is right; errors that the parameters do not model come on top."
+        f"The covariance of the parameters predicts an error of {size(predicted.rms, 'm')} RMS at the measured point of the tool "
+        f"over {counted(predicted.n, 'pose')}, {where}; the largest is {size(predicted.largest, 'm')} at {row_name(predicted.source)}. "
+        "This assumes that the model is right; errors that the parameters do not model are not included."
     )

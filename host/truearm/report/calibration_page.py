@@ -94,7 +94,7 @@ def render(page: CalibrationPage) -> str:
         _pictures(page),
         _parameters(page.estimate),
         _laws(page),
-        section("What the data can and cannot see", _sight(page.estimate)),
+        section("Identifiable and unidentifiable combinations", _sight(page.estimate)),
         section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
     )
@@ -107,7 +107,7 @@ def _verdict(page: CalibrationPage) -> str:
         _tile(
             "before",
             e.rms_before,
-            f"{counted(e.n_observations, 'observation')}, the nominal robot with base and tool placed",
+            f"{counted(e.n_observations, 'observation')}, the nominal robot with base and tool fitted",
             "old",
         ),
     ]
@@ -140,7 +140,7 @@ def verdict(page: CalibrationPage) -> str:
         freedom = counted(round(e.chi2_freedom), "degree of freedom", "degrees of freedom")
         judged = page.judged.figures.items() if page.judged else ()
         held = "".join(f" The error is {size(of.rms, si)} on observations not used to fit." for si, of in judged)
-        return f"{freedom} beside {counted(e.rank, 'parameter')}: the residual says nothing about accuracy.{held}"
+        return f"Only {freedom} for {counted(e.rank, 'parameter')}: the residuals say nothing about accuracy.{held}"
     return " ".join(
         f"The {_kinds(page, si)}error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
     )

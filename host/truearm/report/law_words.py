@@ -29,7 +29,7 @@ def law_sentences(document: Document) -> list[str]:
         lines.append(f"Tried and dropped, with their evidence in nats (6 are needed): {names}.")
     if any(law["term"] == "sag" for law in kept) and not found["gravity_known"]:
         lines.append(
-            "Gravity is taken to point along -z of the base frame; give gravity in the robot file or the table otherwise."
+            "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table."
         )
     noise = found["noise"]
     parts = [f"{noise['factor']:.2g} times the declared variances"]

@@ -35,7 +35,7 @@ def _parameter_row(estimate: Estimate, i: int) -> str:
         _sigma(sigma, unit.decimals) if seen else ABSENT,
     ]
     first = i > 0 and _owner(estimate.parameter_names[i]) != _owner(estimate.parameter_names[i - 1])
-    css, note = ("", "") if seen else ("unseen", "not seen alone") if free else ("held", "held fixed")
+    css, note = ("", "") if seen else ("unseen", "unidentifiable alone") if free else ("held", "held fixed")
     numbers = "".join(f"<td>{cell}</td>" for cell in cells)
     rest = f'<td class="unit">{unit.symbol or unit.si}</td><td class="note">{note}</td>'
     name = f'<th scope="row">{escape(estimate.parameter_names[i])}</th>'
@@ -56,22 +56,22 @@ def visibility(estimate: Estimate) -> str:
     of = int(estimate.free[: estimate.n_robot_parameters].sum())
     held = estimate.n_robot_parameters - of
     gap = (
-        f" The weakest of these stands a factor of {figures(estimate.rank_gap, 2)} above what is not seen."
+        f" The weakest of these stands a factor of {figures(estimate.rank_gap, 2)} above the unidentifiable ones."
         if math.isfinite(estimate.rank_gap)
         else ""
     )
     words = [
-        f"The observations see <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters."
+        f"The observations determine <strong>{estimate.rank} of {of}</strong> combinations of the robot's free parameters."
         f"{gap}"
     ]
     if held:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
     if not estimate.null_space:
-        words.append("No free parameter is left undetermined.")
+        words.append("All free parameters are identifiable.")
         return f"<p>{' '.join(words)}</p>" + _hardly(estimate.hardly_seen)
     words.append(
-        "The changes listed here (in m, rad and 1) alter no prediction; the values of their parameters are one choice "
-        "of many that predict alike, and mean something only together."
+        "The changes listed here (in m, rad and 1) do not change any prediction. The values of their parameters are one choice "
+        "of many with the same predictions, and are meaningful only together."
     )
     return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate.hardly_seen)
 
@@ -82,20 +82,20 @@ def _hardly(directions: Sequence[NullDirection]) -> str:
         return ""
     one = len(directions) == 1
     words = (
-        f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} hardly seen: by the observations "
-        f"alone less well than a drawing tells {'it' if one else 'them'} ({drawing()})."
+        f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} weakly identifiable: the observations "
+        f"alone determine {'it' if one else 'them'} less accurately than a manufacturer's drawing ({drawing()})."
     )
-    return f"<p>{words}</p>" + _directions(directions, "by itself")
+    return f"<p>{words}</p>" + _directions(directions, "alone")
 
 
-def _directions(directions: Sequence[NullDirection], single: str = "not seen at all") -> str:
+def _directions(directions: Sequence[NullDirection], single: str = "unidentifiable") -> str:
     items = [f"<li>{escape(direction_words(d, single), 600)}</li>" for d in directions[:MAX_DIRECTIONS]]
     if len(directions) > MAX_DIRECTIONS:
         items.append(f"<li>and {len(directions) - MAX_DIRECTIONS} more</li>")
     return f'<ul class="directions">{"".join(items)}</ul>'
 
 
-def direction_words(direction: NullDirection, single: str = "not seen at all") -> str:
+def direction_words(direction: NullDirection, single: str = "unidentifiable") -> str:
     """Return a direction in words: "link2.z up, link3.z down by as much"; ``single`` describes a lone parameter."""
     terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda t: -abs(t[0]))
     terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]

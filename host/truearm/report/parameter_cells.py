@@ -18,5 +18,5 @@ def parameter_cells(parameter: Mapping[str, Any]) -> tuple[str, ...]:
     change = value - nominal if None not in (nominal, value) else None
     numbers = ["-" if v is None else number(v, unit.si) for v in (nominal, value)]
     numbers.append("-" if change is None else f"{unit.scale.of(change):+.{unit.decimals}f}")
-    numbers.append("not seen" if sigma is None else f"{unit.scale.of(sigma):.2g}")
+    numbers.append("unidentifiable" if sigma is None else f"{unit.scale.of(sigma):.2g}")
     return (one_line(parameter["name"]), *numbers, unit.symbol)

@@ -13,10 +13,10 @@ PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
 OBSERVABILITY = {
-    "o1": ("the average parameter: σ per residual that one step of it makes, geometric mean", "σ"),
-    "o2": ("the weakest combination of parameters over the strongest; 1 would be equally well", "1"),
-    "o3": ("the weakest combination: σ that one step of it makes in all residuals together", "σ"),
-    "o4": ("O2 times O3: weak where either is", "σ"),
+    "o1": ("the average parameter: σ per residual caused by one step of it, geometric mean", "σ"),
+    "o2": ("the weakest combination of parameters over the strongest; 1: all equally well", "1"),
+    "o3": ("the weakest combination: σ of all residuals together, caused by one step of it", "σ"),
+    "o4": ("O2 times O3: small if either is", "σ"),
 }
 
 
@@ -24,13 +24,13 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     """Return what was found about the time between joints and readings; without a σ it is unidentifiable."""
     if value_s is None or sigma_s is None:
         return (
-            f"{name}: how late the joint readings are is not seen; along a line driven one way it cannot be told from the "
-            "line's place. Drive lines there and back."
+            f"{name}: the delay of the joint readings is unidentifiable; along a line driven one way it cannot be distinguished "
+            "from the position of the line. Drive lines there and back."
         )
     late = "late" if value_s >= 0.0 else "early"
     return (
-        f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} ({MS.text(sigma_s, '.2g')}); the links' shortest "
-        "latencies are part of it."
+        f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} (σ {MS.text(sigma_s, '.2g')}), including the "
+        "shortest latencies of the links."
     )
 
 
@@ -53,14 +53,14 @@ def parts_words(parts: Mapping[str, ResidualParts]) -> str:
         " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
         for name in ("declared", "unexplained")
     )
-    return f"Of the RMS after, declared noise explains {declared}; {left} is unexplained." if parts else ""
+    return f"Declared noise explains {declared} of the RMS after; {left} is unexplained." if parts else ""
 
 
 def pose_error_words(error: PoseError) -> str:
     """Return a sentence about the error shared by the rows of one pose, which the sigmas include."""
     return (
-        f"The rows of one pose err together, by {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
-        "The sigmas contain it: rows of one pose do not count as poses."
+        f"Rows of one pose share an error of {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
+        "The sigmas include it."
     )
 
 

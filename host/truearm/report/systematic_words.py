@@ -28,7 +28,7 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     held = (
         ""
         if would_be["held_out_ratio"] is None
-        else f" Rows held out in turn then err {would_be['held_out_ratio']:.3g} times as much."
+        else f" The cross-validation error is then {would_be['held_out_ratio']:.3g} times as large."
     )
     return [*lines, f"To apply {'it' if len(found) == 1 else 'all of them'}: {apply}.{after}{moved}.{held}"]
 
@@ -57,7 +57,7 @@ def _along(entry: Mapping[str, Any]) -> str:
     """Return the quantity in which a drift is linear: the box's temperature, time, or the row order without times."""
     match DriftWith(entry["drifts_with"]):
         case DriftWith.TEMPERATURE:
-            return f"with the box's temperature ({DEGC.text(entry['over_degc'], '.1f')} warmer at the most than at the least)"
+            return f"with the box's temperature (which varies by {DEGC.text(entry['over_degc'], '.1f')})"
         case DriftWith.TIME:
             seconds = entry["over_s"]
             return "linearly" if seconds is None else f"linearly in {round(seconds / 60.0)} min"
@@ -72,5 +72,5 @@ def _what(entry: Mapping[str, Any]) -> str:
 def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
-        return "an amount that these rows do not tell"
+        return "an amount that these rows do not determine"
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"

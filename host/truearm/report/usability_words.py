@@ -35,13 +35,13 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
             "Labels were not checked: the rows have too many different labels to search them all. Identify fewer at a time."
         )
     for i, one in enumerate(explanations):
-        lead = "What explains the observations" if i == 0 else "What explains them too"
+        lead = "This explains the observations" if i == 0 else "This explains them too"
         text = one_line(one["text"])
         fits = f"RMS {_sizes(one, 'rms')} in a quick fit, {_sizes(one, 'rms_given')} as given"
         apply = "".join(f"; {argument(name)} {value}" for name, value in (one["apply"] or {}).items())
         lines.append(f"{lead}: {text} ({fits}){apply}.")
     if explanations:
-        lines.append("What follows is as given.")
+        lines.append("Everything below is for the inputs as given.")
     return lines
 
 
@@ -53,7 +53,7 @@ def _because(unusable: Unusable, document: Document) -> str:
             return f"Residuals of {_sizes(document, 'rms_after')} RMS remain."
         case Unusable.RESIDUALS:
             return (
-                f"Residuals of {_sizes(document, 'rms_after')} RMS remain, more than any arm leaves. Check the robot, the units, the "
+                f"Residuals of {_sizes(document, 'rms_after')} RMS remain, more than the errors of any arm. Check the robot, the units, the "
                 "order and signs of the joints, the rig and the labels."
             )
         case never:

@@ -30,7 +30,7 @@ STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: a smaller extrapolation gives no warning
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
-FADES = " Error curves fade out there: what is corrected is geometry and sag."
+FADES = " Error curves end there: only geometry and sag are corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
@@ -154,7 +154,7 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
     outside, drive = _outside(calibration, targets.correction.q), moves.found
     if outside is None:
         said.append(
-            "The result does not say which joint readings it was identified from; identify again to have targets outside named."
+            "The result does not say which joint readings it was identified from; identify again, so that targets outside them can be named."
         )
     elif (rows := np.flatnonzero(outside.any(axis=1))).size:
         names = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
@@ -167,8 +167,8 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
             said.append(
-                f"{counted(bent.size, 'straight move')} will bend by more than {MM.text(STRAIGHT, '.1f')}, the worst to {moves.places[worst]} by "
-                f"{MM.text(float(drive.deviation[worst]), '.2f')}: {_several([moves.places[i] for i in bent])}. Put targets between their ends."
+                f"{counted(bent.size, 'straight move')} will deviate from straight by more than {MM.text(STRAIGHT, '.1f')}, the worst to {moves.places[worst]} by "
+                f"{MM.text(float(drive.deviation[worst]), '.2f')}: {_several([moves.places[i] for i in bent])}. Add targets between their ends."
             )
         blocked = np.flatnonzero(~drive.drivable)
         if blocked.size:

@@ -95,12 +95,12 @@ def cost_lines(found: ExportedRobot) -> list[str]:
     if fitted.refitted:
         return [
             *lines,
-            f"Refitted over {fitted.left.size} poses: what the file cannot hold or you do not adjust costs {_of(fitted.dropped)}",
-            f"where it is simply left out, and {_of(fitted.left)} after the rest has made up for it.",
+            f"Refitted over {fitted.left.size} poses. Error without what the file cannot hold or you do not adjust: {_of(fitted.dropped)};",
+            f"with the other parameters refitted to compensate: {_of(fitted.left)}.",
         ]
     if found.exact:
         return ["Nothing was refitted: the file holds all that was identified."]
-    return [*lines, f"What the file cannot hold costs {_of(fitted.left)}."]
+    return [*lines, f"Error of what the file cannot hold: {_of(fitted.left)}."]
 
 
 def _of(error: Floats) -> str:

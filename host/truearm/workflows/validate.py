@@ -389,32 +389,32 @@ def verdict(document: Mapping[str, Any]) -> str:
         words = f"The calibration holds: the errors are consistent with declared noise and its own uncertainty ({explained})."
         if unsure := [of for of in told if of.by_parameters > of.by_noise]:
             words = (
-                "The calibration holds, as far as it says anything here: its own uncertainty leaves "
-                f"{unsure[0].text(unsure[0].by_parameters)}. To know this place better, identify from it too."
+                "The calibration holds, but its own uncertainty here is "
+                f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, identify from these rows too."
             )
     elif not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
     elif document["consistent"] is None or not told:
-        words = "The calibration helps, but how far it holds cannot be told here."
+        words = "The calibration helps, but these rows cannot show how far it holds."
     else:
         explained = " and ".join(of.text(of.rms) for of in told)
         left = " and ".join(of.text(document[f"unexplained_{of.unit.suffix}"]) for of in told)
         where = f", most of it in {document['worst_region']}" if document["worst_region"] else ""
         words = (
             f"The errors are smaller than without the calibration, but {left} RMS is unexplained{where}: declared noise and its own "
-            f"uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or when it "
-            "was identified, or it errs in ways that the parameters do not hold."
+            f"uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or in the "
+            "identification, or the arm has errors that the parameters do not model."
         )
     if document["unseen"]:
         words += (
-            f" {counted(document['unseen'], 'row hangs', 'rows hang')} on combinations of parameters that it did not see when it "
-            "was identified, as how base or tool stand, or a joint that stood still: identify from these rows too."
+            f" {counted(document['unseen'], 'row depends', 'rows depend')} on combinations of parameters that the identification could not "
+            "determine, such as the pose of base or tool, or a joint that did not move: identify from these rows too."
         )
     worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
     if worse:
         words += f" Worse than without it: {'; '.join(worse)}."
     if document["identified_from"]:
-        words += " But these rows are among those that it was identified from, so they prove little."
+        words += " But the identification used these rows too, so they prove little."
     return words
 
 
@@ -446,17 +446,17 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
     lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
-    lines.append("Expected is, with the calibration, what declared noise and its own uncertainty explain.")
+    lines.append('"Expected" is the error with the calibration that declared noise and its own uncertainty explain.')
     if document["placed"]:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
         raw = " and ".join(
             f"{document[f'rms_raw_{unit.suffix}']:.{UNITS[unit.si].decimals}f} {unit.symbol}" for unit in units
         )
         lines.append(
-            f"Without is the robot as described, once base and tool are placed on these rows; where the rig says they stand: {raw} RMS."
+            f'"Without" is the nominal robot with base and tool fitted to these rows; with base and tool as described: {raw} RMS.'
         )
     else:
-        lines.append("Without is the robot as described, where the rig says that it stands.")
+        lines.append('"Without" is the nominal robot, with base and tool as described.')
     if document["chi2_reduced"] is not None:
         lines.append(
             f"χ² per degree of freedom {document['chi2_reduced']:.3g}; consistent up to {document['chi2_limit']:.3g} (99 %)."
@@ -464,13 +464,13 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     lines += systematic_sentences(document)
     if document["settled"]:
         lines.append(
-            f"{counted(document['settled'], 'unknown of the rig was', 'unknowns of the rig were')} settled on these rows, without and with alike."
+            f"{counted(document['settled'], 'unknown of the rig was', 'unknowns of the rig were')} estimated from these rows, without and with the calibration alike."
         )
     if document["kept"]:
         lines.append(f"{counted(document['kept'], 'unknown')} of the rig held as identified.")
     if document["left_out"]:
         lines.append(
-            f"{counted(document['left_out'], 'row is', 'rows are')} not judged: every value fits such unknowns."
+            f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
     return [*lines, one_line(document["verdict"])]
 
