@@ -152,8 +152,8 @@ URDFS = {
 TARGETS = {
     "not a number": (f"{HEAD}\nnan,0,0\n", "row 2 column x_mm: nan is not a finite number"),
     "infinite": (f"{HEAD}\n1e999,0,0\n", "too large for mm"),
-    "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: the robot as described does not reach it"),
-    "in the base": (f"{HEAD}\n0,0,0\n", "row 2: the robot as described does not reach it"),
+    "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: the nominal robot does not reach it"),
+    "in the base": (f"{HEAD}\n0,0,0\n", "row 2: the nominal robot does not reach it"),
     "another alphabet": (f"{HEAD}\n١,2,3\n", "is not a number"),
     "half a rotation": (
         f"{HEAD},rx_deg\n1,2,3,4\n",

@@ -253,7 +253,7 @@ def check(config: dict[str, Any]) -> dict[str, Any]:
             named = as_table(config.get("thermometers"))
             _check_keys(THERMOMETERS, named)
             if len(set(named.values())) < len(named):
-                raise SchemaError("two have the same address")
+                raise SchemaError("two have the same address; give each its own")
         head = as_table(config.get("magnetostrictive"))
         with at("magnetostrictive"):
             _check_keys(MAGNETOSTRICTIVE, head)

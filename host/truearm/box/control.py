@@ -114,7 +114,9 @@ class BoxControl:
         except CborError as exc:
             raise ProtocolError(f"the configuration cannot be sent: {exc}") from exc
         if len(pages) > CONFIG_PAGES_MAX:
-            raise ProtocolError(f"the configuration is too long: {len(pages)} pages; a box accepts {CONFIG_PAGES_MAX}")
+            raise ProtocolError(
+                f"the configuration is too long: {len(pages)} pages; a box accepts {CONFIG_PAGES_MAX}; shorten names and serial numbers"
+            )
         for page, count, data in pages:
             self.command(wire.PUT_CONFIG, page, count, data)
         return self.identify()
@@ -155,9 +157,11 @@ class BoxControl:
         try:
             document = load_document(data)
         except cbor2.CBORError as exc:
-            raise ProtocolError(f"{self._link.name}: the box's {what} cannot be decoded ({exc})") from exc
+            raise ProtocolError(
+                f"{self._link.name}: the box's {what} cannot be decoded ({exc}); update its firmware"
+            ) from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
-            raise ProtocolError(f"{self._link.name}: the box's {what} is not a table")
+            raise ProtocolError(f"{self._link.name}: the box's {what} is not a table; update its firmware")
         return document
 
     def _send(

@@ -267,7 +267,9 @@ def _collect(
             advance(min(have / wanted, 1.0))
             if have >= wanted:
                 return blocks
-    raise LinkError(f"the box sent {have} of {wanted} samples of {stream.name} in {patience_s:.0f} s")
+    raise LinkError(
+        f"the box sent {have} of {wanted} samples of {stream.name} in {patience_s:.0f} s; test the box with truearm box test"
+    )
 
 
 def trouble(counts: NDArray[np.int32], stream: Stream) -> str:

@@ -75,7 +75,7 @@ def check_version(device: str, mpremote: Sequence[str]) -> str:
     answer = run([*mpremote, "connect", device, "exec", _ASK])
     found = re.search(r"^is (\w+) (\d+) (\d+) (.*)$", answer, re.MULTILINE)
     if found is None:
-        raise LinkError(f"{device}: no MicroPython answers")
+        raise LinkError(f"{device}: no MicroPython answers; is this the port of a board that runs MicroPython?")
     name, major, minor, machine = found.groups()
     if name != "micropython" or (int(major), int(minor)) < LOWEST:
         raise InputError(

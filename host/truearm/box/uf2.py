@@ -70,7 +70,7 @@ def parse_uf2(data: bytes, name: str) -> Image:
             f"{name}: is {len(data)} bytes long, not a whole number of UF2 blocks of {BLOCK}; get the file again"
         )
     if len(data) > MAX_BYTES:
-        raise ImageError(f"{name}: is larger than the chip's flash")
+        raise ImageError(f"{name}: is larger than the chip's flash; give an image of the box's firmware")
     blocks = [data[at : at + BLOCK] for at in range(0, len(data), BLOCK)]
     chip = _chip(blocks[0], name)
     family = _HEAD.unpack_from(blocks[0])[7]
@@ -79,7 +79,9 @@ def parse_uf2(data: bytes, name: str) -> Image:
         behind = _check_block(block, number, len(blocks), family, chip, behind, name)
     pages = [block[_HEAD.size : _HEAD.size + PAGE] for block in blocks]
     if _HEAD.unpack_from(blocks[0])[3] != chip.start:
-        raise ImageError(f"{name}: does not begin where the {chip.name}'s flash begins, so nothing in it would start")
+        raise ImageError(
+            f"{name}: does not begin where the {chip.name}'s flash begins, so nothing in it would start; get the file again"
+        )
     if boot_checksum(pages[0][:-4]) != int.from_bytes(pages[0][-4:], "little"):
         raise ImageError(
             f"{name}: its boot stage has a wrong checksum, so the chip would not start; get the file again"
@@ -102,11 +104,11 @@ def boot_checksum(stage: bytes) -> int:
 def _chip(block: bytes, name: str) -> Chip:
     head = _HEAD.unpack_from(block)
     if head[:2] != _MAGIC or not block.endswith(_MAGIC_END):
-        raise ImageError(f"{name}: is not a UF2 file")
+        raise ImageError(f"{name}: is not a UF2 file; give an image of the box's firmware")
     if not head[2] & _FAMILY_PRESENT or head[7] not in CHIPS:
         known = ", ".join(chip.name for chip in CHIPS.values())
         family = f"family {head[7]:#010x}" if head[2] & _FAMILY_PRESENT else "no family"
-        raise ImageError(f"{name}: is for another chip ({family}); the box has the {known}")
+        raise ImageError(f"{name}: is for another chip ({family}); the box has the {known}; give an image for it")
     return CHIPS[head[7]]
 
 
@@ -117,13 +119,17 @@ def _check_block(block: bytes, number: int, count: int, family: int, chip: Chip,
     if (magic_0, magic_1) != _MAGIC or not block.endswith(_MAGIC_END):
         raise ImageError(f"{where} is damaged; get the file again")
     if flags & _NOT_MAIN_FLASH or not flags & _FAMILY_PRESENT or of_family != family:
-        raise ImageError(f"{where} is not for the {chip.name}'s flash")
+        raise ImageError(f"{where} is not for the {chip.name}'s flash; get the file again")
     if (at, of) != (number, count):
-        raise ImageError(f"{where} is marked as block {at} of {of}; the file is incomplete")
+        raise ImageError(f"{where} is marked as block {at} of {of}; the file is incomplete; get it again")
     if size != PAGE or address % PAGE:
-        raise ImageError(f"{where} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}")
+        raise ImageError(
+            f"{where} holds {size} bytes for address {address:#x}; the chip needs pages of {PAGE}; get the file again"
+        )
     if not chip.start <= address <= chip.start + chip.flash - PAGE:
-        raise ImageError(f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash")
+        raise ImageError(
+            f"{where} is for address {address:#x}, which is not in the {chip.name}'s flash; get the file again"
+        )
     if address < behind:
-        raise ImageError(f"{where} overlaps an earlier block")
+        raise ImageError(f"{where} overlaps an earlier block; get the file again")
     return int(address) + PAGE

@@ -189,7 +189,9 @@ def _elbow(pair: ModelPair, samples: Floats, joints: tuple[int, int], axes: Floa
         if (sign * determinant > STRETCHED).any()
     }
     if not heights:
-        raise RobotError(f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joint readings")
+        raise RobotError(
+            f"joints {joints[0] + 1} and {joints[1] + 1} do not span a section at these joint readings; choose other readings of the other joints"
+        )
     return (max if up else min)(heights, key=lambda sign: heights[sign])
 
 

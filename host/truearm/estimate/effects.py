@@ -47,7 +47,7 @@ class Errors(NamedTuple):
         at = {name: i for i, name in enumerate(self.names)}
         for name in names:
             if name not in at:
-                raise ProblemError(f"{name!r} is not used by these observations")
+                raise ProblemError(f"{name!r} is not used by these observations; use a name of the rig that they use")
         return np.array([at[name] for name in names], dtype=np.intp)
 
 

@@ -32,7 +32,9 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
     """Return U (6, 4, 4), and the remaining transform (4, 4) from the last of them to the robot's flange."""
     check_gains(robot, "a kinematics file")
     if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
-        raise RobotError(f"robot {robot.name}: a Universal Robots kinematics file has six revolute joints")
+        raise RobotError(
+            f"robot {robot.name}: a Universal Robots kinematics file has six revolute joints; use another format"
+        )
     shifts = [elementary("tz", float(link[2, 3])) for link in robot.links[1:]]
     out = []
     before = np.eye(4)

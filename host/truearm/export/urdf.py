@@ -119,7 +119,7 @@ def edited(text: str, origins: Mapping[str, Floats]) -> str:
     places = _origin_places(data)
     missing = sorted(set(origins) - set(places))
     if missing:
-        raise RobotError(f"URDF has no joint {missing[0]!r}")
+        raise RobotError(f"URDF has no joint {missing[0]!r}; give the URDF that the result was identified with")
     pieces, at = [], 0
     for name, place in sorted(places.items(), key=lambda item: item[1].start):
         if name in origins:
@@ -237,7 +237,9 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
         elif joint.kind == "revolute":
             kind = "continuous"
         else:
-            raise RobotError(f"joint {joint.name} is prismatic without limits, which a URDF cannot express")
+            raise RobotError(
+                f"joint {joint.name} is prismatic without limits, which a URDF cannot express; add its limits to the robot file"
+            )
         moving = f'    <axis xyz="0 0 1"/>\n{limit}'
         at = origin @ joint_motion(joint, float(robot.offsets[i]))
         lines += _joint(joint.name, kind, names[i + 1], names[i + 2], at, moving)

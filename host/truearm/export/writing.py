@@ -96,7 +96,7 @@ def fit_to(
     make the file better than the nominal robot.
     """
     if not len(q):
-        raise RobotError("there are no poses to compare the file with")
+        raise RobotError("there are no poses to compare the file with; give at least one")
     form = FORMATS[name]
     has_place = held(chain, form)
     neutral = {term.name: term.neutral for term in joint_law.TERMS}

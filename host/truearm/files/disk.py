@@ -129,7 +129,9 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: the folder {path.parent} cannot be written")
+        raise InputError(
+            f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
+        )
     if ours is not None and path.exists():
         with path.open("rb") as file:
             if not ours(file.read(1024)):

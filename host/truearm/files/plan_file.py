@@ -71,7 +71,9 @@ def parse_plan(text: str, name: str) -> Plan:
         return Plan(q, **ids)
     move = np.where(columns["move"] == "", Move.DWELL.value, columns["move"])
     if (move == Move.VIA).all():
-        raise PlanError(f"{name}: has nothing to measure, only poses to pass through")
+        raise PlanError(
+            f"{name}: has nothing to measure, only poses to pass through; add poses with bar, chuck and sphere, or a line"
+        )
     speed = np.array([MM_S.to_si(float(cell)) if cell else np.nan for cell in columns["speed_mm_s"]])
     return Plan(q, **ids, move=move, line=columns["line"], target=columns["target"], speed=speed)
 

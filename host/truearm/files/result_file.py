@@ -513,11 +513,11 @@ def _json_object(text: str, name: str) -> dict[str, Any]:
     try:
         document = json.loads(text, parse_constant=_refuse_constant)
     except RecursionError as exc:
-        raise InputError(f"{name}: is nested too deeply") from exc
+        raise InputError(f"{name}: is nested too deeply; give a result of truearm identify") from exc
     except ValueError as exc:  # JSONDecodeError, constants such as NaN, integers that are too large
-        raise InputError(f"{name}: is not strict JSON: {exc}") from exc
+        raise InputError(f"{name}: is not strict JSON: {exc}; give a result of truearm identify") from exc
     if not isinstance(document, dict):
-        raise InputError(f"{name}: is not a JSON object")
+        raise InputError(f"{name}: is not a JSON object; give a result of truearm identify")
     return document
 
 
@@ -622,9 +622,9 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
     covariance: _StoredCovariance = fields["covariance"]
     names, size = tuple(p.name for p in parameters), len(covariance.names)
     if len(set(names)) != len(names):
-        raise SchemaError("parameters: their names are not unique")
+        raise SchemaError("parameters: their names are not unique; identify again")
     if not set(covariance.names) <= set(names):
-        raise SchemaError("covariance: names parameters that the result does not have")
+        raise SchemaError("covariance: names parameters that the result does not have; identify again")
     if len(covariance.matrix) != size or any(len(row) != size for row in covariance.matrix):
         raise SchemaError(f"covariance: matrix: needs {size} rows of {size} numbers, one per name")
     defaults = fields.get("defaults", {})

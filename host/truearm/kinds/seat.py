@@ -111,13 +111,15 @@ def check(table: ObservationTable, rig: Rig) -> None:
     used = set(zip(table.place[seats].tolist(), table.socket[seats].tolist(), strict=True))
     for place, socket in rig.sockets:
         if (place, socket) not in used:
-            raise TableError(f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it")
+            raise TableError(
+                f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it; remove it from the rig"
+            )
     for distance in rig.socket_distances:
         if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
             raise TableError(
                 f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
-                f"the seats are in sockets {sockets}, and no place has both"
+                f"the seats are in sockets {sockets}, and no place has both; remove it from the rig"
             )
 
 

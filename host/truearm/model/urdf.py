@@ -95,7 +95,7 @@ def _read_joints(root: Xml) -> list[_UrdfJoint]:
 def _read_joint(node: Xml) -> _UrdfJoint:
     name, kind = node.get("name"), node.get("type")
     if not name:
-        raise RobotError("URDF has a joint without a name")
+        raise RobotError("URDF has a joint without a name; give it one")
     if kind not in TYPES:
         raise RobotError(f"URDF joint {name}: type {kind!r} is not known; use one of {', '.join(TYPES)}")
     ends = []
@@ -115,7 +115,7 @@ def _read_links(root: Xml, joints: list[_UrdfJoint]) -> set[str]:
             if link not in links:
                 raise RobotError(f"URDF joint {joint.name} refers to link {link!r}, which does not exist")
     if not links:
-        raise RobotError("URDF has no links")
+        raise RobotError("URDF has no links; give the file that describes the robot")
     return links
 
 
@@ -137,7 +137,7 @@ def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_Urdf
     link, seen = tip, {tip}
     while link != base:
         if link not in by_child:
-            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}")
+            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}; choose a tip below the base")
         path.append(by_child[link])
         link = path[-1].parent
         if link in seen:
@@ -146,7 +146,7 @@ def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_Urdf
         if len(path) > MAX_PATH:
             raise RobotError(f"URDF: more than {MAX_PATH} joints between {base!r} and {tip!r}")
     if not path:
-        raise RobotError(f"URDF: base and tip are the same link {base!r}")
+        raise RobotError(f"URDF: base and tip are the same link {base!r}; choose two links")
     return path[::-1]
 
 
@@ -167,7 +167,7 @@ def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
             unit = term.unit_of(joints[at].kind)
             parameters.append(Parameter(f"{joint.name}.{term.name}", unit, term.neutral, term.name, at))
     if not joints:
-        raise RobotError(f"URDF: no joint moves between {base!r} and {tip!r}")
+        raise RobotError(f"URDF: no joint moves between {base!r} and {tip!r}; choose links farther apart")
     return Chain(name, tuple(elements), tuple(parameters), tuple(joints), base, tip)
 
 
@@ -183,9 +183,13 @@ def _origin(joint: _UrdfJoint) -> tuple[float, ...]:
 def _moving(joint: _UrdfJoint, number: int) -> list[Element]:
     """Return the joint's own motion, between alignments if its axis is not a coordinate axis."""
     if joint.kind not in MOVING:
-        raise RobotError(f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled")
+        raise RobotError(
+            f"URDF joint {joint.name}: a {joint.kind} joint on the path cannot be modelled; choose base and tip without it between them"
+        )
     if joint.xml.find("mimic") is not None:
-        raise RobotError(f"URDF joint {joint.name} on the path mimics another joint, which cannot be modelled")
+        raise RobotError(
+            f"URDF joint {joint.name} on the path mimics another joint, which cannot be modelled; choose base and tip without it between them"
+        )
     x, y, z = _axis(joint)
     letter = "t" if joint.kind == "prismatic" else "r"
     for name, unit in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0)), ("z", (0.0, 0.0, 1.0))):
@@ -204,7 +208,7 @@ def _axis(joint: _UrdfJoint) -> tuple[float, float, float]:
     x, y, z = _triple(joint, "axis xyz", "1 0 0" if node is None else node.get("xyz", "1 0 0"), 1e6)
     norm = math.hypot(x, y, z)
     if norm < 1e-6:
-        raise RobotError(f"URDF joint {joint.name}: its axis has no length")
+        raise RobotError(f"URDF joint {joint.name}: its axis has no length; give one such as 0 0 1")
     return x / norm, y / norm, z / norm
 
 

@@ -47,7 +47,7 @@ def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed
     rig = known.rig
     pairings = [(chuck, sphere) for chuck in rig.chucks.values() for sphere in rig.spheres.values()]
     if n_poses < len(pairings):
-        raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings")
+        raise PlanError(f"{n_poses} poses are too few for {len(pairings)} pairings; give at least one pose per pairing")
     rng = np.random.default_rng(seed)
     arm = known_arm(known, rng)
     counts = np.diff(np.linspace(0, n_poses, len(pairings) + 1).astype(int))

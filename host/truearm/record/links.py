@@ -193,7 +193,7 @@ class SerialLink:
                 f"{self.name}: the box accepted no bytes for {_WRITE_TIMEOUT_S:g} s; unplug it and plug it in again"
             ) from exc
         except (serial.SerialException, OSError) as exc:
-            raise LinkError(f"{self.name}: the link was lost ({exc})") from exc
+            raise LinkError(f"{self.name}: the link was lost ({exc}); check its cable and power") from exc
         return t_host_ns
 
     @property
@@ -242,7 +242,7 @@ def _selecting(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
             ready, _, _ = select.select([port.fileno()], [], [], _POLL_S)
             return bytes(port.read(_READ_BYTES)) if ready else b""
         except (serial.SerialException, OSError, ValueError) as exc:
-            raise LinkError(f"{name}: the link was lost ({exc})") from exc
+            raise LinkError(f"{name}: the link was lost ({exc}); check its cable and power") from exc
 
     return receive
 
@@ -252,7 +252,7 @@ def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
         try:
             return bytes(port.read(max(1, getattr(port, "in_waiting", 1))))
         except (serial.SerialException, OSError) as exc:
-            raise LinkError(f"{name}: the link was lost ({exc})") from exc
+            raise LinkError(f"{name}: the link was lost ({exc}); check its cable and power") from exc
 
     return receive
 
@@ -327,7 +327,7 @@ class TcpLink(SocketLink):
         try:
             self._socket.sendall(data)
         except OSError as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
         return t_host_ns
 
     def _receive(self) -> bytes:
@@ -335,7 +335,7 @@ class TcpLink(SocketLink):
             ready, _, _ = select.select([self._socket], [], [], _POLL_S)
             data = self._socket.recv(_READ_BYTES) if ready else None
         except (OSError, ValueError) as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
         if data == b"":
             raise LinkClosed(f"{self.name}: the robot closed its stream")
         return data or b""

@@ -141,9 +141,11 @@ def parse_ident_json(text: str) -> Ident:
     try:
         return parse_ident(json.loads(text))
     except (ValueError, RecursionError) as exc:
-        raise SessionError("the box's ident in the session's metadata is not JSON") from exc
+        raise SessionError("the box's ident in the session's metadata is not JSON; copy the session again") from exc
     except ProtocolError as exc:
-        raise SessionError(f"the box's ident in the session's metadata cannot be used: {exc}") from exc
+        raise SessionError(
+            f"the box's ident in the session's metadata cannot be used: {exc}; copy the session again"
+        ) from exc
 
 
 def find_channel(ident: Ident, name: str) -> tuple[Stream, int] | None:

@@ -87,7 +87,9 @@ def damaged(path: Path, at: int) -> NoReturn:
 
 def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> bytes:
     if length > limit:
-        raise SessionError(f"{path}: a record of {length} bytes at byte {at}; the maximum is {limit}")
+        raise SessionError(
+            f"{path}: a record of {length} bytes at byte {at}; the maximum is {limit}; copy the file again"
+        )
     file.seek(at)
     data = file.read(length)
     if len(data) < length:
@@ -133,7 +135,7 @@ def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
     except (*UNREADABLE, zstandard.ZstdError, RuntimeError):  # the last is what lz4 raises
         damaged(path, at)
     if data is None:
-        raise SessionError(f"{path}: a chunk at byte {at} has an unsupported compression or size")
+        raise SessionError(f"{path}: a chunk at byte {at} has an unsupported compression or size; copy the file again")
     if len(data) != chunk.uncompressed_size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
         damaged(path, at)
     return data

@@ -330,7 +330,9 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
     for key, known in (("bar", rig.bars), ("chuck", rig.chucks), ("sphere", rig.spheres)):
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
-            raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names})")
+            raise RigError(
+                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names}); add it to the rig, or give the right rig"
+            )
 
 
 def table_of(

@@ -295,4 +295,6 @@ def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
         as_they_come = key == "line" and not names  # a rig that lists no lines accepts any
         if mounted.get(key) and mounted[key] not in names and not as_they_come:
             have = ", ".join(sorted(names)) or "none"
-            raise RigError(f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have})")
+            raise RigError(
+                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig"
+            )

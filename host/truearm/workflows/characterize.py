@@ -139,11 +139,13 @@ def characterized(
         rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(
-            f"{parts[0].name}: {len(found.dwells)} dwells are usable ({reasons or 'no other was found'})"
+            f"{parts[0].name}: {len(found.dwells)} dwells are usable ({reasons or 'no other was found'}); see truearm inspect {parts[0].name}"
         )
     for part, one in zip(parts, of_parts, strict=True):
         if one.rests and one.period_s != found.period_s:
-            raise InputError(f"{part.name}: the box's sample rate differs from that of the session's first part")
+            raise InputError(
+                f"{part.name}: the box's sample rate differs from that of the session's first part; record all parts at one rate"
+            )
     # A short part may not show the finest steps of the joints.
     step = np.min([result.survey.joints.step for result in results if len(result.table)], axis=0)
     bar = _usual([dwell.mounted["bar"] for dwell in found.dwells])
@@ -183,7 +185,9 @@ def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple
     result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
-        raise InputError(f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}")
+        raise InputError(
+            f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}; give the robot that was recorded"
+        )
     found = visits(result, rig, bands)
     if not found.dwells:  # without a robot the number of joints is unknown
         none = np.zeros((0, len(chain.joints)))

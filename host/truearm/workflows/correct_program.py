@@ -358,7 +358,9 @@ def _corrected_joints(how: HowCorrected, literals: Sequence[Taught]) -> Correcti
     n_joints = len(how.pair.chain.joints)
     q = np.array([readings_of(literal) for literal in literals]).reshape(-1, 6)
     if literals and n_joints != q.shape[1]:
-        raise ProgramError(f"the program has {q.shape[1]} joints, the robot {n_joints}")
+        raise ProgramError(
+            f"the program has {q.shape[1]} joints, the robot {n_joints}; give the robot that the program is for"
+        )
     q = q if literals else np.zeros((0, n_joints))
     return _corrected(how, believed(how.pair, q), Configuration(q_start=q))
 

@@ -103,7 +103,7 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     varied = section.joints[0] - 1, section.joints[1] - 1
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
-            raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits")
+            raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
     return error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
 
 

@@ -185,7 +185,8 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
         adjustable = matching(chain.parameter_names, "adjust", options.adjust)
         if not (adjustable & held(chain, FORMATS[options.form])).any():
             raise InputError(
-                Argument("adjust"), f" {options.adjust[0]}: leaves no parameter that {options.form} can hold"
+                Argument("adjust"),
+                f" {options.adjust[0]}: leaves no parameter that {options.form} can hold; use another pattern or format",
             )
     q = _anywhere(chain) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
@@ -207,7 +208,9 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
     is_plan = read_text(path, MAX_BYTES, InputError).lstrip().startswith("pose,")
     q = read_plan(path).q if is_plan else read_table(path, chain.joint_units).q
     if q.shape[1] != len(chain.joints):
-        raise InputError(f"{path}: has {q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}")
+        raise InputError(
+            f"{path}: has {q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}; give poses of this robot"
+        )
     return q
 
 

@@ -320,7 +320,7 @@ def identified(
         chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
-            "these observations say nothing about the robot: unknowns of the rig fit each of them exactly"
+            "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or declare the sigmas of the rig"
         )
     predicted = None  # a fit that is not usable predicts nothing
     if estimate.status == "converged" and not estimate.unusable:

@@ -73,7 +73,7 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
-            raise InputError(f"{path}: is given twice; its observations would count twice")
+            raise InputError(f"{path}: is given twice; its observations would count twice; give it once")
     for i, (path, _) in enumerate(outputs):
         if any(same_file(path, other) for other, _ in outputs[:i]):
             raise InputError(f"{path}: is named for two outputs; give each its own file")
@@ -151,7 +151,8 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
     for name, file in files.items():
         if not (table.rig == name).any():
             raise InputError(
-                Argument("rig"), f" {name}={file}: no row has that name in its column rig, and no session has that name"
+                Argument("rig"),
+                f" {name}={file}: no row has that name in its column rig, and no session has that name; correct the name",
             )
     for name, source in zip(table.rig, table.source, strict=True):
         if name not in rigs:
@@ -175,7 +176,9 @@ def _read_input(
     result = observations_of_session(path, rig, options)
     table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
-        raise InputError(f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}")
+        raise InputError(
+            f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}; give the robot that was measured"
+        )
     labels = labels_of(path) is not None
     rejected = Counter(result.reasons)
     if robot is not None and not labels:

@@ -39,7 +39,7 @@ def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Reco
             partial = folder / "session.mcap"
             found = recover_session(opened, partial, said)
             if not found.topics and not opened.metadata:
-                raise SessionError(f"{path}: contains nothing that can be recovered")
+                raise SessionError(f"{path}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
         raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc

@@ -165,7 +165,9 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
         raise SessionError(f"{paths[0]}: the robot never stood still long enough; see truearm inspect {paths[0]}")
     some = [one for one in readings if len(one.q)]
     if len({one.q.shape[1] for one in some}) > 1:
-        raise SessionError(f"{paths[0]}: its parts are of robots with different numbers of joints")
+        raise SessionError(
+            f"{paths[0]}: its parts are of robots with different numbers of joints; give parts of one robot"
+        )
     return parts, rig, Readings(*map(np.concatenate, zip(*((r.q, r.extension, r.beyond) for r in some), strict=True)))
 
 

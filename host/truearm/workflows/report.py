@@ -102,7 +102,9 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
         or not isinstance(hold_out, list)
         or not all(isinstance(one, str) for one in hold_out)
     ):
-        raise InputError(f"{path}: made_with is damaged or comes from a later truearm")
+        raise InputError(
+            f"{path}: made_with is damaged or comes from a later truearm; update truearm, or identify again"
+        )
     try:
         return IdentifyOptions(**given), tuple(hold_out)
     except (TypeError, InputError) as exc:
@@ -114,7 +116,7 @@ def _check_inputs(path: Path, document: Mapping[str, Any], given: set[str]) -> N
     for entry in document.get("inputs", ()):
         if entry["sha256"] not in given:
             raise InputError(
-                f"{path}: was made from {entry['role']} {entry['name']}, which is not among the files given, or was changed since"
+                f"{path}: was made from {entry['role']} {entry['name']}, which is not among the files given, or was changed since; give that file unchanged, or identify again"
             )
 
 

@@ -35,7 +35,9 @@ def held_out_rows(
         also = held_out_rows(table, wanted, seed)
         held = others if also is None else others | also
         if held.all():
-            raise InputError(FIT_ONLY, f" {fit_only[0]} leaves no row to fit apart from those held out")
+            raise InputError(
+                FIT_ONLY, f" {fit_only[0]} leaves no row to fit apart from those held out; name other rows"
+            )
         return held if held.any() else None
     if not wanted:
         return None

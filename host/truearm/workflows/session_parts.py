@@ -183,5 +183,5 @@ def _table(data: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         row = None
     if not isinstance(row, dict):
-        raise SessionError(Argument("resume"), ": the session's plan or events are damaged")
+        raise SessionError(Argument("resume"), ": the session's plan or events are damaged; record a new session")
     return row

@@ -128,7 +128,7 @@ class Flow:
 
     def _declare(self, routine: Routine, parent: str | None) -> None:
         if routine.name in self.routines:
-            raise self.source.wrong(routine.start, f"{routine.name} is defined twice")
+            raise self.source.wrong(routine.start, f"{routine.name} is defined twice; rename one")
         self.routines[routine.name], self.parents[routine.name] = routine, parent
         for inner in routines_in(routine.body):
             self._declare(inner, routine.name)

@@ -122,7 +122,7 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
             )
         begin_ns, end_ns = min(begin_ns, message.t_host_ns), max(end_ns, message.t_host_ns)
     if end_ns < 0:
-        raise SessionError(f"{session.path}: contains no messages")
+        raise SessionError(f"{session.path}: contains no messages; give a session of truearm record")
     return begin_ns, end_ns
 
 

@@ -110,7 +110,7 @@ class RtdeLink:
             raise InputError(f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz")
         self._recipe = self._agree()
         if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
-            raise LinkError(f"{self.name}: the controller refuses to send data packages")
+            raise LinkError(f"{self.name}: the controller refuses to send data packages; restart the controller")
 
     def _agree(self) -> rtde.Recipe:
         """Return the recipe of the wanted fields that the controller has."""
@@ -127,7 +127,7 @@ class RtdeLink:
                 break
             names = tuple(name for name in names if name not in missing)
         raise LinkError(
-            f"{self.name}: the controller refuses the fields {', '.join(names)} ({','.join(types)[:200]!r})"
+            f"{self.name}: the controller refuses the fields {', '.join(names)} ({','.join(types)[:200]!r}); update its software"
         )
 
     def _ask(self, kind: int, request: bytes) -> bytes:

@@ -44,6 +44,6 @@ class UdpLink(SocketLink):
                 return b""
             data, sender = self._socket.recvfrom(MAX_DATAGRAM)
         except (OSError, ValueError) as exc:
-            raise LinkError(f"{self.name}: the robot was lost ({exc})") from exc
+            raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
         self._sender = self._sender or sender
         return data + b"\n" if sender == self._sender else b""
