@@ -161,7 +161,7 @@ TARGETS = {
     ),
     "joints beyond": (
         f"{HEAD},rx_deg,ry_deg,rz_deg,{JOINTS}\n500,0,500,0,0,0,50,0,0,0,0,0\n",
-        "row 2: the robot as described",
+        "row 2: the nominal robot",
     ),
     "UTF-16": (f"{HEAD}\n1,2,3\n".encode("utf-16"), "is not UTF-8"),
     "long line": (f"{HEAD}\n{'1' * 200_000},2,3\n", "field larger than"),
