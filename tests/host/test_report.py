@@ -183,7 +183,7 @@ def test_suspects_are_named_the_farthest_first():
     assert "1 left out of the fit" in text
     assert "anyone" not in text
     none = replace(page.estimate, suspect=np.zeros(n, dtype=bool))
-    assert "No fitted row disagrees" in render(replace(page, estimate=none))
+    assert "No fitted row is an outlier" in render(replace(page, estimate=none))
 
 
 def test_a_fit_that_is_not_usable_is_the_headline_and_what_explains_it_the_first_doubt():
@@ -198,7 +198,7 @@ def test_a_fit_of_few_degrees_of_freedom_has_no_error_after_in_its_headline():
     page = make_page(20)
     few = replace(page, estimate=replace(page.estimate, chi2_freedom=4.0, rank=36, held_out=None))
     text = render(few)
-    assert verdict(few) == "4 degrees of freedom beside 36 parameters: the residual says nothing about accuracy."
+    assert verdict(few) == "Only 4 degrees of freedom for 36 parameters: the residuals say nothing about accuracy."
     assert "RMS after</p>" not in text
     assert "times smaller" not in text
 
@@ -231,19 +231,19 @@ def test_what_to_measure_next():
         Addition("place", (), 34, tuple(f"p{i}" for i in range(15)), "seat the ball at a new place"),
     )
     text = render(replace(page, estimate=replace(page.estimate, additions=additions)))
-    assert "<li>Measure with chuck c3, sphere s2 too to tell 1 more parameter: link2.x.</li>" in text
-    assert "Seat the ball at a new place to tell 15 more parameters: p0, p1" in text
+    assert "<li>Measure with chuck c3, sphere s2 too to identify 1 more parameter: link2.x.</li>" in text
+    assert "Seat the ball at a new place to identify 15 more parameters: p0, p1" in text
     assert "p11 and 3 others." in text
 
 
-@pytest.mark.parametrize(("relative", "words"), [(False, "in the base frame"), (True, "own place is not measured")])
+@pytest.mark.parametrize(("relative", "words"), [(False, "in the base frame"), (True, "the pose of the base is not measured")])
 def test_the_predicted_error_of_the_tool(relative, words):
     page = make_page(20, predicted=PredictedError(6.4e-5, 1.12e-4, "/x/y.csv row 7", 20, relative))
     text = render(page)
     assert re.findall(r'<p class="figure">(.*?)<span>', text)[-1] == "0.0640"
     assert "RMS of the tool, predicted" in text
     assert words in text
-    assert "most at y.csv row 7, by 0.112 mm" in text
+    assert "the largest is 0.112 mm at y.csv row 7" in text
 
 
 def test_solver_loss_and_prior_are_facts():
