@@ -236,7 +236,9 @@ def test_what_to_measure_next():
     assert "p11 and 3 others." in text
 
 
-@pytest.mark.parametrize(("relative", "words"), [(False, "in the base frame"), (True, "the pose of the base is not measured")])
+@pytest.mark.parametrize(
+    ("relative", "words"), [(False, "in the base frame"), (True, "the pose of the base is not measured")]
+)
 def test_the_predicted_error_of_the_tool(relative, words):
     page = make_page(20, predicted=PredictedError(6.4e-5, 1.12e-4, "/x/y.csv row 7", 20, relative))
     text = render(page)
