@@ -91,7 +91,7 @@ def test_a_contradictory_rig(identified):
     result, text = identified(random_table(100, np.random.default_rng(0), SIGMA), wrong)
     assert result["rank"] == 36
     assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
-    assert "above the" in text
+    assert "above its 95 % range" in text
     assert "times what the declared sigmas allow: the robot has errors that these parameters do not model" in text
 
 
