@@ -118,7 +118,7 @@ def test_too_few_observations(identified, solver):
     unseen_and_advised(result, text, 12, POSES)
     assert result["chi2_reduced"] is None
     if result["usable"]:
-        assert text.startswith("0 degrees of freedom beside 12 parameters: the residual says nothing about accuracy.")
+        assert text.startswith("Only 0 degrees of freedom for 12 parameters: the residuals say nothing about accuracy.")
 
 
 def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identified):
