@@ -89,7 +89,7 @@ def test_identify_in_words_and_on_its_page(folder, said):
     text = said(*command, "--hold-out", "shell=l2-down", "--report", folder / "page.html")
     assert "24 line to fit, 8 held out" in text
     late, sigma = map(
-        float, re.search(r"time_offset: the joint readings are (\S+) ms late \((\S+) ms\)", text).groups()
+        float, re.search(r"time_offset: the joint readings are (\S+) ms late \(σ (\S+) ms\)", text).groups()
     )
     assert abs(late - 8.4) < 3.0 * sigma < 1.0
     page = (folder / "page.html").read_text()

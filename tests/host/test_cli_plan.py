@@ -103,7 +103,7 @@ def test_lines_are_planned(folder, capsys):
     assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written]) == 0
     said = capsys.readouterr().out
     assert "plan2" in said
-    (held,) = [line for line in said.splitlines() if "choice of frame" in line]
+    (held,) = [line for line in said.splitlines() if "in any pose" in line]
     assert {f"base.{k}" for k in "xyz"} <= set(held.split(": ")[1].split(", "))  # the lines' places move with the base
     assert "2 lines: 6 minutes" in said
     visits, around = read_plan(out), read_rig(rig)

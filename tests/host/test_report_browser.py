@@ -87,7 +87,7 @@ def test_everything_at_once_is_one_sound_page():
         "χ² per degree of freedom",
         "touched flat",
         "What to measure next",
-        "errs by 0.0640 mm",
+        "an error of 0.0640 mm",
     ):
         assert said in words
     for title in parsed.all("table"):
