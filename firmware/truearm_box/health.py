@@ -37,7 +37,7 @@ class Health:
         self._shown = -1
         self.loop_max_us = 0
         self.gc_max_us = 0
-        self._commands = 1  # handled since the last collection
+        self._commands = 1  # that were handled since the last collection
 
     def loop(self, us):
         if us > self.loop_max_us:
