@@ -1,4 +1,4 @@
-"""How the suite is run: how many workers, which files first, and what is skipped where no image can be built."""
+"""How the suite runs: the number of workers, the order of files, and what is skipped where no image can be built."""
 
 import gc
 import os
@@ -7,14 +7,15 @@ import sys
 
 import pytest
 
-# The matrices are small: threads inside the linear algebra cost several times what they bring. Before numpy is imported.
+# The matrices are small: threads inside the linear algebra cost several times what they gain. Set before numpy is
+# imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Folders whose files take long, a minute some. They come first, so that no worker is left alone with one of them.
+# Folders with long files, about a minute each. They run first, so that no worker is left alone with one at the end.
 LONG = ("recipes", "end_to_end", "chip", "firmware")
 
 
 def pytest_xdist_auto_num_workers(config):
-    """Two workers more than cores: many tests wait for a process, a port or real time, and others compute meanwhile."""
+    """Use two workers more than cores: many tests wait for a process, a port or real time while others compute."""
     return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS", 2 + (os.cpu_count() or 1)))
 
 
@@ -24,7 +25,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Keep what is imported out of every later garbage collection: the firmware asks for one whenever it starts."""
+    """Exclude imported objects from all later garbage collections: the firmware requests one whenever it starts."""
     gc.collect()
     gc.freeze()
 
@@ -35,7 +36,10 @@ def folder_rank(item):
 
 
 def skip_chip_level_without_apt(items):
-    """Where there is no apt no image can be built: said, and skipped. Anywhere else a missing image is an error of the test."""
+    """Skip chip-level tests, with a message, where there is no apt: no image can be built there.
+
+    Elsewhere a missing image is an error of the test.
+    """
     if sys.platform == "linux" and shutil.which("apt-get") is not None:
         return
     for item in items:

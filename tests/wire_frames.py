@@ -1,10 +1,10 @@
-"""Frames of the wire as the tests of the box write and read them."""
+"""Frames of the wire as written and read by the box's tests."""
 
 from truearm_wire import frame, messages
 
 
 def frames(tx: bytes) -> list[list]:
-    """The frames of sent bytes, decoded; anything else stays bytes."""
+    """Return the frames of sent bytes, decoded; anything else stays bytes."""
     found = []
     for run in tx.split(b"\0"):
         if run:
@@ -14,5 +14,5 @@ def frames(tx: bytes) -> list[list]:
 
 
 def command(*values: object) -> bytes:
-    """A command's frame."""
+    """Return a command's frame."""
     return frame.frame(messages.encode_payload(list(values)))

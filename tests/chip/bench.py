@@ -1,4 +1,7 @@
-"""Drivers on the emulated chip: scripts for MicroPython's raw REPL, and what the parts on the pins saw meanwhile (driver_bench.mjs)."""
+"""Drivers on the emulated chip: scripts for MicroPython's raw REPL, and what the parts on the pins recorded.
+
+The emulator's side is driver_bench.mjs.
+"""
 
 import json
 import subprocess
@@ -15,7 +18,7 @@ gc.disable()
 
 
 def run_steps(steps: list[dict], start_ns: int = 0) -> list[dict]:
-    """Boot once, run the steps. `out` of each is what its script printed, a JSON value a line."""
+    """Boot once and run the steps. `out` of each is the output of its script, one JSON value per line."""
     message = {"uf2": str(node.image()), "startNs": start_ns, "steps": [{"script": SETUP}, *steps]}
     done = subprocess.run(
         [str(node.ready().path), str(BENCH)], input=json.dumps(message), capture_output=True, text=True, timeout=300

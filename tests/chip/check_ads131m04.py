@@ -1,6 +1,7 @@
-"""CRC and survey of the converter's driver on rings made by hand; runs on CPython and on MicroPython.
+"""CRC and survey of the converter's driver on manually filled rings; runs on CPython and on MicroPython.
 
-micropython check_ads131m04.py ROOT VECTORS      prints one line a failure, then "N vectors, M failed"; exit 1 on failure
+micropython check_ads131m04.py ROOT VECTORS      prints one line per failure, then "N vectors, M failed"; exit 1 on
+failure
 """
 
 import json
@@ -17,7 +18,7 @@ PERIOD_US = 983.04
 
 
 def frame(status, channels):
-    """Six words as the state machine pushes them."""
+    """Return six words as the state machine pushes them."""
     words = [status << 8] + [value & 0xFFFFFF for value in channels]
     data = bytearray()
     for word in words:
@@ -27,7 +28,7 @@ def frame(status, channels):
 
 
 class Rings:
-    """What the DMA channels would have written by the time that conversion `latest` ended."""
+    """What the DMA channels would have written by the end of conversion `latest`."""
 
     def __init__(self, first=1, start_us=1000):
         self.ring = array("I", bytes(ads131m04_survey.FRAMES))
@@ -65,7 +66,7 @@ class Rings:
         return ads131m04_survey.survey(self.s, self.ring, self.stamps, self.timer, ads131m04.TABLE, want)
 
     def unload(self, n):
-        """(numbers of the samples, stamp), or None if the ring was lapped."""
+        """Return (numbers of the samples, stamp), or None if the ring was lapped."""
         dst = bytearray(16 * n + 3)
         stamp = bytearray(4)
         if not ads131m04_survey.unload(self.s, self.ring, self.stamps, n, dst, 3, stamp):
@@ -178,7 +179,7 @@ def check_silence():
 
 
 class Bus:
-    """Keeps what is sent; answers each frame with the next of `answers`, then with NULL's of a converter that waits."""
+    """Stores what is sent; answers each frame with the next of `answers`, then with NULL's of a waiting converter."""
 
     def __init__(self, answers):
         self.answers = answers
@@ -199,7 +200,7 @@ class Bus:
 
 
 def check_commands():
-    """Command words that worked on a real ADS131M02: TI E2E forum, thread 1075315 (read and write CLOCK, response 4180)."""
+    """Check command words that worked on a real ADS131M02: TI E2E forum, thread 1075315 (CLOCK, response 4180)."""
     bus = Bus([0, 0x030E, 0, 0x4180, 0x030A])
     registers = ads131m04.Registers(bus, bus, bus, None)
     expect("read", registers.read(ads131m04.CLOCK), 0x030E)

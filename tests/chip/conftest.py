@@ -1,4 +1,4 @@
-"""The box at chip level: MicroPython's RP2040 image with the firmware in it, in the emulator, as `make test` built it."""
+"""The box at chip level: MicroPython's RP2040 image with the firmware, in the emulator, as built by `make test`."""
 
 import cbor2
 import numpy as np
@@ -16,21 +16,21 @@ MS = 1000  # µs
 
 
 class Counting:
-    """Signals that say which sample they are."""
+    """Signals whose values are the sample's number."""
 
     def counts(self, k0, k1, start_ns, period_ns):
         k = np.arange(k0, k1, dtype=np.int64)[:, None]
         return ((k * 4 + np.arange(4)) % 2**22).astype(np.int32)
 
     def flight_times(self, k0, k1, start_ns, period_ns):
-        return 100_000_000 + 8_000 * np.arange(k0, k1, dtype=np.int64)  # a tick more each shot
+        return 100_000_000 + 8_000 * np.arange(k0, k1, dtype=np.int64)  # one tick more per shot
 
     def thermometers(self, device_us):
         return ()
 
 
 class Chip:
-    """A box that was switched on, and the shortest way to talk to it. Its flash is a folder, so it can be switched on again."""
+    """A box that was switched on, with short calls to talk to it. Its flash is a folder and allows restarts."""
 
     def __init__(self, folder, cause=POWER, config=None, start_us=0, signals=None):
         boot = Boot(folder, BoxSetup(config=config), 0x12345678, cause, signals or Counting())
@@ -38,10 +38,10 @@ class Chip:
         self.now_us = start_us
         self.end = ""
         self.req_id = 0
-        self.rest = b""  # of a frame that came in part
+        self.rest = b""  # of an incomplete frame
 
     def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
-        """Write `rx` now and let it run; the bytes it sent. `end` says how it ended, if it did."""
+        """Write `rx` now and let the box run; return the bytes it sent. `end` is how it ended, if it did."""
         (written,) = self.hardware.advance(self.now_us, rx, edges, room, 0, 24_500)
         self.now_us += us
         (answer,) = self.hardware.advance(self.now_us, b"", (), room, flags, 24_500)
@@ -49,16 +49,16 @@ class Chip:
         return written.tx + answer.tx
 
     def hear(self, us, **grant):
-        """Let it run; the frames that have come whole."""
+        """Let it run; return the complete frames received."""
         whole, zero, self.rest = (self.rest + self.give(us, **grant)).rpartition(b"\0")
         return frames(whole + zero)
 
     def boot(self):
-        """Let it boot; what it said."""
+        """Let it boot; return what it sent."""
         return self.hear(int(READY_S * 1e6))
 
     def ask(self, *values, ms=100):
-        """Give a command; the frames that came within `ms`."""
+        """Give a command; return the frames received within `ms`."""
         self.req_id += 1
         return self.hear(ms * MS, rx=command(values[0], self.req_id, *values[1:]))
 
@@ -66,7 +66,7 @@ class Chip:
         return cbor2.loads(document(self.ask(GET_CONFIG), REPLY))
 
     def put_config(self, config, ms=400):
-        """All pages; the frames that answered the last one."""
+        """Put all pages; return the frames that answer the last one."""
         parts = messages.pages(cbor2.dumps(config))
         for page, pages, data in parts[:-1]:
             assert self.ask(PUT_CONFIG, page, pages, data)[-1][0] == REPLY
@@ -77,7 +77,7 @@ class Chip:
 
 
 def document(found: list[list], kind: int) -> bytes:
-    """The pages of an ident or reply, put together."""
+    """Return the joined pages of an ident or reply."""
     return b"".join(f[5] for f in found if isinstance(f, list) and f[0] == kind)
 
 
@@ -87,7 +87,7 @@ def ident(found: list[list]) -> dict:
 
 @pytest.fixture
 def power_on(tmp_path):
-    """Boxes on one flash, one after the other; each ends when the next is switched on."""
+    """Return a function that switches on boxes with one flash in turn; each ends when the next is switched on."""
     switched_on = []
 
     def switch_on(**options):

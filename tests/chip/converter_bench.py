@@ -1,8 +1,8 @@
-"""The converter's driver on the emulated chip for tests: scripts that sample, and what they printed checked against what the model did."""
+"""The converter's driver on the emulated chip: scripts that sample, and checks of their output against the model."""
 
 import struct
 
-SETTLING = 6  # conversions after a SYNC pulse that the driver does not use
+SETTLING = 6  # conversions after a SYNC pulse that the driver discards
 
 
 MAKE = """
@@ -41,13 +41,13 @@ gc.collect()
 
 
 def counts(index: int, t_ns: float, gains=(1, 1, 1, 1)) -> tuple[int, ...]:
-    """The signals of driver_bench.mjs, amplified and saturated."""
+    """Return the signals of driver_bench.mjs, amplified and saturated."""
     raw = [((index * 4 + c) * 2654435 + (round(t_ns) % 1000003) * 7) % 8388608 - 4194304 for c in range(4)]
     return tuple(max(-(2**23), min(2**23 - 1, value * gain)) for value, gain in zip(raw, gains, strict=True))
 
 
 class Blocks:
-    """What a step's `sample` handed out: n, flags, samples lost before, index and stamp of each block, and its samples."""
+    """The output of a step's `sample`: n, flags, previous losses, index and stamp of each block, and its samples."""
 
     def __init__(self, step: dict):
         self.crc_errors, self.resets, text = step["out"][-1]
@@ -61,14 +61,17 @@ class Blocks:
 
     @property
     def gaps(self) -> list[tuple[int, int]]:
-        """(index after, samples missing)"""
+        """Return (index after, samples missing) of each gap."""
         ends = [index + len(samples) for index, _, _, _, samples in self.blocks]
         return [
             (block[0], block[0] - end) for block, end in zip(self.blocks[1:], ends, strict=False) if block[0] != end
         ]
 
     def conversions(self, osr: int, gains=(1, 1, 1, 1)) -> dict[int, float]:
-        """Instant of each sample by its index; every value is the model's, every stamp within a microsecond of the conversion."""
+        """Return the time of each sample by its index, after checking values and stamps.
+
+        Every value must be the model's, every stamp within a microsecond of the conversion.
+        """
         by_value = {counts(i, t, gains): t for i, t in self.asked}
         found = {}
         for index, stamp, _, _, samples in self.blocks:
@@ -77,13 +80,13 @@ class Blocks:
                 t_ns = by_value[sample]
                 late_ns = (stamp - t_ns // 1000 + 2**31) % 2**32 - 2**31 + k * osr * 0.24
                 late_ns = late_ns * 1000 - t_ns % 1000
-                # the timer's microsecond begun when DMA reads it, at most 0.3 us after the conversion
+                # the timer's current microsecond when DMA reads it, at most 0.3 us after the conversion
                 assert -1000 < late_ns <= 300
                 found[index + k] = t_ns
         return found
 
     def assert_honest(self, osr: int, conversions: dict[int, float]) -> None:
-        """Losses add up to the gaps, and an index tells the time to half a period."""
+        """Check that losses add up to the gaps, and that an index gives the time to half a period."""
         assert sum(block[3] for block in self.blocks) == sum(n for _, n in self.gaps)
         start = conversions[0]
         for index, t_ns in conversions.items():

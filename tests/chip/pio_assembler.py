@@ -1,6 +1,6 @@
 """An assembler for PIO programs, from chapter 3 of the RP2040 datasheet alone, for programs written for MicroPython's.
 
-`Assembler` takes the place of MicroPython's `rp2`: what its `asm_pio` returns is a `Program`. pio_reference.py executes it.
+`Assembler` replaces MicroPython's `rp2`: its `asm_pio` returns a `Program`, which pio_reference.py executes.
 """
 
 import types
@@ -16,7 +16,7 @@ class Program:
     words: list[int]
     wrap_target: int
     wrap: int
-    side_count: int  # bits of side set, with the enable bit
+    side_count: int  # side set bits, including the enable bit
     side_optional: bool
     in_right: bool = True
     out_right: bool = True
@@ -28,7 +28,7 @@ class Program:
 
 
 class _Instruction:
-    """An instruction that `.side()` and `[delay]` complete."""
+    """An instruction, completed by `.side()` and `[delay]`."""
 
     def __init__(self, word):
         self.word = word
@@ -45,7 +45,7 @@ class _Instruction:
 
 
 class _Emitter:
-    """The names that a program uses; run once, labels are resolved at the end."""
+    """The names that a program uses; it runs once, and labels are resolved at the end."""
 
     def __init__(self):
         self.instructions = []
@@ -112,7 +112,7 @@ class _Emitter:
 
 
 class Assembler:
-    """In place of MicroPython's module rp2."""
+    """A replacement for MicroPython's module rp2."""
 
     class PIO:
         IN_LOW, IN_HIGH, OUT_LOW, OUT_HIGH = range(4)

@@ -1,11 +1,11 @@
 """An interpreter for PIO programs, from chapter 3 of the RP2040 datasheet alone, one cycle at a time.
 
-It and the assembler beside it are there to check others: the programs of the firmware's drivers, MicroPython's assembler and the emulator
-of hil_sim/chip. So they share nothing with those, and are as plain as can be.
+It and the assembler next to it check other implementations: the programs of the firmware's drivers, MicroPython's
+assembler and the emulator of hil_sim/chip. They therefore share no code with those, and are as simple as possible.
 
-`Block` is one PIO block. A cycle is: every state machine that has a tick executes (sections 3.2, 3.4); pins and flags that they wrote
-show from the next cycle on. Inputs pass two flip-flops (3.5.6.3): at the edge that begins a cycle the first takes the pad as it
-was just before, the second takes the first.
+`Block` is one PIO block. In a cycle, every state machine that has a tick executes (sections 3.2, 3.4); the pins and
+flags that it writes change in the next cycle. Inputs pass two flip-flops (3.5.6.3): at the edge that begins a cycle the
+first takes the pad's previous level, the second takes the first.
 """
 
 from collections import deque
@@ -59,7 +59,7 @@ class Machine:
     forced: int | None = None
     waits_for_flag: int | None = None
 
-    # -- ticks (3.5.5) and the way of the program (3.4, 3.5.2)
+    # -- ticks (3.5.5) and program flow (3.4, 3.5.2)
 
     def cycle(self):
         if not self.enabled:
@@ -283,7 +283,7 @@ class Machine:
 
 
 class Block:
-    """One PIO block. `pads` are the levels on the pins (the caller's); `out`, `directions` what the block drives."""
+    """One PIO block. `pads` are the levels on the pins (from the caller); `out`, `directions` what the block drives."""
 
     def __init__(self):
         self.memory = [0] * 32

@@ -1,11 +1,11 @@
-"""What a page of the documentation has to run: its blocks of commands and of Python, in order, with what they print.
+"""The tested content of a documentation page: its blocks of commands and of Python, in order, with their output.
 
-- ``sh``: every line is run, `truearm` in this process; a ``text`` block right behind it holds lines that are printed, in this order. `…` stands
+- ``sh``: every line is run, `truearm` in this process; a ``text`` block directly after it contains printed lines, in this order. `…` stands
   for anything.
 - ``python``: run, all of a page in one module.
 - a block of any language with ``title="NAME"``: written to that file first.
 - ``<!-- test: skip, REASON -->`` before a block: it is not run. ``<!-- test: soak -->``: only by ``make soak``.
-- ``<!-- test: setup`` (or ``setup soak``) … ``-->``: lines that are run and not shown; ``copy PATH [NAME]`` brings a file
+- ``<!-- test: setup`` (or ``setup soak``) … ``-->``: lines that are run and not shown; ``copy PATH [NAME]`` copies a file
   of the repository, ``tree PATH`` a folder.
 - ``<!-- test: page skip, REASON -->``: no block of the page is run.
 """
@@ -26,7 +26,7 @@ _PART = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """A block to run; ``shown`` are the lines that the page says are printed, ``file`` the name to write it to."""
+    """A block to run; ``shown`` are the output lines on the page, ``file`` the name to write it to."""
 
     language: str
     body: str
@@ -37,7 +37,7 @@ class Block:
 
 
 def blocks(text: str) -> list[Block]:
-    """What a page has to run. ValueError for a mark that means nothing."""
+    """Return what a page has to run. Raises ValueError for an unknown mark."""
     found: list[Block] = []
     mark, end = "", 0
     for part in _PART.finditer(text):
@@ -68,7 +68,7 @@ def blocks(text: str) -> list[Block]:
 
 
 def unprinted(shown: tuple[str, ...], printed: str) -> str | None:
-    """The first shown line that is not printed behind those before it."""
+    """Return the first shown line that was not printed after those before it."""
     lines = iter(printed.splitlines())
     for wanted in shown:
         pattern = re.compile(".*".join(re.escape(piece) for piece in wanted.strip().split("…")))

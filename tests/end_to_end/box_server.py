@@ -1,4 +1,4 @@
-"""A simulated box in real time behind a socket or a pseudo-terminal, in a thread, on a stage that tests can move; and its boot drive."""
+"""A simulated box in real time on a socket or pseudo-terminal, in a thread, with a stage to move and a boot drive."""
 
 import mmap
 import os
@@ -17,20 +17,20 @@ from truearm_sim.serve import serve
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import Setup, World, standard_plan
 
-MAG_PERIOD_NS = 983_040  # as the converter's
-LONGEST_STEP_NS = 4_000_000  # in 2 ms of the wall clock and the time that it takes: nobody is hurried
+MAG_PERIOD_NS = 983_040  # as for the converter
+LONGEST_STEP_NS = 4_000_000  # in 2 ms of wall-clock time plus the time for the step: slow computers are not rushed
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
 
 
 def box(*arguments):
-    """``truearm box`` as an operator types it; the exit code."""
+    """Run ``truearm box`` as an operator types it; return the exit code."""
     return main(["box", *map(str, arguments)])
 
 
 class Stage(World):
-    """A world in which somebody turns a stage's screw: ``position`` [m]. Its LVDT is ``bent``, its head has 9.031 µs an inch."""
+    """A world with a manually set stage: ``position`` [m]. Its LVDT is ``bent``, its head has 9.031 µs per inch."""
 
     POLY = (-3.1e-4, 3.8e-2, 4e-4)  # position [m] of volts
     DELAY_PS = 1.5e6
@@ -41,7 +41,7 @@ class Stage(World):
         self.magnet = True
 
     def _noise(self, k0, k1):
-        """Belongs to the sample and to where the stage is, whenever somebody asks."""
+        """Return noise that belongs to the sample and the stage's position, whenever it is requested."""
         return NOISE[(np.arange(k0, k1) + 7919 * round(1e4 * self.position)) % len(NOISE)]
 
     def volts(self):
@@ -61,7 +61,7 @@ class Stage(World):
 
 
 class BootDrive:
-    """A box that, in its boot loader, shows a drive in ``folder``, and starts again when a whole image was written to it."""
+    """A box whose boot loader shows a drive in ``folder``; it restarts when a complete image was written to it."""
 
     INFO = "UF2 Bootloader v3.0\nModel: Raspberry Pi RP2\nBoard-ID: RPI-RP2\n"
 
@@ -96,7 +96,7 @@ class BootDrive:
 
 
 class TellsTime:
-    """A box that writes to a file what time it is in its lab, for ``lab_clock/``."""
+    """A box that writes its lab's time to a file, for ``lab_clock/``."""
 
     def __init__(self, box, path: Path):
         self._box = box
@@ -114,15 +114,15 @@ class TellsTime:
 
 
 def by_the_labs_clock(path: Path) -> dict[str, str]:
-    """Environment of a process that lives by the clock that ``served(clock=path)`` writes."""
+    """Return the environment of a process that uses the clock written by ``served(clock=path)``."""
     return os.environ | {"TRUEARM_LAB_CLOCK": str(path), "PYTHONPATH": str(Path(__file__).parent / "lab_clock")}
 
 
 @contextmanager
 def served(world=None, *, pty=False, drive=None, clock=None, **options):
-    """(device, world, box) of a box that lives until the end of the block.
+    """Return (device, world, box) of a box that lives until the end of the block.
 
-    ``clock``: a file for the lab's time, which then falls behind the wall's where the machine is slow.
+    ``clock``: a file for the lab's time, which then falls behind the wall clock on a slow computer.
     """
     world = world or Stage()
     box = SimulatedBox(world, interpreter(), seed=7, **options)

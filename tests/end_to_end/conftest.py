@@ -28,23 +28,23 @@ from truearm_sim.world import Setup, World, standard_plan
 
 @dataclass
 class Recorded:
-    """A recorded session and the truth behind it."""
+    """A recorded session and its truth."""
 
     path: Path
     summary: RecordSummary
     world: World
     lab: Lab
-    sent: list[bytes]  # every piece that the link delivered to the recorder
+    sent: list[bytes]  # every piece of data that the link delivered to the recorder
 
 
 def truearm_process(*arguments: object, timeout_s: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own, for what must be one: real time, signals, the whole demo."""
+    """Run the command line in a separate process, for what requires one: real time, signals, the complete demo."""
     command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
 
 
 def truearm(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command line in this process, which has imported everything already."""
+    """Run the command line in this process, which has already imported everything."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = main([str(a) for a in arguments])
@@ -58,7 +58,7 @@ def interpreter():
 
 
 class TappedLink:
-    """The box's link, with a copy of what it delivered."""
+    """The box's link, with a copy of the data it delivered."""
 
     def __init__(self, link):
         self.name, self._link, self.delivered = link.name, link, []
@@ -89,7 +89,7 @@ def record_session(
     params: Floats | None = None,
     robot_delay_s: float = 0.0,
 ) -> Recorded:
-    """``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
+    """Record ``poses`` with each bar of the rig, or another plan; ``params`` (p,): another true robot."""
     plan = standard_plan(poses, seed, rig) if plan is None else plan
     world = World(seed, plan, rig, params, arm=arm, setup=Setup(robot_delay_s=robot_delay_s))
     box = SimulatedBox(world, interpreter(), faults=faults, seed=seed)
@@ -111,7 +111,7 @@ def record_session(
 
 
 def measured_by_bars(world):
-    """The true lengths of the world's dwells, repeatability included, as rows with the joints as they are read."""
+    """Return the true lengths of the world's dwells, including repeatability, as rows with the joint readings."""
     dwells, plan = world.controller.dwells, world.controller.plan
     rows = np.flatnonzero(plan.dwells)
     n = len(rows)
@@ -125,11 +125,11 @@ def measured_by_bars(world):
 
 @pytest.fixture(scope="session")
 def short_session(tmp_path_factory) -> Recorded:
-    """Ninety dwells with each bar at 254 Hz, nothing goes wrong."""
+    """Return ninety dwells with each bar at 254 Hz, without faults."""
     return record_session(tmp_path_factory.mktemp("session") / "short.mcap", 90, osr=16384)
 
 
 @pytest.fixture
 def no_ports(monkeypatch):
-    """A machine with nothing plugged in."""
+    """Simulate a computer with nothing plugged in."""
     monkeypatch.setattr(ports.list_ports, "comports", lambda: [])

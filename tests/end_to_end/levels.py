@@ -1,4 +1,4 @@
-"""The levels at which a simulated box runs: what is behind it differs, the tests that use this do not."""
+"""The levels at which a simulated box runs: its hardware differs, the tests that use this do not."""
 
 from collections.abc import Sequence
 from contextlib import contextmanager
@@ -30,22 +30,22 @@ MAG_PERIOD_NS = 983_040
 
 
 def vm() -> PowerOn:
-    """The firmware in a real MicroPython with a simulated board."""
+    """Return the firmware in a real MicroPython with a simulated board."""
     return partial(VmBox, interpreter())
 
 
 def chip() -> PowerOn:
-    """The image that `make uf2` built, in the emulator."""
+    """Return the image built by `make uf2`, in the emulator."""
     return ChipBox
 
 
 LEVELS = {"vm": vm, "chip": chip}
-READY_S = 4.0  # of lab time: at both levels the box has booted (the chip needs 3.3 s) and nothing has gone wrong yet
+READY_S = 4.0  # of lab time: at both levels the box has booted (the chip needs 3.3 s) and no fault has occurred yet
 
 
 @dataclass
 class Session:
-    """What a box sent while it was recorded, and the world that it measured."""
+    """The data that a box sent during a recording, and the world that it measured."""
 
     path: Path
     summary: RecordSummary
@@ -53,27 +53,27 @@ class Session:
     box: SimulatedBox
 
     def frames(self, topic: str) -> list[list]:
-        """Frames of a topic, decoded, in order."""
+        """Return the frames of a topic, decoded, in order."""
         with self.path.open("rb") as f:
             return [cbor2.loads(m.data) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
 
     def blocks(self, stream: int) -> list:
-        """Data frames of a stream."""
+        """Return the data frames of a stream."""
         with self.path.open("rb") as f:
             topic = ("/box/adc", "/box/mag")[stream]
             return [data_of(decode(m.data)) for _, _, m in make_reader(f).iter_messages(topics=[topic])]
 
     def heartbeats(self) -> list[dict[str, int]]:
-        """Their elements by name."""
+        """Return the heartbeats' elements by name."""
         names = wire.names(wire.HEARTBEAT)
         return [dict(zip(names, frame[1:], strict=True)) for frame in self.frames("/box/heartbeat")]
 
     def counters(self) -> dict[str, int]:
-        """Of the last heartbeat."""
+        """Return the counters of the last heartbeat."""
         return self.heartbeats()[-1]
 
     def ident(self) -> Ident:
-        """What the box said of itself, as the host reads it."""
+        """Return the box's ident, as read by the host."""
         reader = BoxReader()
         frames = self.frames("/box/ident")
         reader.feed(columns_of(Message("/box/ident", 0, bytes(wire.encode_payload(frame))) for frame in frames))
@@ -84,7 +84,7 @@ class Session:
 
 
 def samples(blocks: list, channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Counts (n, channels), stamps (n,) [µs, of the samples' instants by their block's] and indices (n,)."""
+    """Return counts (n, channels), stamps (n,) [µs, times of the samples by their block's] and indices (n,)."""
     counts = [np.frombuffer(block.samples, "<i4").reshape(-1, channels) for block in blocks]
     index = [block.n0 + np.arange(len(c)) for block, c in zip(blocks, counts, strict=True)]
     within = [np.arange(len(c)) * block.period_ns / 1000 for block, c in zip(blocks, counts, strict=True)]
@@ -104,7 +104,10 @@ def lab_of(
     poses: int = 9,
     world: World | None = None,
 ):
-    """A lab with a box of this level, both of whose sources are on; ``poses`` with each bar, three seconds or so each, or a world."""
+    """Return a lab with a box of this level, both of whose sources are on.
+
+    It has ``poses`` with each bar, about three seconds each, or a world.
+    """
     if world is None:
         world = World(seed, standard_plan(poses, seed), setup=Setup(mag_period_ns=mag_period_ns, lost_stops=lost_stops))
     box = SimulatedBox(world, faults=faults, edges=edges, seed=seed, power_on=LEVELS[level]())
@@ -115,7 +118,7 @@ def lab_of(
 
 
 def wait_until_ready(lab: Lab) -> None:
-    """Let READY_S of the lab's time have passed: recordings then begin at the same time at all levels."""
+    """Wait until READY_S of the lab's time have passed: recordings then begin at the same time at all levels."""
     while lab.now_ns < READY_S * 1e9:
         lab.box_link.read(0.1)
 

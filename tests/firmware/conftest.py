@@ -15,7 +15,7 @@ PERIOD_NS = 983040
 
 
 def records(index: int, n: int, t_start_us: int = 0) -> bytes:
-    """n samples from `index` on whose counts say which they are."""
+    """Return n samples from `index` on whose counts identify them."""
     return b"".join(
         struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
         + struct.pack("<4i", k % 2**23, -(k % 2**23), 2**23 - 1, -(2**23))
@@ -24,12 +24,12 @@ def records(index: int, n: int, t_start_us: int = 0) -> bytes:
 
 
 def ticks(k: int) -> int:
-    """Time of flight of shot k: 100 to 400 µs in ticks of 8 ns."""
+    """Return the time of flight of shot k: 100 to 400 µs in ticks of 8 ns."""
     return 12500 + 997 * k % 37500
 
 
 def shots(index: int, n: int, t_start_us: int = 0, missing: frozenset[int] = frozenset()) -> bytes:
-    """n shots of the magnetostrictive head from `index` on."""
+    """Return n shots of the magnetostrictive head from `index` on."""
     return b"".join(
         struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
         + struct.pack("<i", 0 if k in missing else ticks(k))
@@ -38,10 +38,10 @@ def shots(index: int, n: int, t_start_us: int = 0, missing: frozenset[int] = fro
 
 
 class Bench:
-    """A box that was booted at time 0, and the shortest way to talk to it."""
+    """A box that was booted at time 0, with short calls to talk to it."""
 
     def __init__(self, interpreter, flash=None, boot_id=0xDEADBEEF, thermometers=(), **setup):
-        """``thermometers``: (uid, m°C) each, of which None does not answer."""
+        """``thermometers``: (uid, m°C) each; one with None does not answer."""
         self.box = BoxProcess(interpreter, BoxSetup(**setup), boot_id, flash=flash)
         self.thermometers = thermometers
         self.now_us = 0
@@ -64,7 +64,7 @@ class Bench:
         self.t_start_us, self.index = self.now_us, 0
 
     def sample(self, n, both=False, missing=frozenset(), **grant):
-        """Let n samples pass, of the converter alone or of both sources."""
+        """Let n samples pass, from the converter alone or from both sources."""
         samples = records(self.index, n, self.t_start_us)
         if both:
             grant.update(mag=shots(self.index, n, self.t_start_us, missing), mag_index=self.index)
@@ -73,18 +73,18 @@ class Bench:
         return self.give(us=0, samples=samples, index=index, **grant)
 
     def command(self, kind, *values):
-        """Give a command with an id of its own; the frames of its answer."""
+        """Give a command with its own id; return the frames of its answer."""
         self.req_id += 1
         return [f for f in self.give(rx=command(kind, self.req_id, *values)) if f[0] not in (16, 18)]
 
     def document(self, kind):
-        """The document that a command is answered with."""
+        """Return the document that answers a command."""
         found = self.command(kind)
         assert {f[0] for f in found} == {messages.REPLY}
         return cbor2.loads(b"".join(f[5] for f in found))
 
     def put(self, config):
-        """Put a configuration; the frames that answer its last page."""
+        """Put a configuration; return the frames that answer its last page."""
         pages = messages.pages(cbor2.dumps(config))
         for page, count, data in pages[:-1]:
             assert [f[0] for f in self.command(messages.PUT_CONFIG, page, count, data)] == [messages.REPLY]
@@ -98,7 +98,7 @@ def real_micropython():
 
 
 def flash_folder(path, config=None):
-    """A folder with the box's file system, which outlives its boxes."""
+    """Return a folder with the box's file system, which outlives its boxes."""
     write_flash(path, config)
     return path
 
@@ -112,7 +112,7 @@ def bench(request):
 
 @pytest.fixture
 def chip():
-    """The firmware in MicroPython, with the chip's heap."""
+    """Return the firmware in MicroPython, with the chip's heap."""
     bench = Bench(real_micropython())
     yield bench
     bench.box.close()

@@ -1,9 +1,10 @@
-"""Power fails while the box stores a configuration: on a littlefs in MicroPython, at every kind of flash operation.
+"""Power failures while the box stores a configuration: on a littlefs in MicroPython, at every kind of flash operation.
 
-    micropython power_cuts.py CUTS SEED        prints what it saw; exit 1 if ever neither the old nor the new one was there
+    micropython power_cuts.py CUTS SEED        prints its findings; exit 1 if ever neither the old nor the new one was there
 
-The flash is a Pico's in small: blocks of 4096 bytes that are erased whole, pages of 256. A cut tears the operation it
-hits: a page is written in part, a block is erased in part. Each save goes on where the last cut left the flash.
+The flash is a small version of a Pico's: blocks of 4096 bytes that are erased as a whole, pages of 256. A cut
+interrupts the current operation: a page is written in part, a block is erased in part. Each save continues from the
+state that the last cut left.
 """
 
 import os
@@ -16,11 +17,11 @@ BLOCKS = 24
 PATH = "/flash/config.json"
 
 
-EIO = -5  # what a dead flash answers
+EIO = -5  # returned by a dead flash
 
 
 class Flash:
-    """A block device over a buffer; after `left` more operations the power is gone."""
+    """A block device over a buffer; after `left` more operations the power fails."""
 
     def __init__(self, buf):
         self.buf = buf
@@ -41,7 +42,7 @@ class Flash:
             return EIO
         at = block * BLOCK + offset
         for i in range(self._operation(len(data))):
-            self.buf[at + i] &= data[i]  # as NOR flash: bits only fall
+            self.buf[at + i] &= data[i]  # as NOR flash: bits can only be cleared
         return EIO if self.dead else 0
 
     def ioctl(self, op, argument):
@@ -56,7 +57,7 @@ class Flash:
         return EIO if self.dead else 0
 
     def _operation(self, size):
-        """How many bytes of an operation are done."""
+        """Return how many bytes of an operation are completed."""
         self.operations += 1
         if self.left == 0:
             self.dead = True
@@ -110,7 +111,7 @@ def unmount():
 
 
 def cuts(n, seed):
-    """(saves that were cut, of these: new one found, operations a save takes)."""
+    """Return (interrupted saves, those of them with the new configuration, operations per save)."""
     random = Random(seed)
     buf = bytearray(b"\xff" * (BLOCK * BLOCKS))
     flash = mounted(buf, True)
@@ -141,7 +142,7 @@ def cuts(n, seed):
 
 
 def full_flash():
-    """A flash without room: refused or stored, never lost; and all is well when there is room again."""
+    """Check a full flash: refused or stored, never lost; and normal operation once there is space again."""
     buf = bytearray(b"\xff" * (BLOCK * BLOCKS))
     mounted(buf, True)
     storage.save(PATH, variant(1), accept)

@@ -1,4 +1,4 @@
-"""The run that ``truearm plan characterize`` plans for the simulator's PUMA 560, planned once."""
+"""The run planned by ``truearm plan characterize`` for the simulator's PUMA 560, planned once."""
 
 import functools
 
@@ -18,7 +18,7 @@ WANTED = ApproachesWanted(n_poses=4, rounds=3, long_s=10.0, n_candidates=200)
 
 @functools.cache
 def planned() -> tuple[Site, Route]:
-    """The arm before the rig as designed, and the route."""
+    """Return the arm with its rig as designed, and the route."""
     robot, rig = builtin_robot("puma560"), standard_rig()
     site = make_site(Known.design(robot, rig), Limits(), Sizes())
     return site, plan_approaches(site, PAIRING, WANTED, Pace())

@@ -1,4 +1,4 @@
-"""Streams of a box for tests of their accounting, and the account."""
+"""Streams of a box for tests of their accounting, and the expected accounts."""
 
 from dataclasses import asdict
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ COUNTS = np.arange(13 * CHANNELS).reshape(13, CHANNELS)
 
 
 def box_with(blocks=20, seq=0):
-    """A box that says its ident, then streams, with a heartbeat and a clock exchange in the middle."""
+    """Return a box that sends its ident, then streams, with a heartbeat and a clock exchange in the middle."""
     box = Box(seq=seq)
     box.ident(0)
     for k in range(blocks):
@@ -28,7 +28,7 @@ def box_with(blocks=20, seq=0):
 
 
 class Block(NamedTuple):
-    """A row of the reader's blocks."""
+    """One row of the reader's blocks."""
 
     segment: int
     run: int
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
 
 def singly(blocks):
-    """The rows of blocks of one stream."""
+    """Yield the rows of the blocks of one stream."""
     counts = np.split(blocks.counts(), blocks.first[1:])
     columns = (blocks.run, blocks.gap, blocks.n, blocks.t_host_ns, blocks.n0, blocks.t0_us, blocks.period_ns)
     rows = zip(*(column.tolist() for column in columns), blocks.flags.tolist(), counts, strict=True)
@@ -53,14 +53,14 @@ def singly(blocks):
 
 
 def read(messages, ident=None):
-    """All blocks, and the reader that they are of."""
+    """Return all blocks, and their reader."""
     reader = BoxReader(ident)
     found = [*reader.feed(columns_of(messages)), *reader.finish()]
     return [block for blocks in found for block in singly(blocks)], reader
 
 
 def account(messages):
-    """The account as a plain dict of what is not zero, without what is always there."""
+    """Return the account as a plain dict of non-zero entries, without those that are always present."""
     losses = asdict(read(messages)[1].losses())
     del losses["box"]
     for name in ("frames", "blocks", "samples", "sync_requests"):

@@ -1,12 +1,13 @@
-"""Seeded lives of clocks and links: a box whose time is asked for, and a robot whose readings arrive. Truth beside what was recorded.
+"""Random histories of clocks and links from seeds: a box whose time is requested, and a robot whose readings arrive.
 
-A crystal is within 100 ppm and drifts with its temperature: by at most 1 ppm a minute, or (one scenario in four) by up to 20 ppm to and
-fro, which is faster but stays near its mean. Links have a shortest latency, another one each way, tails, stalls, losses. Boxes reboot; their time passes 2^30 and
+The truth is kept with the recorded data. A crystal is within 100 ppm and drifts with its temperature: by at most 1 ppm
+per minute, or (in one scenario of four) by up to 20 ppm back and forth, which is faster but stays near its mean. Links
+have a shortest latency, different in each direction, tails, stalls, losses. Boxes reboot; their time passes 2^30 and
 2^32 µs.
 
-Clocks also step, are slewed, change their rate for good; exchanges are rare, lost, wrong (``CHANGES``).
+Clocks also step, are slewed, change their rate permanently; exchanges are rare, lost, wrong (``CHANGES``).
 
-    python -m tests.host.clock_scenarios 200    prints how errors compare with bounds
+    python -m tests.host.clock_scenarios 200    prints a comparison of errors and bounds
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ HOST_NS = 10**15
 
 @dataclass(frozen=True)
 class Crystal:
-    """Reads ``begin`` s at true time ``since``; a rate, a drift that dies away (warming up), a slow swing."""
+    """A crystal that reads ``begin`` s at true time ``since``: a rate, a decaying drift (warming up), a slow swing."""
 
     since: float
     begin: float
@@ -57,10 +58,10 @@ class Crystal:
 
 
 def crystal(rng, since=0.0, begin=0.0, fast=False):
-    """One that keeps to 1 ppm a minute, or if ``fast`` to 20 ppm about its mean."""
+    """Return a crystal that drifts by at most 1 ppm per minute, or if ``fast`` by 20 ppm about its mean."""
     share = rng.random()
     period = rng.uniform(60.0, 600.0)
-    # The rate of a swing changes by 2π/period of its amplitude a second.
+    # The rate of a swing changes by 2π/period of its amplitude per second.
     steady = (1.0 - share) * PPM / 60.0 * period / (2.0 * np.pi)
     return Crystal(
         since,
@@ -75,11 +76,11 @@ def crystal(rng, since=0.0, begin=0.0, fast=False):
 
 @dataclass(frozen=True)
 class Way:
-    """Latencies over a link one way [s]."""
+    """Latencies of a link in one direction [s]."""
 
     least: float
     tail: float
-    shape: float  # of the gamma distribution of what comes on top; 1: exponential
+    shape: float  # of the gamma distribution of the additional part; 1: exponential
     stalls: float  # share
     stall: float
 
@@ -99,7 +100,7 @@ NOMINAL = (Way(125e-6, 80e-6, 1.0, 0.01, 5e-3), Way(150e-6, 120e-6, 1.0, 0.01, 8
 
 @dataclass(frozen=True)
 class Outcome:
-    """Errors and bounds [µs] at times all along, of one scenario; the shortest latency or round trip [µs] that is in it."""
+    """Errors and bounds [µs] throughout one scenario; the shortest latency or round trip [µs] included in them."""
 
     error: np.ndarray
     bound: np.ndarray
@@ -111,7 +112,7 @@ class Outcome:
 
 
 def box_scenario(seed, seconds=240.0, nominal=False):
-    """A box that is asked for its time four times a second, through the reader of recorded messages."""
+    """Run a box whose time is requested four times a second, through the reader of recorded messages."""
     rng = np.random.default_rng([seed, 0xB0C])
     there, back = NOMINAL if nominal else (way(rng), way(rng))
     lost = 0.0 if nominal else rng.uniform(0.0, 0.2)
@@ -167,13 +168,13 @@ APART_S = 5.0  # between changes: more than SPAN exchanges at 4 Hz of which one 
 
 
 def times_apart(rng, n, begin, end, apart=APART_S):
-    """n random times, ascending, with at least so much between them."""
+    """Return n random ascending times with at least this distance between them."""
     return np.sort(rng.uniform(begin, end - (n - 1) * apart, n)) + apart * np.arange(n)
 
 
 @dataclass(frozen=True)
 class HostClock:
-    """Steps by ``by`` at ``at``, and changes its rate by ``rate`` from ``begin`` to ``end`` (true times, s)."""
+    """A clock that steps by ``by`` at ``at``, and changes its rate by ``rate`` from ``begin`` to ``end`` (true s)."""
 
     at: np.ndarray
     by: np.ndarray
@@ -191,7 +192,7 @@ class HostClock:
 
 
 def host_clock(rng, seconds, steps=0, slews=0, rates=0, apart=APART_S):
-    """Steps of 50 µs to 10 ms, slews by 50 to 500 ppm for 1 to 20 s, lasting changes of the rate by 20 to 400 ppm in all."""
+    """Return steps of 50 µs to 10 ms, slews by 50 to 500 ppm for 1 to 20 s, permanent rate changes of 20 to 400 ppm."""
     slewed_s = 20.0 if slews else 0.0
     times = times_apart(rng, steps + slews + rates, apart, seconds - slewed_s - apart, slewed_s + apart)
     at, begin, lasting = np.split(rng.permutation(times), [steps, steps + slews])
@@ -207,16 +208,16 @@ def host_clock(rng, seconds, steps=0, slews=0, rates=0, apart=APART_S):
 
 @dataclass(frozen=True)
 class Change:
-    """What happens in a scenario besides crystals and links."""
+    """The events of a scenario other than crystals and links."""
 
     steps: int = 0
     slews: int = 0
     rates: int = 0
     spacing: float = 0.25  # s between exchanges
     seconds: float = 240.0
-    asymmetry: float = 0.0  # s that the way there takes longer
+    asymmetry: float = 0.0  # s of additional latency on the way to the box
     lost: float = 0.2  # at most this share of the exchanges
-    wrong: int = 0  # exchanges of which the box's stamps are off by up to 50 ms
+    wrong: int = 0  # exchanges with the box's stamps wrong by up to 50 ms
     apart: float = APART_S
 
 
@@ -234,19 +235,19 @@ CHANGES = {
 
 
 class Exchanged(NamedTuple):
-    """What was recorded of a box that was asked for its time, and the truth beside it."""
+    """The record of a box whose time was requested, and its truth."""
 
     rows: np.ndarray  # (n, 4) t0 ns, t1 µs, t2 µs, t3 ns
     crystal: Crystal
     host: HostClock
 
     def truth_ns(self, device_us):
-        """Host time less HOST_NS."""
+        """Return host time minus HOST_NS."""
         return 1e9 * self.host.reading(self.crystal.true(1e-6 * device_us))
 
 
 def exchanged(seed, change):
-    """Exchanges of one life of a box."""
+    """Return the exchanges of one life of a box."""
     rng = np.random.default_rng([seed, 0xC10C])
     there, back = way(rng), way(rng)
     life = crystal(rng, 0.0, 2.0, fast=rng.random() < 0.25)
@@ -266,7 +267,10 @@ def exchanged(seed, change):
 
 
 class Changing(NamedTuple):
-    """Errors against bounds at true times [s] of a scenario with changes, what was reported of it, and the largest bound [µs] within 50 ms of each step."""
+    """Errors and bounds at true times [s] of a scenario with changes, its report, and the largest bound near each step.
+
+    The largest bound [µs] is within 50 ms of each step.
+    """
 
     t: np.ndarray
     outcome: Outcome
@@ -276,7 +280,7 @@ class Changing(NamedTuple):
 
 
 def changing_scenario(seed, change):
-    """A box whose clock or whose host's clock changes."""
+    """Run a box whose clock, or whose host's clock, changes."""
     known = exchanged(seed, change)
     clock, report = fit_clock(0, [Exchange(*row) for row in known.rows.tolist()])
     t = np.sort(
@@ -291,7 +295,7 @@ def changing_scenario(seed, change):
 
 
 def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):
-    """A controller whose readings arrive over a network; the error is that beside the shortest latency."""
+    """Run a controller whose readings arrive over a network; the error is relative to the shortest latency."""
     rng = np.random.default_rng([seed, 0x20B])
     clock, link = crystal(rng, begin=rng.uniform(0.0, 1e5)), way(rng)
     rate = rng.choice([50.0, 125.0, 250.0, 500.0])
@@ -305,7 +309,7 @@ def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):
     stamps = np.round(ticks + (robot.reading(sent) - sent), 6)
     kept = (
         np.diff(np.maximum.accumulate(stamps), prepend=-np.inf) > 0.0
-    )  # the reader drops what runs back by less than a second
+    )  # the reader drops readings that run back by less than a second
     gathered = Arrivals(float(stamps[0]), int(arrival_ns[0]))
     for part in np.array_split(np.flatnonzero(kept), max(1, stamps.size // 2048)):
         gathered.add(stamps[part], arrival_ns[part])
@@ -313,13 +317,13 @@ def robot_scenario(seed, seconds=240.0, host_steps=0, robot_steps=0, slews=0):
     at = np.linspace(0.0, seconds, 2000)
     shown = clock.reading(at) + (robot.reading(at) - at)
     late = 1e-3 * (fitted.to_host_ns(shown) - HOST_NS - 1e9 * host.reading(at))
-    # Where its clock goes back the controller shows one time twice.
+    # Where its clock goes back, the controller shows one time twice.
     once = (shown >= np.maximum.accumulate(shown)) & (shown <= np.minimum.accumulate(shown[::-1])[::-1])
     return Outcome((late - 1e6 * link.least)[once], 1e-3 * fitted.bound_at(shown)[once], 1e6 * link.least)
 
 
 def table(outcomes):
-    """What a person wants to know of many."""
+    """Return a summary of many outcomes as text."""
     worst = np.array([o.ratio.max() for o in outcomes])
     error = np.array([np.abs(o.error).max() for o in outcomes])
     bound = np.array([np.median(o.bound) for o in outcomes])

@@ -1,4 +1,4 @@
-"""The command line as the tests call it."""
+"""The command line as called by the tests."""
 
 import subprocess
 import sys
@@ -16,14 +16,14 @@ Run = Callable[..., Outcome]  # the fixture `run`: the real main() with argument
 
 
 def process(*arguments: object) -> Outcome:
-    """The command as the shell starts it."""
+    """Run the command as the shell starts it."""
     command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
 def told(outcome: Outcome, message: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr that holds the message."""
+    """Check for exit code 2, nothing on stdout, and one line on stderr that contains the message."""
     assert (outcome.code, outcome.out) == (2, "")
     assert outcome.err.startswith("truearm: ")
     assert outcome.err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""What the tests of the host share."""
+"""Fixtures shared by the host tests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from truearm.types import ObservationTable, Rig
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """The real main() with arguments; what it returns and prints."""
+    """Return the real main() with arguments; it returns the exit code and the output."""
 
     def call(*arguments: object) -> Outcome:
         code = cli.main([str(a) for a in arguments])
@@ -29,7 +29,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.fixture(scope="session")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a good table and a good rig."""
+    """Return a folder with a valid table and a valid rig."""
     folder = tmp_path_factory.mktemp("identify")
     table, rig = exact_lengths(90)
     write_table(folder / "poses.csv", table, ("rad",) * 6)
@@ -39,7 +39,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def good(files: Path) -> list[object]:
-    """An identification that must succeed."""
+    """Return the arguments of an identification that must succeed."""
     return ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml"]
 
 

@@ -1,7 +1,7 @@
 """A robot's controller for tests: moves, outputs, waits and messages of a program with their times.
 
-``urscript_machine`` and ``rapid_machine`` execute programs on it. Where a line is driven the joints on the way come from an inverse
-kinematics of its own.
+``urscript_machine`` and ``rapid_machine`` execute programs on it. On a driven line, the joints on the way come from its
+own inverse kinematics.
 """
 
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ SAMPLES = 55  # of a line: both ends, and all of 18 equal parts and of their thi
 
 
 class ProgramFault(Exception):
-    """What makes a controller stop with an error."""
+    """An error that stops a controller."""
 
 
 @dataclass(frozen=True)
 class Move:
     """A move from t0 to t1 [s]: ``joints`` straight in joint space, ``line`` straight in space.
 
-    A move of which neither duration nor speed can be said, as the first one from wherever the arm stood, takes no time.
+    A move with unknown duration and speed, such as the first one from any position of the arm, takes no time.
     """
 
     kind: str
@@ -31,8 +31,8 @@ class Move:
     t1: float
     q: np.ndarray  # (j,) at its end
     pose: np.ndarray  # (4, 4) of the TCP at its end
-    speed: float  # m/s asked for, nan for a time
-    path: np.ndarray  # (SAMPLES, j) of a line, even in time; (0, j) else
+    speed: float  # m/s requested, nan for a time
+    path: np.ndarray  # (SAMPLES, j) of a line, evenly spaced in time; otherwise (0, j)
 
 
 @dataclass
@@ -41,19 +41,19 @@ class Controller:
 
     chain: object
     params: np.ndarray
-    q: np.ndarray | None = None  # nobody knows where the arm stands before the first move
+    q: np.ndarray | None = None  # the arm's position before the first move is unknown
     answer_s: float | None = 0.015
     t: float = 0.0
     tcp: np.ndarray = field(default_factory=lambda: np.eye(4))
     moves: list[Move] = field(default_factory=list)
     outputs: list[tuple[float, bool]] = field(default_factory=list)
-    said: list[tuple[int, str]] = field(default_factory=list)  # what the operator confirms, after so many moves
+    said: list[tuple[int, str]] = field(default_factory=list)  # what the operator confirms, after this many moves
 
     def pose_of(self, q):
         return forward(self.chain, self.params, q[None])[0] @ self.tcp
 
     def solved(self, pose, q):
-        """Joints near q at which the TCP has a pose."""
+        """Return joints near q at which the TCP has a pose."""
         flange = pose @ np.linalg.inv(self.tcp)
         for _ in range(60):
             here = forward(self.chain, self.params, q[None])[0]
@@ -73,7 +73,7 @@ class Controller:
         self.t, self.q = self.t + seconds, q
 
     def move_line(self, pose, speed):
-        """At constant speed; the orientation turns evenly."""
+        """Move at constant speed; the orientation turns evenly."""
         if self.q is None:
             raise ProgramFault("a straight line from nowhere")
         start = self.pose_of(self.q)
@@ -93,25 +93,25 @@ class Controller:
             self.outputs.append((self.t, level))
 
     def answered(self):
-        """The input: the box repeats the output a while later, from low."""
+        """Return the input: the box repeats the output after a delay, starting low."""
         if self.answer_s is None:
             return False
         seen = [level for t, level in self.outputs if t + self.answer_s <= self.t + 1e-9]
         return bool(seen and seen[-1])
 
     def wait_for(self, level, longest):
-        """Until the input has a level."""
+        """Wait until the input has a level."""
         end = self.t + longest
         while self.answered() != level and self.t < end:
             self.t += 0.001
 
     def held(self):
-        """(t0, t1) of every time for which the output was high."""
+        """Return (t0, t1) of every period with the output high."""
         after = [t for t, _ in self.outputs[1:]] + [self.t]
         return [(t0, t1) for (t0, level), t1 in zip(self.outputs, after, strict=True) if level]
 
     def moves_within(self, t0, t1):
-        """Moves that take place between two times."""
+        """Return moves that take place between two times."""
         return [move for move in self.moves if move.t0 < t1 - 1e-9 and move.t1 > t0 + 1e-9]
 
 

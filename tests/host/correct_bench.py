@@ -1,4 +1,4 @@
-"""The paper's PUMA identified from 600 noisy lengths, and targets on the shells that it was measured on."""
+"""The paper's PUMA identified from 600 noisy lengths, and targets on the measured shells."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from truearm.files.result_file import RobotFrames, document_of, write_result
 from truearm.model.chain import forward
 from truearm.types import Estimate
 
-# One configuration of the arm (elbow above, wrist not flipped), away from its singularities: hil_sim's planner has the same.
+# One configuration of the arm (elbow up, wrist not flipped), away from its singularities, as in hil_sim's planner.
 LOWER = np.deg2rad([-155.0, -170.0, 100.0, -105.0, 20.0, -180.0])
 UPPER = np.deg2rad([155.0, 35.0, 205.0, 165.0, 95.0, 180.0])
 
@@ -31,7 +31,7 @@ def write(path: Path, estimate: Estimate) -> Path:
 
 
 def good_poses(n: int, seed: int = 2) -> np.ndarray:
-    """(n, 6) joint vectors on the calibrated shells, well away from limits and singularities, in order of a visit."""
+    """Return joint vectors (n, 6) on the calibrated shells, far from limits and singularities, in order of a visit."""
     rng = np.random.default_rng(seed)
     parts = [
         shell_poses(CHUCKS[f"c{i}"], SPHERES[f"s{i}"], 0.46 + 0.15 * (i % 2), max(400, 10 * n), rng) for i in range(3)
@@ -44,7 +44,7 @@ def good_poses(n: int, seed: int = 2) -> np.ndarray:
 
 
 def visited(q: np.ndarray) -> np.ndarray:
-    """In an order in which each is near the one before: a program goes so, and a controller takes the nearest solution."""
+    """Return them in an order with small steps, as in a program: a controller chooses the nearest solution."""
     order = [0]
     while len(order) < len(q):
         far = np.abs(q - q[order[-1]]).max(axis=1)

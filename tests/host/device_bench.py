@@ -1,4 +1,4 @@
-"""Lines, trackers and flats about the PUMA for tests: rows that a true robot and true devices would have given."""
+"""Lines, trackers and flats around the PUMA for tests: rows that a true robot and true devices would have produced."""
 
 import numpy as np
 from puma_bench import CHAIN, TRUTH, random_poses
@@ -16,7 +16,7 @@ TARGETS = {
 
 
 def rows(kind, q, **columns):
-    """A table of one kind; what is not given is empty. Identifiers may be one word for all rows."""
+    """Return a table of one kind with the other columns empty. Identifiers may be one word for all rows."""
     n = len(q)
     text = {name: np.full(n, "") for name in ("bar", "chuck", "sphere", "socket", "place", "shell")}
     nan = {name: np.full(n, np.nan) for name in ("value", "sigma")}
@@ -30,26 +30,27 @@ def join(*tables):
 
 
 def in_device(p_base, xyz, vector):
-    """(n, 3) points of the base in the axes of a device at xyz, turned by a rotation vector."""
+    """Return points (n, 3) of the base in the axes of a device at xyz, rotated by a rotation vector."""
     return (p_base - np.asarray(xyz)) @ rotation(np.asarray(vector))
 
 
 def target(q, name="ball", params=TRUTH):
-    """(n, 3) where the robot has a target."""
+    """Return the position of the robot's target (n, 3)."""
     return point_forward(CHAIN, params, q, np.array(TARGETS[name].xyz))
 
 
 def random_pose(rng):
-    """A device's position within reach and its rotation vector, any orientation."""
+    """Return a device's position within reach and its rotation vector, with any orientation."""
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     return rng.uniform([0.2, -0.4, 0.3], [0.6, 0.4, 0.8]), rotation_vector(turn)
 
 
 def joints_at(points, rng, params=TRUTH, name="ball", tries=10):
-    """(n, 6) joint readings that bring a target of the robot to points (n, 3), each with an orientation of its own.
+    """Return joint readings (n, 6) that bring a target of the robot to points (n, 3), each with a different
+    orientation.
 
-    NaN where none of the random starts got there.
+    NaN where none of the random starts converged.
     """
     p_end = np.array(TARGETS[name].xyz)
     q = random_poses(len(points) * tries, rng)
@@ -65,7 +66,7 @@ def joints_at(points, rng, params=TRUTH, name="ball", tries=10):
 
 
 def line_rows(name, n, rng, transverse=5e-3):
-    """n points of one line, 0.5 m long, anywhere within reach, and its pose (6,) x y z rx ry rz.
+    """Return n points of one line, 0.5 m long, anywhere within reach, and its pose (6,) x y z rx ry rz.
 
     Transverse readings are up to ±``transverse``.
     """
@@ -79,7 +80,7 @@ def line_rows(name, n, rng, transverse=5e-3):
 
 
 def tracked(kind, n, pose, rng, name="ball", **columns):
-    """n rows of kind position or pose of one target at random joints, by tracker "t" at ``pose``."""
+    """Return n rows of kind position or pose of one target at random joints, by tracker "t" at ``pose``."""
     q = random_poses(n, rng)
     if kind == "pose":
         turned = rotation(np.asarray(pose[3:])).T @ orientation(q)
@@ -88,7 +89,7 @@ def tracked(kind, n, pose, rng, name="ball", **columns):
 
 
 def touches(plane, n, rng, offset=0.0, tilt=(0.0, 0.0), ball=5e-3):
-    """n touches, by a ball, of the flat that a declared plane is when moved by its three parameters."""
+    """Return n touches, by a ball, of the declared plane moved by its three parameters."""
     e1, e2, n0 = frame_of(np.array(plane.normal))
     turn = rotation(tilt[0] * e1 + tilt[1] * e2)
     while True:
@@ -99,7 +100,7 @@ def touches(plane, n, rng, offset=0.0, tilt=(0.0, 0.0), ball=5e-3):
 
 
 def values(problem, truth):
-    """x (P,) with the true robot, and of the rig what ``truth`` says by name; None of it may be missing."""
+    """Return x (P,) with the true robot and the rig's values by name in ``truth``, which must be complete."""
     return np.concatenate([TRUTH, [truth[name] for name in problem.names[len(TRUTH) :]]])
 
 

@@ -1,4 +1,4 @@
-"""Denavit–Hartenberg chains from rows of numbers, for tests that hold the conventions against products of matrices."""
+"""Denavit–Hartenberg chains from rows of numbers, for tests that compare the conventions with products of matrices."""
 
 import numpy as np
 
@@ -9,16 +9,17 @@ NO_MOUNTING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def chain_from_dh(name, joints, rows, **more):
-    """The chain of distal ``rows`` (j, 4): θ, d, a, α [rad, m, m, rad] of each joint at zero reading; gains are 1.
+    """Return the chain of distal ``rows`` (j, 4): θ, d, a, α [rad, m, m, rad] of each joint at zero reading; gains are
+    1.
 
-    twisted : indices of joints with a β, 0 at first; the d of a revolute one becomes a constant.
+    twisted : indices of joints with a β, initially 0; the d of a revolute one becomes a constant.
     base, tool : (6,) x, y, z, alpha, beta, gamma [m, rad] of the mountings, None for a chain without.
     """
     return _from_rows(dh_slots, name, joints, rows, **more)
 
 
 def chain_from_modified_dh(name, joints, rows, **more):
-    """The chain of Craig's ``rows`` (j, 4): θ, d, a, α, the latter two before the joint; else as ``chain_from_dh``."""
+    """Return the chain of Craig's ``rows`` (j, 4): θ, d, a, α, the last two before the joint; see ``chain_from_dh``."""
     return _from_rows(modified_dh_slots, name, joints, rows, **more)
 
 

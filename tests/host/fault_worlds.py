@@ -1,7 +1,7 @@
-"""Worlds in which something is off: a planned session of 360 ball-bar poses with one bar, nine mounts and a known fault.
+"""Worlds with a known fault: a planned session of 360 ball-bar poses with one bar and nine mounts.
 
-The plan is the planner's own; the true arm is the paper's optimised PUMA, the noise that of its bar. Faults are put into
-the world (chuck, reading, joint), not into what is estimated.
+The plan is the planner's own; the true arm is the paper's optimised PUMA, the noise that of its bar. Faults are put
+into the world (chuck, reading, joint), not into the estimated quantities.
 """
 
 from dataclasses import replace
@@ -22,15 +22,15 @@ from truearm.types import ObservationTable
 
 STANDARD = plan_bench.RIGS["puma560"]
 RIG = replace(STANDARD, bars={"bar46": STANDARD.bars["bar46"]})
-TOOL = np.array([0.0, 0.0, 0.04])  # m, between the spheres: where the true tool error is taken
+TOOL = np.array([0.0, 0.0, 0.04])  # m, between the spheres: the point for the true tool error
 
 
 @cache
 def plan(times=1, check_poses=10):
-    """360 poses as ``truearm plan ballbar`` orders them."""
+    """Return 360 poses in the order of ``truearm plan ballbar``."""
     known = Known.design(builtin_robot("puma560"), RIG)
     site = make_site(known, plan_bench.LIMITS, plan_bench.SIZES)
-    # The planner's default of 5000 candidates brings little more and takes three times as long.
+    # The planner's default of 5000 candidates gains little and takes three times as long.
     wanted = Wanted(n_poses=360, n_candidates=2000, visits=Visits(times, check_poses if times == 1 else 0))
     return plan_ballbar(site, known, all_pairings(RIG), wanted, Pace()).route.plan
 
@@ -40,7 +40,7 @@ def plan_of_two_visits():
 
 
 def lengths(plan, chuck_off=0.0, q_off=0.0, sphere=None):
-    """(n,) true lengths [m] with chucks off by (n, 3), joints off by (n, j), and other spheres than the plan names."""
+    """Return true lengths (n,) [m] with errors of chucks (n, 3) and joints (n, j), and spheres other than planned."""
     chucks = np.array([RIG.chucks[name].xyz for name in plan.chuck]) + chuck_off
     spheres = np.array([RIG.spheres[name].xyz for name in (plan.sphere if sphere is None else sphere)])
     return np.linalg.norm(point_forward(CHAIN, TRUTH, plan.q + q_off, spheres) - chucks, axis=1)
@@ -64,7 +64,7 @@ def clean(plan, rng):
 
 
 def slipped(plan, rng, size=0.3e-3):
-    """A chuck that moves in a direction at random while it is in use; also its name and the row."""
+    """Return a table with a chuck that moves in a random direction while in use; also its name and the row."""
     chuck = rng.choice(list(RIG.chucks))
     mine = np.flatnonzero(plan.chuck == chuck)
     at = int(mine[rng.integers(len(mine) // 5, 4 * len(mine) // 5)])
@@ -83,12 +83,12 @@ def wrong_bar(plan, rng, size=0.3e-3):
 
 
 def drifting(plan, rng, size):
-    """The sensor's zero moves linearly from 0 to ``size`` over the session."""
+    """Return a table with a sensor zero that moves linearly from 0 to ``size`` over the session."""
     return table(plan, lengths(plan) + np.linspace(0.0, size, len(plan)) + SIGMA * rng.normal(size=len(plan)))
 
 
 def encoder_off(plan, rng, size=0.3e-3):
-    """One of joints 1 to 3 is off in the middle half; also its number, from 0."""
+    """Return a table with an error of one of joints 1 to 3 in the middle half; also its number, from 0."""
     joint, n = int(rng.integers(3)), len(plan)
     off = np.zeros(plan.q.shape)
     off[n // 4 : 3 * n // 4, joint] = size
@@ -96,7 +96,7 @@ def encoder_off(plan, rng, size=0.3e-3):
 
 
 def mislabelled(plan, rng):
-    """Half of a mount measured with another sphere than it names; also the first row and the one after the last."""
+    """Return a table with half of a mount measured with another sphere; also its first row and the one after its last."""
     sphere = plan.sphere.copy()
     mounts = np.flatnonzero(np.r_[True, (plan.chuck[1:] != plan.chuck[:-1]) | (plan.sphere[1:] != plan.sphere[:-1])])
     which = int(rng.integers(len(mounts)))
@@ -111,20 +111,20 @@ def identified(table, effects=()):
 
 
 def tool_error(estimate, plan):
-    """True RMS error [m] of the tool over the planned poses."""
+    """Return the true RMS error [m] of the tool over the planned poses."""
     params = estimate.value[: estimate.n_robot_parameters]
     apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, TOOL)
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
 def tool_shift(one, other):
-    """RMS distance [m] of the end's origin by two estimates over the planned poses."""
+    """Return the RMS distance [m] of the end's origin between two estimates over the planned poses."""
     at = [forward(CHAIN, of.value[: of.n_robot_parameters], plan().q)[:, :3, 3] for of in (one, other)]
     return float(np.sqrt(((at[0] - at[1]) ** 2).sum(axis=1).mean()))
 
 
 def chucks_off(plan, rng, size=0.2e-3):
-    """Every chuck is elsewhere than measured, each in a direction of its own, from the start."""
+    """Return a table with chucks displaced from the start, each in its own direction."""
     off = {name: size * direction(rng) for name in RIG.chucks}
     each = np.array([off[name] for name in plan.chuck])
     return table(plan, lengths(plan, each) + SIGMA * rng.normal(size=len(plan)))

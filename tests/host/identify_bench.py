@@ -19,7 +19,7 @@ MUKCA = ROOT / "tests" / "data" / "mukca"
 
 
 def exact_lengths(n: int, chucks: int = 3, seed: int = 5) -> tuple[ObservationTable, Rig]:
-    """Noise-free ball-bar rows of the PUMA with Table II's optimised parameters, all pairings in turn."""
+    """Return noise-free ball-bar rows of the PUMA with Table II's optimised parameters, all pairings in turn."""
     robot = load_robot("puma560")
     where = {
         "chuck": [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.3, 0.1)][:chucks],
@@ -53,7 +53,7 @@ SIGMA = 8.4e-5  # m, of the bar
 
 
 def identified(run: Run, folder: Path, table: ObservationTable, rig: Rig, *more: object) -> tuple[dict[str, Any], str]:
-    """The result as JSON, and what a person reads."""
+    """Return the result as JSON, and the printed text."""
     write_table(folder / "t.csv", table, ("rad",) * 6)
     write_rig(folder / "rig.toml", rig)
     arguments = ["identify", folder / "t.csv", "--model", "puma560", "--rig", folder / "rig.toml", *more]

@@ -25,7 +25,7 @@ class InclineRows(Group):
     angle: np.ndarray  # (n,) measured, rad
 
     def evaluate(self, chain, x):
-        """Residuals (n,) and their derivatives at x (P,): a turn about the normal of both axes tilts the end's."""
+        """Return residuals (n,) and derivatives at x (P,): a rotation about the normal of both axes tilts the end's."""
         params = x[: len(chain.parameters)]
         axis = forward(chain, params, self.q)[:, :3, 2]
         normal = np.cross([0.0, 0.0, 1.0], axis)
@@ -42,7 +42,7 @@ class InclineRows(Group):
 
 
 def use_rig(scope, rows):
-    """One thing is used that has no numbers: nothing of the rig is known or unknown."""
+    """Use one item that has no numbers: nothing of the rig is known or unknown."""
     angle = measured(scope, rows, ANGLE)
     variance = sigmas(scope, rows, np.full((len(rows), 1), np.nan), "rad") ** 2
 

@@ -1,7 +1,8 @@
-"""A session's messages of a robot that drives straight lines past a line device, from a known truth.
+"""Session messages from a robot that drives straight lines past a line device, with known truth.
 
-The magnet is a point of a PUMA 560's endpoint. The robot follows a straight line of its nominal model at constant speed
-between ramps; the true robot's magnet is where its true parameters have it. Readings show where the joints were ``delay_s`` ago.
+The magnet is a point on a PUMA 560's endpoint. The robot follows a straight line of its nominal model at constant speed
+between ramps; the true position of the magnet follows from the true parameters. Readings show the joints ``delay_s``
+earlier.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ GROUP_DELAY_NS = 1_500_000
 SOUND = 25400.0 / 9.05  # m/s
 FIRST_NS = 2_000_000_000
 STEP = 2.0 * np.pi / 2**19
-AWAY = 0.5  # V: a magnet that is elsewhere
+AWAY = 0.5  # V: for a magnet out of range
 
 
 def ident_document(boot_id: int, sound: float) -> dict[str, object]:
-    """The converter with two transverse transducers of 20 mm/V, and the magnetostrictive head, in ticks of 8 ns."""
+    """Return the ident: converter with two transverse transducers of 20 mm/V, magnetostrictive head in ticks of 8 ns."""
     plain = [{"name": name, "unit": "V", "scale": SCALE} for name in ("lvdt", "excitation")]
     aside = {"unit": "V", "scale": SCALE, "calibration": {"unit": "mm", "poly": [[0, 0], [20, 0]]}}
     across = [{"name": name, **aside} for name in ("transverse_a", "transverse_b")]
@@ -49,7 +50,7 @@ def ident_document(boot_id: int, sound: float) -> dict[str, object]:
 
 @dataclass
 class LineBox(Box):
-    """A box with both streams; ``sound``: what it believes of the head."""
+    """A box with both streams; ``sound``: its value for the head."""
 
     sound: float = SOUND
     n1: int = 0
@@ -59,7 +60,7 @@ class LineBox(Box):
             self.frame("ident", t_host_ns, wire.IDENT, 0, page, pages, data)
 
     def flights(self, t_host_ns: int, ticks: np.ndarray) -> None:
-        """A block of times of flight whose first interrogation was at this host time."""
+        """Add a block of times of flight with the first interrogation at this host time."""
         samples = Tag(78, np.ascontiguousarray(ticks, "<i4").tobytes())
         arrival = t_host_ns + len(ticks) * PERIOD_NS + 300_000
         flags = 4 if np.any(ticks == 0) else 0
@@ -69,7 +70,7 @@ class LineBox(Box):
 
 @dataclass
 class Line:
-    """A straight line of the nominal robot: joints by the way along it, and where the device stands."""
+    """A straight line of the nominal robot: joints by distance along it, and the pose of the device."""
 
     name: str
     way: CubicSpline  # m → (6,) joints
@@ -80,14 +81,14 @@ class Line:
 
 @dataclass
 class Truth:
-    """What a session was made from. ``t`` and ``way`` tabulate the motion of one line after another."""
+    """The truth of a session. ``t`` and ``way`` tabulate the motion of one line after another."""
 
     params: np.ndarray
     lines: list[Line]
     legs: list[tuple[float, float, int, float, float]] = field(default_factory=list)  # start, end [s], line, from, to
 
     def q(self, t: np.ndarray) -> np.ndarray:
-        """True joints (n, 6) at host times t [s]; between lines the robot moves in joint space."""
+        """Return true joints (n, 6) at host times t [s]; between lines the robot moves in joint space."""
         q = np.empty((t.size, 6))
         ends = (
             [self.at(k, leg[3]) for k, leg in enumerate(self.legs)],
@@ -115,7 +116,7 @@ class Truth:
         return self.lines[self.legs[k][2]].way(way)
 
     def on_line(self, t: np.ndarray) -> np.ndarray:
-        """Which leg (n,) is driven at times t, −1 for none; the magnet is on a device between the legs of one line too."""
+        """Return the driven leg (n,) at times t, −1 for none; also between the legs of a line the magnet is on a device."""
         out = np.full(t.size, -1)
         for k, (start, end, line, *_) in enumerate(self.legs):
             more = k + 1 < len(self.legs) and self.legs[k + 1][2] == line
@@ -123,7 +124,7 @@ class Truth:
         return out
 
     def xyz(self, t: np.ndarray) -> np.ndarray:
-        """True readings (n, 3) in the axes of the device at which the magnet is; NaN where it is at none."""
+        """Return true readings (n, 3) in the axes of the device at the magnet; NaN where there is none."""
         p = point_forward(CHAIN, self.params, self.q(t), np.broadcast_to(MAGNET, (t.size, 3)))
         out = np.full((t.size, 3), np.nan)
         which = self.on_line(t)
@@ -133,7 +134,7 @@ class Truth:
 
 
 def trapezoid(t: np.ndarray, length: float, speed: float, acceleration: float = 0.5) -> np.ndarray:
-    """Way at times t of a motion from rest to rest."""
+    """Return the distance at times t of a motion from rest to rest."""
     ramp = speed / acceleration
     end = trapezoid_s(length, speed, acceleration)
     t = np.clip(t, 0.0, end)
@@ -147,7 +148,7 @@ def trapezoid_s(length: float, speed: float, acceleration: float = 0.5) -> float
 
 
 def line_at(name: str, q_middle: np.ndarray, direction: np.ndarray, length: float) -> Line:
-    """A line of the nominal robot through a pose; the orientation follows as it needs the least motion of the joints."""
+    """Return a line of the nominal robot through a pose; the orientation is that with the least joint motion."""
     direction = direction / np.linalg.norm(direction)
     middle = point_forward(CHAIN, DESIGN, q_middle[None], MAGNET[None])[0]
     half = [_followed(q_middle, middle, sign * direction, 0.5 * length) for sign in (-1.0, 1.0)]
@@ -172,7 +173,7 @@ def _followed(q: np.ndarray, start: np.ndarray, direction: np.ndarray, length: f
 
 
 def _jacobian(q: np.ndarray) -> np.ndarray:
-    """(3, 6) by central differences; the curve is then exact by iteration."""
+    """Return the Jacobian (3, 6) by central differences; iteration makes the curve exact."""
     step = 1e-6
     ends = np.concatenate([q + step * np.eye(6), q - step * np.eye(6)])
     p = point_forward(CHAIN, DESIGN, ends, np.broadcast_to(MAGNET, (12, 3)))
@@ -180,7 +181,7 @@ def _jacobian(q: np.ndarray) -> np.ndarray:
 
 
 def some_lines(rng: np.random.Generator, count: int, length: float = 0.4) -> list[Line]:
-    """Lines in several directions through poses in front of the robot, along which no joint turns far or fast."""
+    """Return lines in several directions through poses in front of the robot, without large or fast joint motion."""
     found: list[Line] = []
     low, high = np.deg2rad([[-50, -90, 120, -90, 30, -90], [50, -20, 200, 90, 90, 90]])
     while len(found) < count:
@@ -192,14 +193,14 @@ def some_lines(rng: np.random.Generator, count: int, length: float = 0.4) -> lis
 
 
 def true_params(rng: np.random.Generator, sigma: float = 1.0) -> np.ndarray:
-    """The nominal parameters of what is free, off by a millimetre and some milliradians."""
+    """Return nominal parameters with the free ones changed by a millimetre and some milliradians."""
     unit = np.array([{"m": 1e-3, "rad": 4e-3}.get(p.unit, 0.0) for p in CHAIN.parameters])
     return DESIGN + sigma * unit * ROBOT.free * rng.standard_normal(unit.size)
 
 
 @dataclass
 class Made:
-    """A session and its truth; ``box`` has its clock."""
+    """A session and its truth; ``box`` contains its clock."""
 
     messages: list[Message]
     truth: Truth
@@ -221,7 +222,7 @@ def line_session(
     lost_stops: float = 0.0,
     jitter_ns: float = 200e3,
 ) -> Made:
-    """The robot drives each line there and, after ``pause_s``, back; ``noise`` [m] of single readings of x, y, z."""
+    """Drive each line forwards and, after ``pause_s``, back; ``noise`` [m] of single readings of x, y, z."""
     truth = Truth(DESIGN if params is None else params, list(lines), speed=speed)
     t = 4.0
     for k, line in enumerate(lines):
@@ -268,7 +269,7 @@ def _streams(
 def robot_lines(
     truth: Truth, end_ns: int, delay_s: float, hz: float, rng: np.random.Generator, jitter_ns: float = 200e3
 ) -> list[Message]:
-    """Readings that show the joints of ``delay_s`` ago; the link takes 0.4 ms at least."""
+    """Return readings that show the joints ``delay_s`` earlier; the latency of the link is at least 0.4 ms."""
     times = np.arange(10**9, end_ns, 1e9 / hz)
     q = STEP * np.rint(truth.q(1e-9 * times - delay_s) / STEP)
     arrival = np.maximum.accumulate(times + 400e3 + rng.exponential(jitter_ns, times.size)).astype(np.int64)
@@ -291,7 +292,7 @@ def _plan(truth: Truth) -> list[Message]:
 
 
 def _mounted(truth: Truth) -> list[Message]:
-    """Said a second before a line's first leg, and nothing mounted half a second after its last."""
+    """Return mounting messages: a second before a line's first leg, and "nothing" half a second after its last."""
     said = []
     for k, (start, end, line, *_) in enumerate(truth.legs):
         if k == 0 or truth.legs[k - 1][2] != line:

@@ -1,6 +1,7 @@
-"""Random damage that knows the structure of what it damages, and bounds for whoever has to read that.
+"""Random damage that respects the structure of its data, and resource limits for the code that must read it.
 
-All take a ``random.Random``, of a seed or of hypothesis, which then finds the smallest damage that shows a fault.
+All functions take a ``random.Random``, from a seed or from hypothesis, which then finds the smallest damage that shows
+a fault.
 """
 
 import io
@@ -15,7 +16,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk
 
-MOST_BYTES = 512 << 20  # beyond what the process has already
+MOST_BYTES = 512 << 20  # in addition to the process's current memory
 MOST_CPU_S = 10.0
 RECORD = struct.Struct("<BQ")
 MAGIC_BYTES = 8
@@ -24,10 +25,10 @@ ODD_NUMBERS = (0, 1, 2, 0x7F, 0x80, 0xFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2
 
 @contextmanager
 def bounded():
-    """Reading ends within MOST_CPU_S of processor time and takes at most MOST_BYTES more memory; else it is an error."""
+    """Require that reading ends within MOST_CPU_S of processor time and uses at most MOST_BYTES more memory."""
     try:
         import resource
-    except ImportError:  # no such bounds on this platform
+    except ImportError:  # no such limits on this platform
         yield
         return
 
@@ -49,13 +50,13 @@ def bounded():
 
 
 def is_clear(error, begins=""):
-    """One line that says where."""
+    """Check that an error is one line that names the place."""
     assert "\n" not in str(error)
     assert str(error).startswith(begins)
 
 
 def bytes_changed(rng, data):
-    """A few bits flipped, bytes set to what is special, a stretch cut out, repeated, moved or wiped."""
+    """Flip a few bits, set bytes to special values, or cut, repeat, move or wipe a range."""
     data = bytearray(data)
     for _ in range(rng.choice([1, 1, 1, 2, 5])):
         if not data:
@@ -80,7 +81,7 @@ def bytes_changed(rng, data):
 
 
 def parts_changed(rng, parts):
-    """Whole parts (frames, records, lines) dropped, doubled, moved or swapped."""
+    """Drop, double, move or swap entire parts (frames, records, lines)."""
     parts = list(parts)
     for _ in range(rng.choice([1, 1, 2, 4])):
         if not parts:
@@ -99,7 +100,7 @@ def parts_changed(rng, parts):
 
 
 def cbor_changed(rng, payload):
-    """A payload whose heads of CBOR items, numbers or bytes are others."""
+    """Return a payload with other heads of CBOR items, numbers or bytes."""
     data = bytearray(payload)
     kind = rng.randrange(4)
     at = rng.randrange(len(data))
@@ -116,7 +117,7 @@ def cbor_changed(rng, payload):
 
 
 def records_of(data):
-    """The records of an MCAP file between its magics."""
+    """Return the records of an MCAP file between its magics."""
     found, at = [], MAGIC_BYTES
     while at + RECORD.size <= len(data) - MAGIC_BYTES:
         end = at + RECORD.size + RECORD.unpack_from(data, at)[1]
@@ -126,7 +127,7 @@ def records_of(data):
 
 
 def length_changed(rng, parts):
-    """A record that claims another length; its bytes stay."""
+    """Return a record that states another length; its bytes are unchanged."""
     parts = list(parts)
     at = rng.randrange(len(parts))
     opcode, length = RECORD.unpack_from(parts[at])
@@ -136,7 +137,7 @@ def length_changed(rng, parts):
 
 
 def chunk_changed(rng, parts):
-    """A chunk that holds something else, its own CRC and lengths in order, and sometimes the whole file's."""
+    """Return a chunk with other content and correct CRC and lengths, and sometimes a correct CRC of the file."""
     parts = list(parts)
     chunks = [k for k, part in enumerate(parts) if part[0] == Opcode.CHUNK]
     at = rng.choice(chunks)
@@ -157,7 +158,7 @@ def chunk_changed(rng, parts):
 
 
 def with_crc(parts):
-    """The records with the CRC over all that stands before DataEnd put right."""
+    """Return the records with a corrected CRC over everything before DataEnd."""
     crc, done = zlib.crc32(b"\x89MCAP0\r\n"), []
     for part in parts:
         if part[0] == Opcode.DATA_END:
@@ -177,7 +178,7 @@ ODD_FACTORS = (0, -1, 1e-3, 1e3, 1e9, 1e-12, 1e305, 1.0000001)
 
 
 def text_changed(rng, text):
-    """Bytes changed; lines moved, dropped or doubled; words replaced by what readers stumble over; other numbers."""
+    """Change bytes; move, drop or double lines; replace words by ones that are hard to parse, and numbers by others."""
     kind = rng.randrange(5)
     if kind == 0:
         return bytes_changed(rng, text.encode())

@@ -1,7 +1,8 @@
-"""Operators who err, as seeded scripts over a plan: what they mount, what they type, which poses are left out or visited again.
+"""Operators with human errors, as seeded scripts over a plan: what they mount and type, which poses are skipped or
+repeated.
 
-A script is a list of visits in order. ``planned`` is the row of the plan that the robot goes to, ``mounted`` what is really on,
-``typed`` what the operator types between the visit before and this one.
+A script is a list of visits in order. ``planned`` is the row of the plan to which the robot goes, ``mounted`` is really
+mounted, ``typed`` is what the operator types between the previous visit and this one.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ from truearm.workflows.record import plan_rows
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
 
-# of the changes that the plan asks for: how the operator goes about it
+# the operator's behaviour at the changes that the plan requires, with probabilities
 CHANGES = {
     "right": 0.45,
     "missed": 0.14,  # mounted, not typed
     "doubled": 0.08,  # typed twice
     "late": 0.12,  # typed one to three dwells later
     "wrong word": 0.09,  # mounted, but another pairing is typed
-    "wrong part": 0.08,  # another bar, chuck or sphere in hand; what was asked for is typed
-    "forgotten": 0.04,  # nothing is changed, Enter is pressed anyway
+    "wrong part": 0.08,  # another bar, chuck or sphere is mounted; the requested one is typed
+    "forgotten": 0.04,  # nothing is changed, but Enter is pressed
 }
 SKIPPED, REPEATED, BACK = 0.05, 0.05, 0.02
-NOTICED = (1, 4)  # visits after which a wrong part is noticed and put right
+NOTICED = (1, 4)  # visits after which a wrong part is noticed and corrected
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,12 @@ def pairing_at(plan: Plan, row: int) -> Pairing:
 
 
 def script(seed: int, plan: Plan, rig: Rig) -> list[Visit]:
-    """What one operator does with a plan."""
+    """Return the actions of one operator for a plan."""
     rng = np.random.default_rng([seed, 0x0E44])
     on = pairing_at(plan, 0)
     asked = on
     wrong_left = 0  # visits until a wrong part is noticed
-    later: list[tuple[int, Pairing]] = []  # to be typed after so many visits
+    later: list[tuple[int, Pairing]] = []  # to be typed after this many visits
     visits: list[Visit] = []
     for row in _rows(rng, len(plan)):
         typed: list[Pairing] = []
@@ -107,12 +108,12 @@ def _one_part_other(rng: np.random.Generator, pairing: Pairing, rig: Rig) -> Pai
 
 
 REST_S, MOVE_S = 1.8, 0.7
-AWAY = 0.1  # rad, of all joints, on the way to a pose that is visited again
+AWAY = 0.1  # rad, of all joints, on the way to a repeated pose
 RAILED = 2**23 - 1
 
 
 def lengths(visits: list[Visit], plan: Plan, rig: Rig, chain: Chain, params: np.ndarray, seed: int) -> np.ndarray:
-    """What the sensor shows at each visit [m], NaN where it is beyond its stroke."""
+    """Return the sensor reading at each visit [m], NaN beyond its stroke."""
     rng = np.random.default_rng([seed, 0x84])
     spheres, chucks = (
         np.array([known[v.mounted[part]].xyz for v in visits]) for part, known in ((2, rig.spheres), (1, rig.chucks))
@@ -125,7 +126,7 @@ def lengths(visits: list[Visit], plan: Plan, rig: Rig, chain: Chain, params: np.
 
 
 def write_session(path: Path, visits: list[Visit], plan: Plan, rig: Rig, extension: np.ndarray, seed: int = 0) -> None:
-    """The session that a recorder would have written, without a box, a robot and real time."""
+    """Write the session that a recorder would have written, without a box, a robot and real time."""
     rng = np.random.default_rng([seed, 0x5E55])
     q, start_s, q_path = _motion(plan, visits)
     start_ns = 1e9 * start_s
@@ -161,7 +162,7 @@ def write_session(path: Path, visits: list[Visit], plan: Plan, rig: Rig, extensi
 
 
 def _motion(plan: Plan, visits: list[Visit]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners of the joints' way (m, j), when each visit begins to stand [s], and when each corner is passed (m,) [s]."""
+    """Return the corners of the joints' path (m, j), the start of each visit [s], and each corner's time (m,) [s]."""
     corners, times, start = [plan.q[visits[0].planned] + AWAY], [0.0], list[float]()
     t = 3.0
     for i, visit in enumerate(visits):

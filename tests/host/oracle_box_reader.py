@@ -1,13 +1,13 @@
-"""The reader of single messages that the reader of columns is checked against: the same rules, each written for one frame.
+"""The reader of single messages, the reference for the reader of columns: the same rules, each written for one frame.
 
 Box messages in the order of their arrival → blocks of samples, clock exchanges and exact losses.
 
-``frame_order`` puts the frames into the order of sending, says what is missing between them and where the box restarted. A new **segment** begins
-there.
+``frame_order`` puts the frames into the order of sending, reports what is missing between them and where the box
+restarted. A new **segment** begins there.
 
-``n0`` counts samples. A jump with frames lost since the stream's last block: the samples went with them; without: the box
-overran. ``n0`` that falls back without a restart is a new ``start``, a new **run**. Device time belongs to a segment;
-samples are whole within a run between blocks marked ``gap``.
+``n0`` counts samples. At a jump with frames lost since the stream's last block, the samples were lost with them;
+without lost frames, the box overran. An ``n0`` that decreases without a restart is a new ``start``, a new **run**.
+Device time belongs to a segment; within a run samples are complete between blocks marked ``gap``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from truearm.types import Message
 from truearm_wire import messages as wire
 
 _HEARTBEAT_VALUES = len(wire.names(wire.HEARTBEAT)) - 1  # without seq
-_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # of a box of any minor version
+_HEARTBEAT_NEEDED = wire.needed(wire.HEARTBEAT) - 1  # from a box of any minor version
 
 
 class Block(NamedTuple):
@@ -60,7 +60,7 @@ class Block(NamedTuple):
 
     @property
     def counts(self) -> NDArray[np.int32]:
-        """The samples as (n, channels)."""
+        """Return the samples as (n, channels)."""
         return np.frombuffer(self.data.samples, "<i4").reshape(self.n, self.channels)
 
 
@@ -78,10 +78,10 @@ class Segment:
 
 @dataclass
 class StreamTrack:
-    """Where a stream stands, and its account."""
+    """The state of a stream, and its account."""
 
     next_n0: int | None = None
-    frames_lost: int = 0  # on the link, when the last block came
+    frames_lost: int = 0  # on the link, when the last block arrived
     run: int = 0
     pieces: int = 0
     blocks: int = 0
@@ -90,15 +90,15 @@ class StreamTrack:
     samples_overrun: int = 0
     converter_faults: int = 0
     starts: int = 0
-    joined: bool = False  # the box was sampling before the session began, and was not started by it yet
+    joined: bool = False  # the box was sampling before the session began, and was not yet started by it
     period_ns: int = 0
     last_t0_us: int = 0
     last_n: int = 0
-    whole_us: int = 0  # device time between blocks without a gap, and the samples that fill it
+    whole_us: int = 0  # device time between blocks without a gap, and the number of samples in it
     whole_samples: int = 0
 
     def take(self, data: Data, n: int, frames_lost: int) -> bool:
-        """Account for a block of n samples; whether samples are missing before it."""
+        """Account for a block of n samples; return whether samples are missing before it."""
         gap = not (data.n0 == self.next_n0 and frames_lost == self.frames_lost and not data.flags)
         gap = gap and self._unusual(data, frames_lost)
         if gap:
@@ -112,16 +112,16 @@ class StreamTrack:
         return gap
 
     def restart(self, frames_lost: int) -> None:
-        """The box restarted; ``n0`` counts from 0 again."""
+        """Account for a restart of the box; ``n0`` counts from 0 again."""
         self.next_n0, self.frames_lost = None, frames_lost
 
     def _unusual(self, data: Data, frames_lost: int) -> bool:
-        """Account for what is missing before a block; whether anything is."""
+        """Account for what is missing before a block; return whether anything is."""
         with_frames, self.frames_lost = frames_lost != self.frames_lost, frames_lost
         self.converter_faults += bool(data.flags & wire.FLAG_CONVERTER)
         expected = self.next_n0
         if expected is None:
-            # Joined, or restarted. Without a frame lost the box had been sampling before the session began.
+            # Joined, or restarted. Without a lost frame the box had been sampling before the session began.
             missing = data.n0 if with_frames else 0
             self.joined = not (self.blocks or with_frames) and data.n0 > 0
         elif data.n0 < expected:
@@ -139,7 +139,7 @@ class StreamTrack:
         return data.n0 != expected or bool(data.flags & wire.FLAG_OVERRUN)
 
     def report(self, stream_id: int, described: Stream) -> StreamReport:
-        """The account, under the name that an ident gives the stream."""
+        """Return the account, under the stream's name in an ident."""
         return StreamReport(
             id=stream_id,
             name=described.name,
@@ -152,10 +152,10 @@ class StreamTrack:
 
 
 class BoxReader:
-    """Takes the box's and the clock's messages one by one in log order; see the module's text for the rules.
+    """Takes the messages of box and clock one by one in log order; the module's text has the rules.
 
-    ``ident`` describes the streams where the session itself holds no ident frames before the data. ``keep_exchanges``
-    False leaves the exchanges out (a second pass needs them no more).
+    ``ident`` describes the streams if the session contains no ident frames before the data. ``keep_exchanges`` False
+    omits the exchanges (a second pass does not need them).
     """
 
     def __init__(self, ident: Ident | None = None, keep_exchanges: bool = True) -> None:
@@ -164,19 +164,19 @@ class BoxReader:
         self._keep_exchanges = keep_exchanges
         self._count: Counter[str] = Counter()
         self._order = FrameOrder()
-        self._aside: list[bytes] = []  # exchanges that came while it was undecided whether the box had restarted
+        self._aside: list[bytes] = []  # exchanges that arrived while it was undecided whether the box had restarted
         self._streams: dict[int, StreamTrack] = {}
-        self._layout: dict[int, tuple[int, StreamTrack]] = {}  # channels and track by the ident in force
+        self._layout: dict[int, tuple[int, StreamTrack]] = {}  # channels and track by the current ident
         self._pages = Pages()
         self._heartbeats = Heartbeats()
 
     @property
     def segment(self) -> Segment:
-        """The segment that the last message belongs to."""
+        """The segment of the last message."""
         return self._segment
 
     def feed(self, message: Message) -> Sequence[Block]:
-        """Account for one message; the blocks of samples that are due by then. Messages of other topics are ignored."""
+        """Account for one message; return the blocks of samples that are due. Messages of other topics are ignored."""
         topic = message.topic
         if topic.startswith("/box/"):
             if topic != "/box/console":
@@ -190,11 +190,11 @@ class BoxReader:
         return ()
 
     def finish(self) -> Sequence[Block]:
-        """The blocks that were held back for late frames, at the end of the session."""
+        """Return the blocks that were held back for late frames, at the end of the session."""
         return self._placed(self._order.finish())
 
     def losses(self) -> Losses:
-        """The account so far."""
+        """Return the current account."""
         box = self._heartbeats.summary({s.index for s in self.segments if s.booted})
         order = self._order
         count = self._count + Counter(
@@ -206,11 +206,11 @@ class BoxReader:
         return Losses(**known, box=box)
 
     def streams(self) -> tuple[StreamReport, ...]:
-        """The streams so far."""
+        """Return the current streams."""
         return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
 
     def _described(self, stream_id: int) -> Stream:
-        """A stream is only counted while an ident describes it, but the last boot may have said none."""
+        """Return a stream's description: only described streams are counted, but the last boot may have sent no ident."""
         idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
         return idents[-1].streams[stream_id]
 
@@ -238,7 +238,7 @@ class BoxReader:
         return self._placed(self._order.take(frame))
 
     def _placed(self, due: Iterable[Placed]) -> list[Block]:
-        """Account for frames in their order; the blocks among them."""
+        """Account for frames in their order; return the blocks among them."""
         blocks = []
         for frame, lost, restarts in due:
             if restarts:
@@ -305,7 +305,7 @@ class BoxReader:
         return Block(self._segment.index, stream.run, gap, n, channels, t_host_ns, data, self._segment.ident)
 
     def _described_now(self, stream_id: int) -> tuple[int, StreamTrack | None]:
-        """How many channels a stream has by the ident in force, and its track; none where it does not know the stream."""
+        """Return a stream's number of channels by the current ident, and its track; none if the ident lacks it."""
         ident = self._segment.ident
         described = None if ident is None else ident.streams.get(stream_id)
         if described is None:
@@ -357,7 +357,7 @@ class BoxReader:
 
 
 def blocks_of(messages: Iterable[Message], ident: Ident | None) -> Iterator[Block]:
-    """The blocks of samples of a session's messages in the order of sending; ``ident`` as of ``BoxReader``."""
+    """Return the blocks of samples of a session's messages in the order of sending; ``ident`` as in ``BoxReader``."""
     reader = BoxReader(ident, keep_exchanges=False)
     for message in messages:
         yield from reader.feed(message)

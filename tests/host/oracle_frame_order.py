@@ -1,16 +1,18 @@
-"""Frames in the order in which the box sent them, however they arrived, and what is missing between them (hop 4).
+"""Frames in the order in which the box sent them, however they arrived, and what is missing between them.
 
-Every frame from the box counts in one ``seq`` (SPEC §4). A link or a damaged file may deliver frames late, twice or never, and
-a box that restarts begins a new count. What a frame is, is decided in this order:
+Every frame from the box counts in one ``seq`` (SPEC §4). A link or a damaged file may deliver frames late, twice or
+never, and a box that restarts begins a new count. A frame is classified in this order:
 
 1. The bytes of a frame that is remembered under its seq: **doubled**. It changes nothing.
 2. The first page of the ident that a box sends unasked at boot: a **restart**.
-3. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device time that
-   does not run backward: it belongs to the count. It waits until those before it have come, or until a frame REACH further on has; what has not
-   come by then is **lost**. A frame that arrives late within that reach takes its place.
-4. All others are **suspects**. They begin a new count if a heartbeat among them has another boot id, if BEHIND_RUN of them follow each other without a frame of
-   the old count between, or FAR_RUN where they lie too far ahead. As soon as the old count goes on they are dismissed: frames that came **too late**,
-   or that are **malformed** because nothing can have counted so far.
+3. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device
+  time that does not run backward: it belongs to the count. It waits until those before it have arrived, or until a
+  frame REACH further on has; frames that are missing then are **lost**. A frame that arrives late within that reach
+  takes its place.
+4. All others are **suspects**. They begin a new count if a heartbeat among them has another boot id, if BEHIND_RUN of
+  them follow each other without a frame of the old count in between, or FAR_RUN if they are too far ahead. As soon as
+  the old count continues they are dismissed: as frames that arrived **too late**, or that are **malformed** because no
+  count can have reached them yet.
 
 So neither a late frame nor a doubled one is a restart: the boot id decides.
 """
@@ -24,10 +26,10 @@ from typing import Any, NamedTuple
 
 from truearm.session.box_frames import too_many
 
-REACH = 512  # frames that a late one may lag behind: some seconds of a box, less than what sessions hold back for late messages
-BEHIND_RUN = 64  # a heartbeat comes once in 80 to 350 frames and is hardly ever lost
+REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
+BEHIND_RUN = 64  # one in 80 to 350 frames is a heartbeat, which is almost never lost
 FAR_RUN = 2
-BEFORE_FIRST = 16  # frames that may have been overtaken by the first one of a session
+BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
 CIRCLE = 2**32
 
 
@@ -40,7 +42,7 @@ class Frame(NamedTuple):
     boot_id: int | None  # of a heartbeat
     t_host_ns: int
     payload: bytes
-    content: Any  # what it was decoded to
+    content: Any  # the decoded content
 
 
 class Placed(NamedTuple):
@@ -53,31 +55,34 @@ class Placed(NamedTuple):
 
 @dataclass
 class FrameOrder:
-    """Takes frames as they arrive and gives them back in the order of sending; ``doubled``, ``late`` and ``malformed`` count the others."""
+    """Take frames as they arrive and return them in the order of sending.
+
+    ``doubled``, ``late`` and ``malformed`` count the others.
+    """
 
     doubled: int = 0
     late: int = 0
     malformed: int = 0
-    _next: int = -1  # the count that is given back next, unwrapped; -1: no frame was taken yet
-    _newest: int = 0  # the highest count that was taken
+    _next: int = -1  # the next count to return, unwrapped; -1: no frame yet
+    _newest: int = 0  # the highest count so far
     _newest_host_ns: int = 0
-    _uncounted: int = 0  # below it, missing frames were sent before the session began
+    _uncounted: int = 0  # missing frames below this were sent before the session began
     _waiting: dict[int, Frame] = field(default_factory=dict)
     _remembered: OrderedDict[int, bytes] = field(default_factory=OrderedDict)  # payloads by seq
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
-    _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames that were given back
+    _placed_times: dict[int, int] = field(default_factory=dict)  # of the returned frames
     _boot_id: int | None = None
-    _restarting: bool = False  # the next frame that is given back is the first of a count
+    _restarting: bool = False  # the next returned frame is the first of a count
     _suspects: list[Frame] = field(default_factory=list)
-    _far: bool = False  # the suspects lie too far ahead
+    _far: bool = False  # the suspects are too far ahead
 
     @property
     def undecided(self) -> bool:
-        """Whether frames are held of which nobody knows yet what they are."""
+        """Return whether frames are held that cannot be classified yet."""
         return bool(self._suspects)
 
     def follows(self, seq: int, stamp: tuple[int, int], t_host_ns: int, payload: bytes) -> bool:
-        """Take a frame that is simply the next one, as nearly all are, and is due at once; False for any other."""
+        """Take a frame that is simply the next one, like almost all, and is due at once; return False for any other."""
         kind, time = stamp
         if self._waiting or self._suspects or self._next < 0 or seq != self._next % CIRCLE or self._restarting:
             return False
@@ -89,7 +94,7 @@ class FrameOrder:
         return True
 
     def take(self, frame: Frame) -> Iterator[Placed]:
-        """Take one frame; those that are due by then, in order."""
+        """Take one frame; return those that are due, in order."""
         if self._remembered.get(frame.seq) == frame.payload:
             self.doubled += 1
         elif self._next < 0:
@@ -103,12 +108,12 @@ class FrameOrder:
             yield from self._suspect(frame)
 
     def finish(self) -> Iterator[Placed]:
-        """What is still held, at the end of the session."""
+        """Return the frames still held, at the end of the session."""
         self._dismiss()
         yield from self._given_up(everything=True)
 
     def new_boot(self, boot_id: int) -> None:
-        """The box said that it is of this boot; what is counted goes on."""
+        """Set the boot reported by the box; the count continues."""
         self._boot_id = boot_id
 
     # ------------------------------------------------------------------------------------------------ the count
@@ -119,28 +124,28 @@ class FrameOrder:
         yield from self._accept(frame)
 
     def _unwrapped(self, seq: int) -> int:
-        """The count that a seq stands for: the nearest to the newest one."""
+        """Return the count that a seq represents: the nearest to the newest one."""
         half = CIRCLE // 2
         return self._newest + (seq - self._newest + half) % CIRCLE - half
 
     def _belongs(self, frame: Frame) -> bool:
-        """Whether a frame is of this count and is still waited for (rule 3)."""
+        """Return whether a frame belongs to this count and is still expected (rule 3)."""
         count = self._unwrapped(frame.seq)
         if count < self._next or count in self._waiting:
             return False
         if self._boot_id is not None and frame.boot_id not in (None, self._boot_id):
             return False
-        if frame.is_boot and self._times:  # what a box sends at boot it sends before everything that has a time
+        if frame.is_boot and self._times:  # the frames of a boot are sent before everything with a time
             return False
         kind, time = frame.stamp or (None, 0)
-        if count <= self._newest:  # late: sent after all that were given back
+        if count <= self._newest:  # late: sent after all returned frames
             return kind is None or time >= self._placed_times.get(kind, 0)
         if self._is_far(frame):
             return False
         return kind is None or time >= self._times.get(kind, 0)
 
     def _is_far(self, frame: Frame) -> bool:
-        """Whether a frame lies further ahead than frames can have come since the newest."""
+        """Return whether a frame is further ahead than frames can have arrived since the newest."""
         return too_many(self._unwrapped(frame.seq) - self._newest, frame.t_host_ns - self._newest_host_ns)
 
     def _accept(self, frame: Frame) -> Iterator[Placed]:
@@ -148,7 +153,7 @@ class FrameOrder:
         self._waiting[count] = frame
         self._remember(frame.seq, frame.payload)
         if count > self._newest:
-            self._dismiss()  # the count goes on
+            self._dismiss()  # the count continues
             self._newest, self._newest_host_ns = count, frame.t_host_ns
         if frame.stamp is not None:
             kind, time = frame.stamp
@@ -163,7 +168,7 @@ class FrameOrder:
             self._remembered.popitem(last=False)
 
     def _given_up(self, everything: bool) -> Iterator[Placed]:
-        """The frames that nothing is waited for any more."""
+        """Return the frames for which nothing is expected any more."""
         while self._waiting:
             lost = 0
             if self._next not in self._waiting:
@@ -193,12 +198,12 @@ class FrameOrder:
             yield from self._restart(suspects)
 
     def _restart(self, frames: list[Frame]) -> Iterator[Placed]:
-        """The frames are the first of a new count; nothing more comes of the old one."""
+        """Begin a new count with these frames; the old one is finished."""
         yield from self._given_up(everything=True)
         first, far = frames[0], self._far
         self._remembered, self._times, self._placed_times = OrderedDict(), {}, {}
         self._boot_id, self._restarting, self._far = None, True, False
-        # The count of a box begins at 0; one that lies too far ahead says nothing of what was lost.
+        # The count of a box begins at 0; one that is too far ahead gives no information on losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_)
         for frame in frames[1:]:

@@ -1,4 +1,4 @@
-"""Robots with rigs of their own for tests of planning, and an independent look at whole routes."""
+"""Robots with their own rigs for tests of planning, and an independent check of entire routes."""
 
 from functools import cache
 from itertools import pairwise
@@ -61,14 +61,14 @@ def planned(name, n=N_POSES, n_candidates=200):
 
 
 def legs(route, step=0.015):
-    """For each stop after the first: (number, joints (n, j) on the way there, closer together than the planner looks)."""
+    """Yield for each stop after the first: (number, joints (n, j) on the way to it, denser than the planner's)."""
     for i in range(1, len(route.q)):
         n = 2 + int(np.abs(route.q[i] - route.q[i - 1]).max() / step)
         yield i, route.q[i - 1] + np.linspace(0.0, 1.0, n)[:, None] * (route.q[i] - route.q[i - 1])
 
 
 def connected(route, i):
-    """Chuck, sphere and bar on the way to stop i, None while the bar is off."""
+    """Return chuck, sphere and bar on the way to stop i, None while the bar is off."""
     ahead = next(k for k in range(i, len(route.q)) if route.pose[k] >= 0)
     if any(route.mount[k] for k in range(i, ahead + 1)):
         return None
@@ -77,7 +77,7 @@ def connected(route, i):
 
 
 def bar_of(name, q, mounted):
-    """Bar vectors (n, 3) from chuck to sphere and the end's z axes (n, 3)."""
+    """Return bar vectors (n, 3) from chuck to sphere and the end's z axes (n, 3)."""
     chuck, sphere, _ = mounted
     rig = RIGS[name]
     pose = forward(known(name).chain, known(name).params, q)
@@ -91,23 +91,23 @@ def condition(name, q):
 
 
 def along(a, b, n=12):
-    """(..., n, 3) points on segments."""
+    """Return points (..., n, 3) on segments."""
     return a[..., None, :] + np.linspace(0.0, 1.0, n)[:, None] * (b - a)[..., None, :]
 
 
 def nearest(a, b):
-    """(m,) shortest distance of point sets (m, k, 3) and (m, l, 3) or (l, 3)."""
+    """Return the shortest distance (m,) of point sets (m, k, 3) and (m, l, 3) or (l, 3)."""
     b = np.broadcast_to(b, (len(a), *b.shape[-2:]))
     return np.linalg.norm(a[:, :, None] - b[:, None], axis=-1).min(axis=(1, 2))
 
 
-# Universal Robots' upper arm and forearm stand beside the plane of their joints' origins (shoulder_offset, elbow_offset of
-# Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml): frame, start, end.
+# Universal Robots' upper arm and forearm lie beside the plane of their joints' origins (shoulder_offset, elbow_offset
+# of Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml): frame, start, end.
 BESIDE = {"ur5e": ((1, (0.0, 0.0, 0.138), (-0.425, 0.0, 0.138)), (2, (0.0, 0.0, 0.007), (-0.3922, 0.0, 0.007)))}
 
 
 def arm_points(name, q):
-    """Upper arm (n, k, 3), and forearm to flange: what must not touch the table, the posts or the bar."""
+    """Return points (n, k, 3) of the upper arm, and from forearm to flange: they must not touch table, posts or bar."""
     frames = joint_frames(known(name).chain, known(name).params, q)
     end = forward(known(name).chain, known(name).params, q)[:, :3, 3]
     if name in BESIDE:

@@ -1,6 +1,6 @@
 """The paper's bench for tests: a PUMA 560, three chucks, three spheres, poses, and tables of ball-bar lengths.
 
-Poses come from the design values by inverse kinematics (damped Newton), lengths from the optimised ones, "the truth".
+Poses come from the design values by inverse kinematics (damped Newton), lengths from the optimised ones, the "truth".
 """
 
 import itertools
@@ -23,7 +23,7 @@ UPPER = np.array([j.upper for j in CHAIN.joints])
 
 
 def triangle(centre, radius, height):
-    """Three named corners of an equilateral triangle in a horizontal plane."""
+    """Return three named corners of an equilateral triangle in a horizontal plane."""
     turns = 2.0 * np.pi * np.arange(3) / 3.0
     return [(centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a), height) for a in turns]
 
@@ -40,12 +40,12 @@ PAIRS = tuple(itertools.product(CHUCKS, SPHERES))
 
 
 def random_poses(n, rng):
-    """(n, 6) joint readings anywhere within the limits; bar lengths are whatever they are."""
+    """Return joint readings (n, 6) anywhere within the limits, with arbitrary bar lengths."""
     return rng.uniform(LOWER, UPPER, (n, 6))
 
 
 def constant_orientation_poses(n, rng, tilt=(0.0, 0.0, 0.0), shell=None):
-    """(n, 6) poses with one tool orientation, turned by the rotation vector ``tilt``.
+    """Return poses (n, 6) with one tool orientation, rotated by the rotation vector ``tilt``.
 
     The end is anywhere in a box above the chucks, or (``shell``: chuck, sphere) a sphere is 46 cm from a chuck.
     """
@@ -67,7 +67,7 @@ def constant_orientation_poses(n, rng, tilt=(0.0, 0.0, 0.0), shell=None):
 
 
 def vertical_tool_poses(n, rng):
-    """(n, 6) poses of the design arm with one tool orientation, pointing down, joint 4 at zero."""
+    """Return poses (n, 6) of the design arm with one tool orientation, pointing down, joint 4 at zero."""
     q = np.zeros((n, 6))
     q[:, :3] = rng.uniform([-1.0, -1.5, 0.5], [1.0, 0.0, 2.0], (n, 3))
     q[:, 4] = np.pi - q[:, 1] - q[:, 2]
@@ -77,7 +77,7 @@ def vertical_tool_poses(n, rng):
 
 
 def shell_poses(chuck, sphere, radius, n, rng):
-    """(n, 6) poses on a hemispherical shell about a chuck, within joint limits, tool orientation at random."""
+    """Return poses (n, 6) on a hemispherical shell about a chuck, within joint limits, with random tool orientation."""
     kept = np.zeros((0, 6))
     while len(kept) < n:
         p_base_goal = np.array(chuck.xyz) + radius * hemisphere(4 * n, rng)
@@ -97,14 +97,14 @@ def hemisphere(n, rng):
 
 
 def damped(jac, error):
-    """Jᵀ(JJᵀ + 1e-4)⁻¹e, at most 0.5 rad a joint."""
+    """Return Jᵀ(JJᵀ + 1e-4)⁻¹e, at most 0.5 rad per joint."""
     square = jac @ jac.swapaxes(1, 2) + 1e-4 * np.eye(jac.shape[1])
     step = (jac.swapaxes(1, 2) @ np.linalg.solve(square, error[..., None]))[..., 0]
     return np.clip(step, -0.5, 0.5)
 
 
 def lengths(params, q, pairs, chucks=CHUCKS, spheres=SPHERES):
-    """(n,) distances sphere–chuck; ``pairs`` names (chuck, sphere) of each pose."""
+    """Return distances (n,) sphere–chuck; ``pairs`` names (chuck, sphere) of each pose."""
     p_end_sphere = np.array([spheres[s].xyz for _, s in pairs])
     p_base_chuck = np.array([chucks[c].xyz for c, _ in pairs])
     return np.linalg.norm(point_forward(CHAIN, params, q, p_end_sphere) - p_base_chuck, axis=1)
@@ -129,18 +129,18 @@ def table(q, length, pairs, bar="short"):
 
 
 def all_pairs(n):
-    """(chuck, sphere) of n poses, the nine pairings in turn."""
+    """Return (chuck, sphere) for n poses, the nine pairings in turn."""
     return [PAIRS[i % 9] for i in range(n)]
 
 
 def random_table(n, rng, sigma=0.0, truth=TRUTH):
-    """n lengths of the true robot at random poses over all pairings, with noise."""
+    """Return n lengths of the true robot at random poses over all pairings, with noise."""
     q, pairs = random_poses(n, rng), all_pairs(n)
     return table(q, lengths(truth, q, pairs) + sigma * rng.normal(size=n), pairs)
 
 
 def shell_table(n, radius, rng, sigma=0.0, bar="short"):
-    """n lengths of the true robot on shells about all chucks, with noise."""
+    """Return n lengths of the true robot on shells about all chucks, with noise."""
     counts = [len(range(i, n, 9)) for i in range(9)]
     parts = [shell_poses(CHUCKS[c], SPHERES[s], radius, k, rng) for (c, s), k in zip(PAIRS, counts, strict=True)]
     pairs = [pair for pair, k in zip(PAIRS, counts, strict=True) for _ in range(k)]

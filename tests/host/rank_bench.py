@@ -1,11 +1,11 @@
-"""What a full pose says of a chain's parameters: for tests, in their own few lines of linear algebra."""
+"""The identifiability of a chain's parameters from full poses, for tests, with separate simple linear algebra."""
 
 import numpy as np
 
 from truearm.model.chain import along, point_jacobians, trace_point
 
-SEEN = 1e-10  # of the largest singular value, columns scaled to 1; analytic Jacobians leave 1e-15 where nothing is seen
-THREE_POINTS = 0.1 * np.eye(3)  # m, in the end frame: three points off one line are a full pose
+SEEN = 1e-10  # of the largest singular value, columns scaled to 1; analytic Jacobians leave 1e-15 for null directions
+THREE_POINTS = 0.1 * np.eye(3)  # m, in the end frame: three points not on one line are a full pose
 
 
 def random_joints(chain, n, rng):
@@ -13,13 +13,13 @@ def random_joints(chain, n, rng):
 
 
 def sensitivity(chain, params, q, p_end_points=THREE_POINTS):
-    """(3·points·n, p) derivatives of the points, every column of length 1, or 0 if its parameter moves nothing."""
+    """Return derivatives (3·points·n, p) of the points; columns have length 1, or 0 if the parameter moves nothing."""
     rows = [point_jacobians(chain, params, q, p)[1].reshape(-1, len(chain.parameters)) for p in p_end_points]
     return scaled(np.concatenate(rows))
 
 
 def bar_sensitivity(chain, params, q, pairs):
-    """(n, p) derivatives of ball-bar lengths, the poses dealt out to the pairs (chuck, sphere) in turn; scaled too."""
+    """Return derivatives (n, p) of ball-bar lengths, poses assigned to the pairs (chuck, sphere) in turn; also scaled."""
     rows = []
     for i, (p_base_chuck, p_end_sphere) in enumerate(pairs):
         trace = trace_point(chain, params, q[i :: len(pairs)], np.array(p_end_sphere))
@@ -29,13 +29,13 @@ def bar_sensitivity(chain, params, q, pairs):
 
 
 def scaled(jac):
-    """Columns of length 1, or 0 where there was but rounding."""
+    """Return columns of length 1, or 0 where there was only rounding."""
     length = np.linalg.norm(jac, axis=0)
     return np.where(length > 1e-12 * length.max(), jac, 0.0) / np.where(length > 0.0, length, 1.0)
 
 
 def rank_and_gap(matrix):
-    """The rank, and the smallest kept over the largest dropped singular value."""
+    """Return the rank, and the ratio of the smallest kept to the largest dropped singular value."""
     singular = np.linalg.svd(matrix, compute_uv=False)
     rank = int((singular > SEEN * singular[0]).sum())
     dropped = singular[rank] if rank < singular.size else 0.0
@@ -43,5 +43,5 @@ def rank_and_gap(matrix):
 
 
 def rank_beside(matrix, wanted, unwanted):
-    """Rank of the columns ``wanted`` once the span of the columns ``unwanted`` is taken away."""
+    """Return the rank of the columns ``wanted`` after removing the span of the columns ``unwanted``."""
     return rank_and_gap(matrix[:, [*wanted, *unwanted]])[0] - rank_and_gap(matrix[:, unwanted])[0]

@@ -1,8 +1,9 @@
-"""RAPID for tests: the part of the language that measuring and corrected programs use, executed; anything else is a fault.
+"""RAPID for tests: the subset that measuring and corrected programs use, executed; anything else is a fault.
 
-After ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers have at most 32 characters, strings 80;
-words are the same in upper and lower case; names in a module are unique; arrays count from 1. Independent of ``truearm.plan.route_rapid`` and of
-``truearm.files.programs``: statements become closures over a frame of variables, and the program's branches are those that its values choose.
+It follows ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers
+have at most 32 characters, strings 80; words are case-insensitive; names in a module are unique; arrays count from 1.
+It is independent of ``truearm.plan.route_rapid`` and of ``truearm.files.programs``: statements become closures over a
+frame of variables, and the values choose the program's branches.
 """
 
 import copy
@@ -44,7 +45,7 @@ OPERATORS = {
     "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
 }  # fmt: skip
 LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
-TURNS = 10_000  # of all loops together: a program that goes on is not a test
+TURNS = 10_000  # of all loops together: a program that runs longer is not a test
 
 
 def tokens_of(text):
@@ -64,14 +65,14 @@ def tokens_of(text):
 
 
 def run_rapid(text, controller, choices=()):
-    """Load a module and execute its main. ``choices``: what its inputs (DInput) are, one after the other."""
+    """Load a module and execute its main. ``choices``: the values of its inputs (DInput), one after the other."""
     machine = Machine(tokens_of(text), controller, choices)
     machine.module()
     return machine
 
 
 class Cell:
-    """A variable, or an argument that stands for one."""
+    """A variable, or an argument that represents one."""
 
     def __init__(self, value):
         self.value = value
@@ -123,7 +124,7 @@ class Machine:
         return kind, word.lower() if kind == "name" else word
 
     def taken(self, *expected):
-        """Whether one of these stands here; it is taken."""
+        """Return whether one of these words is next; it is consumed."""
         if self.word() in expected and self.tokens[self.at][0] != "string":
             self.at += 1
             return True
@@ -179,7 +180,7 @@ class Machine:
             place += 1
 
     def declaration(self, new_name):
-        """A name, and what gives its first value."""
+        """Return a name and the source of its first value."""
         self.take("var", "pers", "const")
         kind = self.take()[1]
         name = new_name()
@@ -228,7 +229,7 @@ class Machine:
         self.routines[name] = parameters, local, body
 
     def block(self, *ends):
-        """Statements up to one of the words that end them, which is left."""
+        """Return the statements up to one of the words that end them, which is not consumed."""
         steps = []
         while self.word() not in ends:
             if self.tokens[self.at][0] == "end":
@@ -356,7 +357,7 @@ class Machine:
         return leave
 
     def arguments(self, end):
-        """What gives the arguments: those in order, and those by name. A variable gives its cell."""
+        """Return the sources of the arguments: those in order, and those by name. A variable yields its cell."""
         values, options = [], {}
         while not self.taken(end):
             if self.taken("\\"):
@@ -372,7 +373,7 @@ class Machine:
         return values, options
 
     def reference(self):
-        """An argument: a variable's place where it is one."""
+        """Return an argument: a variable's place if it is one."""
         start = self.at
         if self.tokens[self.at][0] == "name" and self.word() not in ("true", "false", "not"):
             try:
@@ -425,7 +426,7 @@ class Machine:
         return None
 
     def place(self):
-        """What gives the cell of a variable, an element or a component."""
+        """Return the source of the cell of a variable, an element or a component."""
         kind, name = self.take()
         if kind != "name" or self.word() == "(":
             raise ProgramFault(f"{name!r} is not a variable")
@@ -503,7 +504,7 @@ class Machine:
         place = self.place()
         return lambda frame: place(frame).value
 
-    # what the values mean
+    # meaning of the values
 
     @staticmethod
     def pose(numbers):
@@ -513,7 +514,7 @@ class Machine:
         return pose_from(1e-3 * np.array([x, y, z]), Rotation.from_quat([i, j, k, w]))
 
     def use(self, tool, work=None):
-        """Take a tool, and give the object frame of a work object in the base."""
+        """Use a tool, and return the object frame of a work object in the base."""
         if tool != TOOL0 and not tool[2][0] > 0.0:
             raise ProgramFault("a tool weighs more than nothing")
         if tool[0] is not True:
@@ -553,7 +554,7 @@ class Machine:
         self.controller.move_line(frame @ self.robtarget(target), 1e-3 * speed[0])
 
     def MoveC(self, circle, target, speed, zone, tool, wobj=None):
-        """The circle itself is not driven: both of its points are."""
+        """Drive through both points of the circle, not along the circle itself."""
         self.MoveL(circle, speed, zone, tool, wobj)
         self.MoveL(target, speed, zone, tool, wobj)
 
@@ -564,7 +565,7 @@ class Machine:
         self.MoveJ(target, speed, zone, tool, wobj)
 
     def SearchL(self, signal, found, target, speed, tool, stop=False, pstop=False, flanks=False, wobj=None):
-        """Nothing is found on the way: the search ends at its target, and that is where it stopped."""
+        """Search without finding anything: the search ends at its target, which is where it stopped."""
         work = [False, True, "", NO_FRAME, NO_FRAME] if wobj is None else wobj.value
         self.MoveL(target.value, value_of(speed), "fine", value_of(tool), work)
         found.value = copy.deepcopy(target.value)
@@ -629,24 +630,24 @@ class Machine:
         return [(1e3 * pose[:3, 3]).tolist(), [w, i, j, k]]
 
     def CRobT(self, tool=None, wobj=None):
-        """Where the tool is."""
+        """Return the position of the tool."""
         frame = self.use(TOOL0 if tool is None else tool, wobj)
         here = self.controller.pose_of(self.controller.q)
         return [*self.numbers(np.linalg.inv(frame) @ here), [0.0] * 4, [9e9] * 6]
 
     def Offs(self, target, x, y, z):
-        """Along the axes of the work object; what was taught keeps its configuration."""
+        """Move along the axes of the work object; a taught target keeps its configuration."""
         return type(target)([[a + b for a, b in zip(target[0], (x, y, z), strict=True)], *target[1:]])
 
     def OrientZYX(self, z, y, x):
-        """Turns about z, then the new y, then the new x."""
+        """Return rotations about z, then the new y, then the new x."""
         about = zip(np.deg2rad([z, y, x]), np.eye(3)[::-1], strict=True)
         turns = [Rotation.from_rotvec(angle * axis) for angle, axis in about]
         i, j, k, w = (turns[0] * turns[1] * turns[2]).as_quat().tolist()
         return [w, i, j, k]
 
     def RelTool(self, target, x, y, z, rx=0.0, ry=0.0, rz=0.0):
-        """Along the axes of the tool; turns about x, then the new y, then the new z."""
+        """Move along the axes of the tool; rotations about x, then the new y, then the new z."""
         turn = Rotation.from_rotvec([np.deg2rad(rx), 0, 0]) * Rotation.from_rotvec([0, np.deg2rad(ry), 0])
         turn = turn * Rotation.from_rotvec([0, 0, np.deg2rad(rz)])
         pose = self.pose(target) @ pose_from(1e-3 * np.array([x, y, z]), turn)
@@ -660,7 +661,7 @@ class Machine:
 
 
 class Computed(list):
-    """A robtarget that no one has taught."""
+    """A robtarget that was not taught."""
 
 
 def value_of(of):

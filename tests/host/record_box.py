@@ -1,6 +1,6 @@
-"""A box and a robot in memory for the recorder's tests: SPEC spoken over the link contract, in virtual time.
+"""A box and a robot in memory for the recorder's tests: SPEC over the link interface, in virtual time.
 
-The encoder is an independent derivation of SPEC §1 and §2 with cbor2, cobs and zlib; nothing of truearm_wire is used.
+The encoder is an independent derivation of SPEC §1 and §2 with cbor2, cobs and zlib; it uses no code of truearm_wire.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cobs import cobs
 MS = 1_000_000
 SECOND = 1000 * MS
 HOST_0 = 5_000 * SECOND
-LATENCY = 300_000  # ns each way
+LATENCY = 300_000  # ns in each direction
 PERIOD_NS = 983_040
 N = 10
 CHANNELS = 4
@@ -34,12 +34,12 @@ def u64(value: int) -> bytes:
 
 
 def array(*items: bytes | int | str) -> bytes:
-    """A CBOR array; integers in their shortest form, bytes are taken as encoded already."""
+    """Return a CBOR array; integers in their shortest form, bytes are already encoded."""
     return bytes([0x80 + len(items)]) + b"".join(i if isinstance(i, bytes) else cbor2.dumps(i) for i in items)
 
 
 def run_of(payload: bytes) -> bytes:
-    """What stands between the delimiters of a payload's frame."""
+    """Return the bytes between the delimiters of a payload's frame."""
     return cobs.encode(payload + zlib.crc32(payload).to_bytes(4, "little"))
 
 
@@ -74,7 +74,7 @@ def ident(boot_id: int, osr: int = 4096, protocol: tuple[int, ...] = (1, 0), **m
 
 
 class Lab:
-    """Virtual time and what happens in it. Reading a link is what makes time pass."""
+    """Virtual time and its events. Reading a link makes time pass."""
 
     kind = "virtual"
 
@@ -93,7 +93,7 @@ class Lab:
         heapq.heappush(self._events, (max(t_ns, self.now), next(self._order), action))
 
     def step(self, deadline: int) -> None:
-        """To the next event, or to the deadline if that comes first."""
+        """Advance to the next event, or to the deadline if that comes first."""
         if not self._events or self._events[0][0] > deadline:
             self.now = deadline
             return
@@ -103,7 +103,7 @@ class Lab:
 
 @dataclass
 class Wire:
-    """One end of a link: what arrived; an exception instead of bytes ends it."""
+    """One end of a link: the received data; an exception instead of bytes ends it."""
 
     lab: Lab
     name: str
@@ -135,7 +135,7 @@ class Wire:
 
 
 class ComingBack(Wire):
-    """A link whose plug comes back by itself; what arrived meanwhile is gone."""
+    """A link that is plugged in again automatically; data that arrived meanwhile are lost."""
 
     def reopen(self, timeout_s):
         deadline = self.lab.now + int(timeout_s * 1e9)
@@ -150,7 +150,7 @@ class ComingBack(Wire):
 
 
 class Box:
-    """A box that behaves. ``sent`` is every byte that left it, ``commands`` what it executed."""
+    """A box without faults. ``sent`` is every byte it sent, ``commands`` what it executed."""
 
     def __init__(self, lab: Lab, link: type[Wire] = Wire) -> None:
         self.lab = lab
@@ -161,12 +161,12 @@ class Box:
         self.blocks = 0
         self.commands: list[list[object]] = []
         self.answer_probes = True
-        self.overruns = 0  # samples since the boot, as its heartbeats say them
-        self.mangle: Callable[[int, bytes], bytes] = lambda index, raw: raw  # what the link makes of frame ``index``
-        self.deaf_to = 0  # so many commands are not answered
+        self.overruns = 0  # samples since the boot, as reported in its heartbeats
+        self.mangle: Callable[[int, bytes], bytes] = lambda index, raw: raw  # how the link changes frame ``index``
+        self.deaf_to = 0  # number of commands that are not answered
         self.protocol: tuple[int, ...] = (1, 0)
         self.refuse: dict[int, tuple[int, str]] = {}
-        self.lvdt: dict[str, object] = {}  # what the ident says differently of the first channel
+        self.lvdt: dict[str, object] = {}  # differences of the first channel's ident
         self.uid = b"\x01\x02\x03\x04"
         self.boot(0x1111)
 
@@ -257,7 +257,7 @@ class Box:
 
 
 class Robot:
-    """A robot that sends a line every 8 ms; its link ends with an error, or it says that it has ended."""
+    """A robot that sends a line every 8 ms; its link ends with an error, or it reports that it has ended."""
 
     def __init__(
         self, lab: Lab, seconds: float, end: Exception | None = None, counts: bool = True, link: type[Wire] = Wire

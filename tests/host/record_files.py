@@ -1,4 +1,4 @@
-"""A recording in virtual time, and what is in its file."""
+"""A recording in virtual time, and the content of its file."""
 
 import json
 from dataclasses import replace
@@ -17,7 +17,7 @@ def run(lab, box, path, seconds=3.0, options=None, **more):
 
 
 def topics(path):
-    """Messages by topic; the file must be complete."""
+    """Return messages by topic; the file must be complete."""
     found: dict[str, list] = {}
     for message in open_session(path).messages():
         found.setdefault(message.topic, []).append(message)
@@ -30,6 +30,6 @@ def events(path, kind=None):
 
 
 def received(path):
-    """All bytes of the box in the order of the file, delimiters aside."""
+    """Return all bytes of the box in the order of the file, without delimiters."""
     messages = [m for m in open_session(path).messages() if m.topic.startswith("/box/")]
     return b"".join(m.data if m.topic == "/box/console" else run_of(m.data) for m in messages)

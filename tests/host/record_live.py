@@ -1,4 +1,4 @@
-"""What the operator sees of a made-up session, second by second."""
+"""The operator's display for a made-up session, second by second."""
 
 from datetime import date
 
@@ -17,7 +17,7 @@ from truearm.types import BallBar, Point, Rig
 S = 1_000_000_000
 BLOCK_NS = 12_779_520
 NOISE = 2e-6  # m
-MM = 1e-6  # m a count in the box below: scale 1e-3 of a volt, 1e-3 m a volt
+MM = 1e-6  # m per count in the box below: scale 1e-3 of a volt, 1e-3 m per volt
 TODAY = date(2026, 11, 22)
 
 RIG = Rig(
@@ -41,7 +41,7 @@ def box(**lvdt):
 
 
 def plan(*pairings, joints=2):
-    """A row a pairing (bar, chuck), at joints 0.5 rad apart."""
+    """Return one row per pairing (bar, chuck), at joints 0.5 rad apart."""
     return [
         {"pose": k, "shell": "", "bar": bar, "chuck": chuck, "sphere": "s1", "q": [0.5 * k] * joints}
         for k, (bar, chuck) in enumerate(pairings)
@@ -49,14 +49,14 @@ def plan(*pairings, joints=2):
 
 
 class Session:
-    """Feeds a state: the bar at ``position`` [m], the robot at ``q``, second by second."""
+    """Updates a state: the bar at ``position`` [m], the robot at ``q``, second by second."""
 
     def __init__(self, rows=(), mounted=None, robot=True, rig=RIG):
         self.state = LiveState(SessionProgress(list(rows), dict(mounted or {})), rig, robot)
         self.state.ident(box())
         self.t = 1000 * S
         self.robot = robot
-        self.burst = 1  # ns; arrivals come at multiples of it
+        self.burst = 1  # ns; arrivals are at multiples of it
         self.looks = True  # whether somebody looks at the time
         self.n0 = 0
         self.rng = np.random.default_rng(3)
@@ -64,7 +64,7 @@ class Session:
         self.position, self.q = 0.0, np.zeros(2)
 
     def run(self, seconds, speed=0.0, q_speed=0.0):
-        """``speed`` [m/s] of the bar, ``q_speed`` [rad/s] of every joint."""
+        """Run for some seconds. ``speed`` [m/s] of the bar, ``q_speed`` [rad/s] of every joint."""
         for _ in range(round(seconds * S / BLOCK_NS)):
             within = np.arange(13) * BLOCK_NS * 1e-9 / 13
             extension = self.position + speed * within + NOISE * self.rng.standard_normal(13)
@@ -86,7 +86,7 @@ class Session:
         self.state.said.clear()
 
     def dwell(self, seconds=2.5):
-        """A move of half a second to the next pose, half a radian and 5 mm away, and a stop."""
+        """Move to the next pose for half a second, half a radian and 5 mm away, and stop."""
         self.run(0.5, speed=0.01, q_speed=1.0)
         self.run(seconds)
 

@@ -13,11 +13,11 @@ from record_box import Box, Lab
 
 from truearm.record.links import HostClock
 
-PATIENCE_S = 20.0  # only a broken recorder takes so long
+PATIENCE_S = 20.0  # only a broken recorder takes this long
 
 
 def play(box, lab, receive_fd, stop):
-    """Let a box in memory live in real time behind a descriptor."""
+    """Run a box in memory in real time behind a descriptor."""
     while not stop.is_set():
         ready, _, _ = select.select([receive_fd], [], [], 0.005)
         try:
@@ -44,15 +44,18 @@ def real_time_box():
 
 @contextmanager
 def box_on_a_socket(waits=False):
-    """A box behind ``socket://``; yields it and the device. ``waits``: it is plugged in at the recorder's first byte, after
-    pyserial emptied the input of the port that it opened."""
+    """Yield a box behind ``socket://`` and its device.
+
+    ``waits``: it is plugged in at the recorder's first byte, after pyserial emptied the input of the port that it
+    opened.
+    """
     listener = socket.create_server(("127.0.0.1", 0))
     stop = threading.Event()
     lab, box = real_time_box()
 
     def serve():
         peer, _ = listener.accept()
-        with peer, listener:  # nobody comes a second time
+        with peer, listener:  # no second connection is made
             if waits:
                 peer.recv(1, socket.MSG_PEEK)
             play(box, lab, peer.fileno(), stop)
@@ -70,7 +73,7 @@ def serve_robot(seconds):
 
     def serve():
         peer, _ = listener.accept()
-        with peer, listener, suppress(OSError):  # of a recorder that was killed
+        with peer, listener, suppress(OSError):  # from a recorder that was killed
             end = time.monotonic() + seconds
             seq = 0
             while time.monotonic() < end:
@@ -84,7 +87,7 @@ def serve_robot(seconds):
 
 
 class OnTerminals:
-    """A box behind a pseudo-terminal that can be unplugged and plugged in again, under another name; ``ports`` is what USB says."""
+    """A box on a pseudo-terminal that can be unplugged and return under another name; ``ports`` lists USB."""
 
     def __init__(self, box, lab, serial="E6612345"):
         self.box, self._lab, self._serial = box, lab, serial
@@ -98,7 +101,7 @@ class OnTerminals:
         tty.setraw(self._slave)
         self.device = os.ttyname(self._slave)
         self._stop = threading.Event()
-        self.box.link.arrived = []  # what it sent meanwhile is gone
+        self.box.link.arrived = []  # data that it sent meanwhile are lost
         self._thread = threading.Thread(target=play, args=(self.box, self._lab, self._master, self._stop), daemon=True)
         self._thread.start()
 
@@ -110,7 +113,7 @@ class OnTerminals:
         self.device = ""
 
     def ports(self):
-        """As ``serial.tools.list_ports.comports`` has them."""
+        """Return the ports in the format of ``serial.tools.list_ports.comports``."""
         other = SimpleNamespace(
             device="/dev/ttyS0", vid=None, pid=None, serial_number=None, product=None, description="n/a"
         )

@@ -1,4 +1,4 @@
-"""Report pages for tests: plausible calibrations, and a page as a parser sees it."""
+"""Report pages for tests: plausible calibrations, and a page as read by a parser."""
 
 import html
 import math
@@ -38,7 +38,7 @@ def held_out(residual):
 
 
 def puma_names():
-    """54 names in the order of Table II: seven links, six joints."""
+    """Return 54 names in the order of Table II: seven links, six joints."""
     names = [f"link1.{k}" for k in LINK]
     for i in range(1, 7):
         names += [f"joint{i}.offset", f"joint{i}.gain", *(f"link{i + 1}.{k}" for k in LINK)]
@@ -50,7 +50,7 @@ def unit(name):
 
 
 def make_page(n=1600, kind="ball_bar", seed=0, **changes):
-    """A plausible calibration: 54 parameters, 36 free, half of the rows held out."""
+    """Return a plausible calibration: 54 parameters, 36 free, half of the rows held out."""
     rng = np.random.default_rng(seed)
     names = puma_names()
     free = np.zeros(54, dtype=bool)
@@ -128,7 +128,7 @@ def make_page(n=1600, kind="ball_bar", seed=0, **changes):
 
 
 class Strict(HTMLParser):
-    """Collects elements and text; raises where tags do not nest."""
+    """Collects elements and text; raises an error if tags do not nest."""
 
     VOID = frozenset({"meta", "br"})
 
@@ -159,7 +159,7 @@ class Strict(HTMLParser):
 
 
 def with_rotation(estimate, angle):
-    """The estimate with residuals (n,) in rad beside its own; a tenth of what they were before."""
+    """Return the estimate with residuals (n,) in rad added; they are a tenth of their values before."""
     fitted = angle[estimate.fitted]
     return replace(
         estimate,
@@ -172,7 +172,7 @@ def with_rotation(estimate, angle):
 
 
 def drawings(text):
-    """The SVG elements, each through an XML parser."""
+    """Return the SVG elements, each read by an XML parser."""
     return [ElementTree.fromstring(part) for part in re.findall(r"<svg.*?</svg>", text, re.S)]
 
 
@@ -181,7 +181,7 @@ def titles(text):
 
 
 def both(a, b):
-    """One page of the rows of two, with the parameters of the first."""
+    """Return one page with the rows of both, and the parameters of the first."""
 
     def joined(x, y):
         return np.concatenate([x, y])
@@ -200,7 +200,7 @@ def both(a, b):
 
 
 def cells_of(text, label):
-    """The header and the rows of the table with that label, as text."""
+    """Return the header and the rows of the table with that label, as text."""
     table = re.search(rf'aria-label="{label}"><table.*?</table>', text, re.S).group()
     rows = re.findall(r"<tr.*?</tr>", table, re.S)
     return [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)] for row in rows]
@@ -239,7 +239,7 @@ CERTIFICATE = Certificate(
 
 
 def full_page():
-    """A page with everything that a page may have: all kinds, two rigs, suspects, wrong labels, proposals."""
+    """Return a page with all possible content: all kinds, two rigs, suspects, wrong labels, proposals."""
     page = make_page(300)
     for seed, kind in enumerate(NAMES):
         if kind != "ball_bar":

@@ -1,4 +1,4 @@
-"""docs/reference/result-format.md, as far as a machine can hold it."""
+"""docs/reference/result-format.md, as far as it can be checked automatically."""
 
 from typing import Any
 
@@ -68,7 +68,7 @@ RAW = ("rms_raw", "rms_declared", "rms_unexplained")
 
 
 def check_schema(result: dict[str, Any]) -> None:
-    """docs/reference/result-format.md, as far as a machine can hold it."""
+    """Check a result against docs/reference/result-format.md, as far as possible automatically."""
     units = result["residual_units"]
     assert units
     assert set(units) <= {"mm", "deg"}

@@ -1,4 +1,4 @@
-"""Real bags of joint states, by rosbags' own writer, for the tests."""
+"""Real bags of joint states for the tests, written by rosbags' own writer."""
 
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -10,7 +10,7 @@ STORAGES = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 
 
 def joint_state(t_ns, names, q, qd=(), effort=()):
-    """A message as bytes (CDR)."""
+    """Return a message as bytes (CDR)."""
     time, header, state = (STORE.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", TYPE))
     stamp = time(sec=t_ns // 10**9, nanosec=t_ns % 10**9)
     arrays = (np.array(values, dtype=np.float64) for values in (q, qd, effort))
@@ -18,7 +18,7 @@ def joint_state(t_ns, names, q, qd=(), effort=()):
 
 
 def write_bag(path, storage, messages, compress=None, topic="/joint_states"):
-    """A bag at ``path`` (a folder) of (received [ns], bytes); ``compress`` is a mode of the writer."""
+    """Write a bag at ``path`` (a folder) of (received [ns], bytes); ``compress`` is a mode of the writer."""
     writer = Writer(path, version=9, storage_plugin=STORAGES[storage])
     if compress:
         writer.set_compression(CompressionMode[compress], CompressionFormat.ZSTD)

@@ -1,6 +1,6 @@
-"""A session's messages from a known truth: a box with a clock of its own, a robot with another, a link that delays.
+"""Session messages with known truth: a box with its own clock, a robot with another, a link with delays.
 
-Frames are written by ``truearm_wire``. The truth of everything is kept beside them.
+Frames are written by ``truearm_wire``. The truth is kept with them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RIG = Rig(
 
 
 def ident_document(boot_id: int = 7) -> dict[str, object]:
-    """What the box says of itself; channel 0 is the LVDT."""
+    """Return the box's ident; channel 0 is the LVDT."""
     lvdt = {"name": "lvdt", "unit": "V", "scale": SCALE, "calibration": {"unit": "m", "poly": POLY}}
     others = [{"name": f"ch{i}", "unit": "V", "scale": SCALE} for i in range(1, CHANNELS)]
     stream = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 1024, "group_delay_ns": 1_500_000}
@@ -44,20 +44,20 @@ def ident_document(boot_id: int = 7) -> dict[str, object]:
 
 
 def metres_of(counts: np.ndarray) -> np.ndarray:
-    """The same conversion written out on its own."""
+    """Return metres by the same conversion, written independently."""
     v = counts * 143e-9
     return 1e-4 + 0.035 * v + 2e-4 * v * v
 
 
 def counts_of(metres: np.ndarray) -> np.ndarray:
-    """Counts whose length is nearest to these metres: the quadratic's root, solved directly."""
+    """Return the counts nearest to these metres: the quadratic's root, solved directly."""
     v = (-0.035 + np.sqrt(0.035**2 - 4 * 2e-4 * (1e-4 - metres))) / (2 * 2e-4)
     return np.rint(v / 143e-9).astype(np.int64)
 
 
 @dataclass
 class Box:
-    """Frames of a box in order. ``messages`` may be thinned, doubled or mixed by the tests."""
+    """The frames of a box in order. Tests may drop, double or reorder ``messages``."""
 
     ppm: float = 0.0
     boot_host_ns: int = 0
@@ -67,7 +67,7 @@ class Box:
     messages: list[Message] = field(default_factory=list)
 
     def device_us(self, t_host_ns: float) -> int:
-        """Device time at a host time; whole microseconds, truncated as a counter does."""
+        """Return the device time at a host time; whole microseconds, truncated as a counter does."""
         return int((t_host_ns - self.boot_host_ns) * (1.0 + 1e-6 * self.ppm) // 1000)
 
     def frame(self, topic: str, t_host_ns: int, kind: int, *elements: object) -> Message:
@@ -78,18 +78,18 @@ class Box:
         return message
 
     def ident(self, t_host_ns: int) -> None:
-        """The ident document in its pages."""
+        """Add the ident document in its pages."""
         for page, pages, data in wire.pages(cbor2.dumps(ident_document(self.boot_id))):
             self.frame("ident", t_host_ns, wire.IDENT, 0, page, pages, data)
 
     def heartbeat(self, t_host_ns: int, **counters: int) -> None:
-        """A heartbeat; counters that are not given are 0."""
+        """Add a heartbeat; counters that are not given are 0."""
         names = wire.names(wire.HEARTBEAT)[3:]
         values = [counters.get(name, 0) for name in names]
         self.frame("heartbeat", t_host_ns, wire.HEARTBEAT, self.boot_id, self.device_us(t_host_ns), *values)
 
     def data(self, t_host_ns: int, counts: np.ndarray, flags: int = 0, skip: int = 0) -> None:
-        """A block of (n, C) counts whose first sample lies at this host time; ``skip`` samples are lost before it."""
+        """Add a block of (n, C) counts with its first sample at this host time; ``skip`` samples are lost before it."""
         self.n0 += skip
         samples = Tag(78, np.ascontiguousarray(counts, "<i4").tobytes())
         t0 = self.device_us(t_host_ns)
@@ -98,11 +98,11 @@ class Box:
         self.n0 += len(counts)
 
     def reboot(self, t_host_ns: int) -> None:
-        """Another boot id; time, seq and n0 begin again."""
+        """Restart with another boot id; time, seq and n0 begin again."""
         self.boot_host_ns, self.boot_id, self.seq, self.n0 = t_host_ns, self.boot_id + 1, 0, 0
 
     def sync(self, t_host_ns: int, there_ns: float, back_ns: float, work_ns: float = 40e3) -> None:
-        """A clock exchange that began at this host time."""
+        """Add a clock exchange that began at this host time."""
         ident = len(self.messages)
         t1, t2 = self.device_us(t_host_ns + there_ns), self.device_us(t_host_ns + there_ns + work_ns)
         t3 = int(np.ceil(t_host_ns + there_ns + work_ns + back_ns))
@@ -112,17 +112,17 @@ class Box:
 
 
 def stream_of(messages: list[Message], size: int = 1000) -> Source:
-    """What a session file offers, of a list; ``size``: messages read together."""
+    """Return a list with the interface of a session file; ``size``: messages read together."""
     return lambda: (columns_of(messages[at : at + size]) for at in range(0, len(messages), size))
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a session was made from."""
+    """The truth of a session."""
 
     q: np.ndarray  # (d, j)
     length: np.ndarray  # (d,)
-    start_ns: np.ndarray  # (d,) host time at which the robot stood
+    start_ns: np.ndarray  # (d,) host time at which the robot came to rest
     end_ns: np.ndarray
 
 
@@ -138,9 +138,9 @@ def session(
     plan: bool = True,
     warming: float = 0.0,
 ) -> tuple[list[Message], Truth]:
-    """A session of a robot that visits random poses, and its truth; readings are exact up to noise and quantisation.
+    """Return a session of a robot that visits random poses, and its truth; readings have only noise and quantisation.
 
-    The box is at 24 °C at first and ``warming`` [m°C/s].
+    The box starts at 24 °C and warms up by ``warming`` [m°C/s].
     """
     q = rng.uniform(-1.5, 1.5, (dwells, 6))
     length = 0.46 + rng.uniform(-0.03, 0.03, dwells)
@@ -179,7 +179,7 @@ def _plan(pose: int, q: np.ndarray) -> Message:
 def robot_messages(
     rng: np.random.Generator, q: np.ndarray, corners: np.ndarray, end_ns: int, noise: float, step: float, hz: float
 ) -> list[Message]:
-    """Lines of a robot that passes joints q (m, j) at these host times (m,) [ns], in straight lines between."""
+    """Return the lines of a robot that passes joints q (m, j) at host times (m,) [ns], moving straight in between."""
     times = np.arange(10**9, end_ns, 1e9 / hz)
     path = np.stack([np.interp(times, corners, column) for column in q.T], axis=1)
     path += noise * rng.standard_normal(path.shape)
@@ -194,7 +194,7 @@ def robot_messages(
 
 
 def renumber(frames: list[Message]) -> list[Message]:
-    """The same frames with seq in the order of their arrival."""
+    """Return the same frames with seq in the order of their arrival."""
     result, seq = [], 0
     for message in frames:
         if message.topic == "/sync":

@@ -1,4 +1,4 @@
-"""Targets as tables, RAPID and URScript, and what controllers make of the programs."""
+"""Targets as tables, RAPID and URScript, and how controllers execute the programs."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from tests.host.urscript_machine import run_urscript
 
 
 def table(targets, q=None):
-    """A table of targets, with start joints where given."""
+    """Return a table of targets, with start joints if given."""
     turn = Rotation.from_matrix(targets[:, :3, :3]).as_rotvec()
     columns = [1e3 * targets[:, :3, 3], np.rad2deg(turn)] + ([np.rad2deg(q)] if q is not None else [])
     titles = ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", *(f"q{i}_deg" for i in range(1, 7))]
@@ -20,7 +20,7 @@ def table(targets, q=None):
 
 
 def rapid(targets, q):
-    """A module that goes to every target, declared or in the move, by joints and the last time straight."""
+    """Return a module that goes to every target, declared or in the move, by joints and the last time straight."""
     quaternion = Rotation.from_matrix(targets[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     quarters = np.floor(q / (0.5 * np.pi)).astype(int)
     poses = [
@@ -47,7 +47,7 @@ def script(targets):
 
 
 def driven(text, name, q, chain=CHAIN, params=DESIGN):
-    """(n, 6) joints at the ends of a program's moves, on a controller with this model that begins at q (6,)."""
+    """Return joints (n, 6) at the ends of a program's moves, on a controller with this model that begins at q (6,)."""
     machine = Controller(chain, params, q)
     {".mod": run_rapid, ".script": run_urscript}[Path(name).suffix](text, machine)
     return np.array([move.q for move in machine.moves])

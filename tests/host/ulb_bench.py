@@ -1,8 +1,8 @@
-"""Renders' bench for tests: the ULB robot, straight lines driven by its nominal model, and a line device beside each.
+"""Renders' bench for tests: the ULB robot, straight lines driven by its nominal model, and a line device at each.
 
-The paper does not say where its lines stood, nor how long they were. Here each is 0.4 m long in a random direction within
-reach, with one tool orientation, and the device stands where the points really lay, so that its transverse sensors see
-the millimetres by which the real robot's path is not straight.
+The paper states neither the position nor the length of its lines. Here each is 0.4 m long in a random direction within
+reach, with one tool orientation. The device is placed along the true points, so that its transverse sensors measure the
+millimetres by which the real robot's path deviates from straight.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from truearm.types import Device, ObservationTable, Rig
 CHAIN = builtin_robot("ulb").chain
 NOMINAL = CHAIN.params_nominal
 AT = {name: i for i, name in enumerate(CHAIN.parameter_names)}
-OFFSETS = [AT[f"joint{i}.offset"] for i in (2, 3, 4, 5, 6)]  # III-E: θ1 is frozen
+OFFSETS = [AT[f"joint{i}.offset"] for i in (2, 3, 4, 5, 6)]  # III-E: θ1 is fixed
 S_X = 1e-9 * np.diag([3.84, 10.0, 3.84])  # m², y along the line
 S_Q = 1e-9 * np.diag([21.0, 21.0, 21.0, 1.31, 1.31, 305.0])  # rad²; five of six are printed, the fifth is assumed
 SENSOR = tuple(map(tuple, S_X.tolist()))
@@ -24,7 +24,7 @@ ORIGIN = np.zeros(3)
 
 
 def rig(table, joint_cov=JOINT, sigma=0.1, turn_sigma=0.1):
-    """The paper's S_x and S_q, and each line's device where the nominal robot has its points, set up level by hand."""
+    """Return the paper's S_x and S_q, and each line's device at the nominal robot's points, set up level by hand."""
     poses = {}
     for name in dict.fromkeys(table.line.tolist()):
         mine = table.line == name
@@ -34,7 +34,7 @@ def rig(table, joint_cov=JOINT, sigma=0.1, turn_sigma=0.1):
 
 
 def level(p_base, read):
-    """A device whose y runs from the first point to the last and whose x is horizontal; it reads ``read`` in the mean."""
+    """Return a device with y from the first point to the last and x horizontal; its mean reading is ``read``."""
     y = p_base[-1] - p_base[0]
     y /= np.linalg.norm(y)
     x = np.cross(y, [0.0, 0.0, 1.0])
@@ -50,7 +50,7 @@ def free(*indices):
 
 
 def straights(count, n, rng, length=0.4):
-    """(count, n, 6) readings that move the nominal end along random lines, each with one orientation of the tool."""
+    """Return readings (count, n, 6) that move the nominal end along random lines, each with one tool orientation."""
     kept = np.zeros((0, n, 6))
     while len(kept) < count:
         first = rng.uniform([-1.5, -1.5, -2.2, -1.5, 0.5, -1.5], [1.5, -0.2, -0.6, 1.5, 2.0, 1.5], (60, 6))
@@ -74,7 +74,7 @@ def straights(count, n, rng, length=0.4):
 
 
 def line(name, q, truth, rng, noise=1.0):
-    """Rows of one line: the true robot at q (n, 6), a device set up along the true points, S_x and S_q times noise²."""
+    """Return rows of one line: the true robot at q (n, 6), a device along the true points, S_x and S_q times noise²."""
     n = len(q)
     p_base = point_forward(CHAIN, truth, q, ORIGIN)
     xyz, rot = level(p_base, np.zeros((n, 3)))
@@ -99,5 +99,5 @@ def join(tables):
 
 
 def lines(count, n, truth, rng, noise=1.0):
-    """``count`` lines of n points, named l0, l1, …"""
+    """Return ``count`` lines of n points, named l0, l1, …."""
     return join([line(f"l{i}", q, truth, rng, noise) for i, q in enumerate(straights(count, n, rng))])

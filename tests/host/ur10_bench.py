@@ -24,13 +24,13 @@ RIG = Rig(
 
 @cache
 def columns(series: str) -> np.ndarray:
-    """(n, 12) q in rad, the target in mm, its orientation in deg."""
+    """Return q in rad, the target in mm, its orientation in deg (n, 12)."""
     text = lzma.decompress((FOLDER / f"series_{series}.csv.xz").read_bytes()).decode().splitlines()
     return np.loadtxt(text, delimiter=",", skiprows=1)
 
 
 def tracked(series: str, kind: str, every: int = 1) -> ObservationTable:
-    """A series as rows of kind "position" or "pose"; every n-th of them."""
+    """Return a series as rows of kind "position" or "pose"; every n-th of them."""
     data = columns(series)[::every]
     n = len(data)
     about = [rotation(np.radians(data[:, [9 + k]]) * np.eye(3)[k]) for k in range(3)]

@@ -1,8 +1,9 @@
-"""URScript for tests: the part of the language that measuring and corrected programs use, executed; anything else is a fault.
+"""URScript for tests: the subset that measuring and corrected programs use, executed; anything else is a fault.
 
-After Universal Robots' script manual: what is sent to the controller's port begins with a ``def`` in the first column, ends with
-its ``end`` there, all other lines are indented, and it runs when the ``end`` has arrived. Independent of ``truearm.plan.route_urscript`` and of
-``truearm.files.programs``: tokens, grammar and meaning are here once more.
+It follows Universal Robots' script manual: a program sent to the controller's port begins with ``def`` in the first
+column and ends with ``end`` there, all other lines are indented, and it runs when ``end`` has arrived. It is
+independent of ``truearm.plan.route_urscript`` and of ``truearm.files.programs``: tokens, grammar and meaning are
+implemented again.
 """
 
 import re
@@ -48,7 +49,7 @@ def without_comment(line):
 
 
 def logical_lines(text):
-    """(number, text) of each line that says something; what stands in an open bracket goes on in the next."""
+    """Return (number, text) of each non-empty line; text in an open bracket continues on the next."""
     out, open_brackets = [], 0
     for number, line in enumerate(text.splitlines(), start=1):
         line = without_comment(line).rstrip()
@@ -62,7 +63,7 @@ def logical_lines(text):
 
 
 def run_urscript(text, controller):
-    """Execute a program as the controller does that it is sent to."""
+    """Execute a program as the receiving controller does."""
     lines = logical_lines(text)
     if not re.fullmatch(r"def [A-Za-z_]\w*\(\):", lines[0][1]):
         raise ProgramFault("the first line is not a def in the first column")
@@ -76,11 +77,11 @@ def run_urscript(text, controller):
 
 
 class Returned(Exception):
-    """A routine ends with a value."""
+    """The end of a routine with a value."""
 
 
 class Left(Exception):
-    """break or continue."""
+    """The end of a loop's pass: break or continue."""
 
 
 OPENING = {"while", "if", "def", "thread"}
@@ -92,7 +93,7 @@ class Machine:
     def __init__(self, controller):
         self.controller, self.routines = controller, {}
         self.scopes = [{}]  # the program's, then one for each call
-        self.lines = []  # of the statements that moved, a line a move
+        self.lines = []  # of the statements that moved, one line per move
 
     @property
     def variables(self):
@@ -109,7 +110,7 @@ class Machine:
             self.lines += [number] * (len(self.controller.moves) - len(self.lines))
 
     def _statement(self, lines, i):
-        """Execute what begins at a line; the line after it."""
+        """Execute the statement at a line; return the line after it."""
         tokens = lines[i][1]
         word = tokens[0][1] if tokens[0][0] == "name" else ""
         if word in ("while", "def", "thread"):
@@ -132,7 +133,7 @@ class Machine:
         return i + 1
 
     def _end(self, lines, start):
-        """The line of the end that closes what opens at a line."""
+        """Return the line of the end that closes the block opened at a line."""
         if lines[start][1][-1] != ("sign", ":"):
             raise ProgramFault("no colon at the end of the line")
         depth = 0
@@ -217,7 +218,7 @@ class Machine:
             raise ProgramFault(f"{tokens[at][1]!r} is not expected")
         return value
 
-    # each of the following takes tokens and a place, and returns a value and the place after it
+    # each of the following takes tokens and a position, and returns a value and the position after it
 
     def _either(self, tokens, at):
         value, at = self._comparison(tokens, at)
@@ -351,10 +352,10 @@ class Machine:
             self.scopes.pop()
         return None
 
-    # the manual's functions, with its names of arguments and defaults
+    # the manual's functions, with its argument names and defaults
 
     def _joints(self, target):
-        """Joints of a target that is joints or a pose."""
+        """Return joints for a target that is joints or a pose."""
         if isinstance(target, Pose):
             return self.controller.solved(target.matrix(), self.controller.q)
         if len(target) != 6:
@@ -363,7 +364,7 @@ class Machine:
 
     def movej(self, q, a=1.4, v=1.05, t=0, r=0):
         there, here = self._joints(q), self.controller.q
-        if t == 0 and here is not None:  # trapezoid, of the joint that turns most
+        if t == 0 and here is not None:  # trapezoid, for the joint that turns most
             far = np.abs(there - here).max()
             t = far / v + v / a if far > v * v / a else 2.0 * np.sqrt(far / a)
         self.controller.move_joints(there, float(t))
@@ -381,7 +382,7 @@ class Machine:
         self.movel(goal)
 
     def movec(self, pose_via, pose_to, a=1.2, v=0.25, r=0, mode=0):
-        """The circle itself is not driven: both of its points are."""
+        """Drive through both points of the circle, not along the circle itself."""
         self.movel(pose_via, v=v)
         self.movel(pose_to, v=v)
 

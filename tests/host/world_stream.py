@@ -1,6 +1,7 @@
-"""A simulated world's session as messages, without a box and a recorder between: for runs by the dozen.
+"""A simulated world's session as messages, without a box and a recorder: for many runs.
 
-Frames are written by ``truearm_wire``, as ``session_stream.py`` does it. The box's samples and the robot's lines are the world's.
+Frames are written by ``truearm_wire``, as in ``session_stream.py``. The box's samples and the robot's lines are the
+world's.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ HOST_NS = 5_000_000_000_000  # the host's clock when the world begins
 
 
 def ident_document(world: World) -> dict[str, object]:
-    """What a box in this world says of itself."""
+    """Return the ident of a box in this world."""
     channels = world.box_config(16384)["channels"]
     stream = {"id": 0, "name": "adc", "period_ns": PERIOD_NS, "osr": 16384, "channels": channels}
     return {
@@ -38,7 +39,7 @@ def ident_document(world: World) -> dict[str, object]:
 
 
 class WorldBox(Box):
-    """A box whose clock is the world's."""
+    """A box with the world's clock."""
 
     world: World
 
@@ -47,7 +48,7 @@ class WorldBox(Box):
 
 
 def messages_of(world: World, seed: int = 0) -> list[Message]:
-    """All that is received from box and robot, and the plan."""
+    """Return all messages from box and robot, and the plan."""
     rng = np.random.default_rng([seed, 0x5EED])
     box = WorldBox()
     box.world = world

@@ -1,6 +1,6 @@
 """Re-encode every golden frame and reject every corrupted one; runs on CPython and on MicroPython.
 
-micropython check_vectors.py FOLDER      prints one line a failure, then "N golden, M corrupted"; exit 1 on failure
+micropython check_vectors.py FOLDER      prints one line per failure, then "N golden, M corrupted"; exit 1 on failure
 """
 
 import json
@@ -36,7 +36,7 @@ def check(folder):
     failures = []
     with open(folder + "/frames.json") as f:
         good = json.load(f)
-    for n in range(2 * messages.PAGE_BYTES):  # cut into pages while it is encoded
+    for n in range(2 * messages.PAGE_BYTES):  # split into pages during encoding
         whole = ["x" * n, {"a": [1, b"\0" * 40]}]
         if messages.pages_of(whole) != messages.pages(cbor.encode(whole)):
             failures.append("pages of a text of %d letters" % n)

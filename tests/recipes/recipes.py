@@ -17,7 +17,7 @@ FILE = re.compile(r"^New file `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 LINE = re.compile(r"^New lines? in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 TEXT = re.compile(r"^In `([^`]+)`, `([^`]+)` becomes `([^`]+)`\.$", re.M)
 NOISE = shutil.ignore_patterns("__pycache__", "*.egg-info")
-# Commands that need no process of their own share one, which imports everything once.
+# Commands that need no separate process share one, which imports everything once.
 ALL_IN_ONE = """
 import contextlib, io, json, sys
 from truearm.cli.main import main
@@ -32,7 +32,7 @@ json.dump(said, sys.stdout)
 
 
 class Said(NamedTuple):
-    """What a command ended with and printed."""
+    """The exit code and output of a command."""
 
     code: int
     out: str
@@ -40,7 +40,7 @@ class Said(NamedTuple):
 
 
 class Copy:
-    """A copy of the package in a folder, in which commands run; ``parts``: the folders of the repository that it has."""
+    """A copy of the package in a folder, in which commands run; ``parts``: its folders of the repository."""
 
     def __init__(self, folder: Path, parts: tuple[str, ...] = ("host",)) -> None:
         self.folder = folder
@@ -61,7 +61,7 @@ class Copy:
             self.replace(path, before, after)
 
     def changes(self) -> dict[str, str]:
-        """Files that differ from the repository's: "new file", or how many lines were added and taken away."""
+        """Return files that differ from the repository's: "new file", or the numbers of added and removed lines."""
         found = {}
         for path in sorted(p for part in self.parts for p in (self.folder / part).rglob("*")):
             name = path.relative_to(self.folder).as_posix()
@@ -78,17 +78,17 @@ class Copy:
         return found
 
     def run(self, *command: str, code: int = 0) -> str:
-        """What truearm prints; errors too where it is to end with another code than 0."""
+        """Return what truearm prints; also errors, if it should end with a code other than 0."""
         done = self.python("-m", "truearm", *command, code=code)
         return done.out if code == 0 else done.err
 
     def run_each(self, *commands: tuple[str, ...]) -> list[Said]:
-        """What several commands of truearm print, in one process."""
+        """Return what several commands of truearm print, in one process."""
         done = self.python("-c", ALL_IN_ONE, text=json.dumps(commands))
         return [Said(*each) for each in json.loads(done.out)]
 
     def python(self, *arguments: str, text: str = "", code: int = 0) -> Said:
-        """What a Python prints that imports the copy."""
+        """Return the output of a Python that imports the copy."""
         paths = os.pathsep.join(str(self.folder / part) for part in self.parts)
         done = subprocess.run(
             [sys.executable, *arguments],
@@ -104,7 +104,7 @@ class Copy:
         return Said(done.returncode, done.stdout, done.stderr)
 
     def replace(self, path: str, before: str, after: str) -> None:
-        """Change a text that a file has once."""
+        """Replace a text that occurs once in a file."""
         source = (self.folder / path).read_text(encoding="utf-8")
         assert source.count(before) == 1, f"{path} has {before!r} {source.count(before)} times"
         (self.folder / path).write_text(source.replace(before, after), encoding="utf-8")

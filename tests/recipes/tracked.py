@@ -1,4 +1,4 @@
-"""Tables and rigs of a laser tracker that sees three targets on a robot's end, for recipes that need an identification."""
+"""Tables and rigs of a laser tracker with three targets on a robot's end, for recipes that need an identification."""
 
 TARGETS = {"a": (0.0, 0.0, 0.1), "b": (0.1, 0.0, 0.0), "c": (0.0, 0.1, 0.05)}  # m, in the end frame
 TRACKER = """
@@ -20,7 +20,7 @@ SIGMA_M = 2e-5
 
 
 def tracked(q, ends, noise):
-    """The text of a table: poses in turn by each target. ends (n, 4, 4); noise (n, 3) in units of the tracker's sigma."""
+    """Return the text of a table: poses of each target in turn. ends (n, 4, 4); noise (n, 3) in the tracker's sigmas."""
     lines = ["kind,tracker,target,x_m,y_m,z_m," + ",".join(f"q{i}_rad" for i in range(1, q.shape[1] + 1))]
     for i, (joints, end) in enumerate(zip(q, ends, strict=True)):
         name = list(TARGETS)[i % len(TARGETS)]

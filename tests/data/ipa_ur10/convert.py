@@ -1,6 +1,7 @@
-"""Makes series_a.csv.xz and series_c.csv.xz from the original files: python convert.py FOLDER
+"""Make series_a.csv.xz and series_c.csv.xz from the original files: python convert.py FOLDER
 
-The originals' numbers, with decimal points; of their columns the joints, the measured position and the measured angles.
+The numbers of the originals, with decimal points; of their columns only the joints, the measured position and the
+measured angles.
 """
 
 import csv

@@ -1,7 +1,7 @@
-"""Turn the original layout of the MUKCa data into truearm's tables: python convert.py ORIGINAL [TARGET].
+"""Convert the original layout of the MUKCa data to truearm's tables: python convert.py ORIGINAL [TARGET].
 
-ORIGINAL holds data/<robot>/<place>/hole_<socket>.csv: a row a pose, joint readings in rad, no header. TARGET (this
-folder by default) gets <robot>.csv with every number as exact as it was.
+ORIGINAL contains data/<robot>/<place>/hole_<socket>.csv: one row per pose, joint readings in rad, no header. TARGET
+(this folder by default) gets <robot>.csv with every number unchanged.
 """
 
 import csv

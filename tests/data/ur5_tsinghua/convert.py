@@ -1,6 +1,6 @@
-"""Makes grid.csv.xz and random.csv.xz, truearm's tables, from the original files: python convert.py FOLDER
+"""Make grid.csv.xz and random.csv.xz, truearm's tables, from the original files: python convert.py FOLDER
 
-Joints in degrees as they are; the measured point is the target and its difference, both in mm, in m. Nothing else is changed.
+Joints stay in degrees. The measured point in m is the target plus its difference, both in mm. Nothing else is changed.
 """
 
 import csv

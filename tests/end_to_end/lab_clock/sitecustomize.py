@@ -1,5 +1,6 @@
-"""Python's clock is the lab's, as ``box_server.served(clock=…)`` tells it: a process on whose PYTHONPATH this stands waits as long as
-the simulated box needs, however slow the machine.
+"""Make Python's clock the lab's, as written by ``box_server.served(clock=…)``.
+
+A process with this folder on its PYTHONPATH waits as long as the simulated box needs, however slow the computer is.
 """
 
 import mmap
@@ -14,7 +15,7 @@ with open(os.environ["TRUEARM_LAB_CLOCK"], "rb") as file:
 
 
 class Clock:
-    """A function that is none: pyserial keeps it in a class, where a function would become a method."""
+    """A callable that is not a function: pyserial stores it in a class, where a function would become a method."""
 
     def __init__(self, scale: float) -> None:
         self._scale = scale
