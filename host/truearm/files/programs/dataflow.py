@@ -1,8 +1,9 @@
-"""Which values reach the moves of a program, on every way that it may take.
+"""The values that reach the moves of a program, along every path that it may take.
 
-The program is run with *possibilities* in place of values. Where it branches every block is run and what they leave is joined; a loop is run until
-its variables have no new possibilities, and what goes on changing is not known; a routine is run for each call. So a target that is found is one that
-the move can go to, and where one may be computed at run time the move says so. What a language's own functions mean is given by a ``Language``.
+The program is executed with *possibilities* in place of values. Where it branches, every block is executed and the
+results are joined. A loop is repeated until its variables have no new possibilities; values that keep changing become
+unknown. A routine is executed for each call. Every target found is therefore one to which the move can go. If a target
+may be computed at run time, the move records this. A ``Language`` defines the meaning of the language's own functions.
 """
 
 from __future__ import annotations
@@ -48,55 +49,58 @@ from truearm.files.programs.tree_walks import (
 )
 from truearm.files.programs.values import Goal, Listed, Unknown, Value, Values, combined, joined
 
-MAX_CALLS = 20  # of routines within each other
-MAX_TURNS = 4  # of a loop before what still changes is not known
-STEPS, STEPS_EACH = 200_000, 8  # statements that are run at most, and more for each statement of the program
-CALL = 10  # statements that a call costs
+MAX_CALLS = 20  # nesting depth of routines
+MAX_TURNS = 4  # of a loop, before values that still change become unknown
+STEPS, STEPS_EACH = 200_000, 8  # maximum number of executed statements, and more per statement of the program
+CALL = 10  # cost of a call in statements
 
 
 GLOBAL = 0
-TOOL = "tool in force"  # no name of a variable has a space
+TOOL = "tool in force"  # variable names contain no spaces
 _HERE: Key = (GLOBAL, "where the robot is")
 _ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
-MOST_STARTS = 64  # of a straight move that are distinguished
+MOST_STARTS = 64  # of a straight move: maximum number that are distinguished
 
 
 class Language(Protocol):
-    """What the functions and operators of a language mean. ``outer_names``: an assignment in a routine is to the name outside, where there is one."""
+    """The functions and operators of a language.
+
+    ``outer_names``: an assignment in a routine refers to the outer name, if there is one.
+    """
 
     @property
     def outer_names(self) -> bool: ...
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
-        """What a built-in function gives, after its effect; None where it is none."""
+        """Apply a built-in function and return its result; None for any other function."""
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
-        """An element of a list, counted from 0, or a field; nothing where the list ends before it."""
+        """Return an element of a list, counted from 0, or a field; nothing beyond the end of the list."""
 
     def changed(self, of: Value, at: Value | str, new: Values, place: int) -> Value:
-        """A list or record with another item."""
+        """Return a list or record with another item."""
 
     def literal(self, of: Taught) -> Value:
-        """What a literal is by itself."""
+        """Return the value of a literal."""
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
-        """The arguments that an instruction which the program does not define may assign to."""
+        """Return the arguments to which an instruction may assign that the program does not define."""
 
 
 @dataclass
 class _Activation:
-    """A routine that is being run."""
+    """A routine that is being executed."""
 
     routine: Routine | None
     scope: int
-    parent: _Activation | None  # of the routine that it is written in
-    depth: int  # of the layer that is its own
+    parent: _Activation | None  # of the enclosing routine
+    depth: int  # of its own layer
     returns: list[tuple[Values, dict[Key, Values]]] = field(default_factory=list)
 
 
 @dataclass
 class _Turn:
-    """A loop that is being run."""
+    """A loop that is being executed."""
 
     depth: int
     breaks: list[dict[Key, Values]] = field(default_factory=list)
@@ -104,7 +108,7 @@ class _Turn:
 
 
 class Flow:
-    """A program that is followed; ``motions`` holds what was found, by place."""
+    """A program that is followed; ``motions`` contains the moves found, by place."""
 
     def __init__(self, source: Source, language: Language, routines: Iterable[Routine]) -> None:
         self.source, self.language = source, language
@@ -121,10 +125,10 @@ class Flow:
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
-        self.loose = False  # jumps: statements may be run in any order
+        self.loose = False  # jumps: statements may be executed in any order
         self.running: dict[
             str, dict[Key, dict[Value, None]]
-        ] = {}  # threads, and all that names stood for since they were run
+        ] = {}  # threads, and all values of names since they were started
 
     def _declare(self, routine: Routine, parent: str | None) -> None:
         if routine.name in self.routines:
@@ -134,7 +138,7 @@ class Flow:
             self._declare(inner, routine.name)
 
     def _find_volatile(self) -> None:
-        """Note what may change at any time: all that is assigned in what runs beside the rest, and in the routines that it calls."""
+        """Record what may change at any time: everything assigned in concurrent code and the routines it calls."""
         blocks = [block for one in self.routines.values() for block in one.handlers]
         blocks += [one.body for one in self.routines.values() if one.kind == "beside"]
         seen: set[str] = set()
@@ -158,7 +162,7 @@ class Flow:
     # variables
 
     def get(self, name: str) -> Values | None:
-        """What a name may stand for here; None where it is not known."""
+        """Return the possible values of a name here; None if it is unknown."""
         if name in self.volatile and not any(one.routine and one.routine.kind == "beside" for one in self.stack):
             return (Unknown(f"{name} is changed by what runs beside the program", 0),)
         at: _Activation | None = self.stack[-1]
@@ -169,12 +173,12 @@ class Flow:
         return self.environment.get((GLOBAL, name))
 
     def set(self, name: str, values: Values, scope: str = "") -> None:
-        """Assign to a name. Where a routine assigns to a name from outside without saying whose it is, both may be meant."""
+        """Assign to a name. If a routine assigns to an outer name undeclared, either variable may be meant."""
         own = (self.stack[-1].scope, name)
         if self.loose:
             values = joined(self.get(name), values)
         if scope == "global" or (not scope and name == TOOL):
-            for one in self.stack:  # the global one, or where a routine around has its own that one
+            for one in self.stack:  # the global one, or that of an enclosing routine that has its own
                 if (before := self.environment.get((one.scope, name))) is not None:
                     self.environment.set((one.scope, name), joined(before, values))
             self.environment.set((GLOBAL, name), values)
@@ -191,7 +195,7 @@ class Flow:
     # statements
 
     def run(self, block: Block) -> bool:
-        """Run a block; False where its end is never reached."""
+        """Execute a block; return False if its end is never reached."""
         if self.loose:
             for statement in block:
                 self._step(statement)
@@ -243,7 +247,7 @@ class Flow:
             self._assign(target.of, changed, scope)
 
     def _choose(self, choice: If) -> bool:
-        """Run the blocks of a choice. A condition that runs a routine is reached only where none before it holds."""
+        """Execute the blocks of a choice. A condition that calls a routine is reached only if none before it holds."""
         conditions, blocks, whole = choice
         later = next((k for k, one in enumerate(conditions) if k and self._runs_routine(one)), len(conditions))
         for condition in conditions[:later]:
@@ -253,7 +257,7 @@ class Flow:
         return self._branch(blocks, whole)
 
     def _runs_routine(self, expression: Expression) -> bool:
-        """Whether a routine of the program is run for the value of an expression, and may change variables."""
+        """Return whether the value of an expression calls a routine of the program, which may change variables."""
         return any(call.function in self.routines for call in calls_in(expression))
 
     def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
@@ -290,13 +294,13 @@ class Flow:
                 for key in grown:
                     environment.set(key, (Unknown(f"{key[1]} changes from turn to turn of a loop", 0),))
         if loop.condition is not None and self._runs_routine(loop.condition):
-            self.value(loop.condition)  # it is evaluated once more than the body
+            self.value(loop.condition)  # it is evaluated once more often than the body
         environment.join([{}, *turn.breaks])
 
     # expressions
 
     def value(self, expression: Expression) -> Values:
-        """What an expression may be."""
+        """Return the possible values of an expression."""
         match expression:  # the most frequent first
             case Call():
                 return self._call(expression)
@@ -311,7 +315,7 @@ class Flow:
             case Element(of, at, start):
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found = (value for one in lists for place in places for value in self.language.item(one, place, start))
-                # beyond the end of a list the program would stop: a way that leads there leads no further
+                # beyond the end of a list the program would stop, so such a path is not followed further
                 return tuple(dict.fromkeys(found)) or (Unknown("the list has no such element", start),)
             case Operation(sign, operands, start):
                 if sign in ("and", "or") and self._runs_routine(operands[1]):
@@ -321,7 +325,7 @@ class Flow:
                 assert_never(expression)
 
     def _either(self, of: Operation) -> Values:
-        """``and`` and ``or``: the second operand is evaluated where the first does not decide."""
+        """Evaluate ``and`` or ``or``: the second operand is evaluated if the first does not decide."""
         first, second = of.operands
         self.value(first)
         self._branch(((Do(second),),), False)
@@ -348,7 +352,7 @@ class Flow:
     def enter(
         self, routine: Routine, call: Call | None, arguments: Sequence[Values], named: Mapping[str, Values]
     ) -> Values:
-        """Run a routine with the possibilities of its arguments."""
+        """Execute a routine with the possibilities of its arguments."""
         self.called.add(routine.name)
         self.steps -= CALL
         if len(self.stack) > MAX_CALLS or any(one.routine is routine for one in self.stack):
@@ -413,7 +417,7 @@ class Flow:
         after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
         self.environment.join([{key: v for key, v in way.items() if key[0] != here.scope} for way in ways])
         shared = {one.name for one in routine.parameters if one.shared}
-        if call is not None:  # an argument by reference may have been changed
+        if call is not None:  # an argument passed by reference may have changed
             for name, place in places.items():
                 if name not in shared:
                     continue
@@ -423,7 +427,7 @@ class Flow:
         return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
 
     def _doubled(self, routine: Routine, places: Mapping[str, Expression]) -> dict[str, str]:
-        """Parameters that are a variable which the routine reaches by another name too, and that it changes by one of them; and the variables."""
+        """Return parameters (and their variables) that the routine reaches by two names and changes by one of them."""
         roots = {
             one.name: root for one in routine.parameters if one.shared and (root := root_of(places.get(one.name))) != ""
         }
@@ -438,7 +442,7 @@ class Flow:
         }
 
     def end_threads(self, parent: str | None) -> None:
-        """Run the threads of a routine once more with all that the routine assigned while they ran."""
+        """Execute the threads of a routine once more with everything that the routine assigned while they ran."""
         for name in [name for name in self.running if self.parents[name] == parent]:
             record = self.running.pop(name)
             self.environment.records = [one for one in self.environment.records if one is not record]
@@ -447,7 +451,7 @@ class Flow:
             self.environment.layers.pop()
 
     def _any_time(self, record: Mapping[Key, Mapping[Value, None]], blocks: Sequence[Block]) -> None:
-        """Run blocks with all that a record holds. What they assign is volatile, so nothing of it is kept."""
+        """Execute blocks with everything in a record. Their assignments are volatile, so none of them is kept."""
         for block in blocks:
             self.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
             self.run(block)
@@ -456,11 +460,11 @@ class Flow:
     # moves
 
     def motion(self, name: str, start: int, end: int) -> Motion:
-        """The record of a statement that moves the robot."""
+        """Return the record of a statement that moves the robot."""
         return self.motions.setdefault(start, Motion(name, start, end))
 
     def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
-        """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument that would settle it."""
+        """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument to resolve it."""
         self.motion(name, start, end).problems[why, remedy] = None
         self.environment.set(_HERE, (Unknown(why, start),))
 
@@ -472,9 +476,9 @@ class Flow:
         frames: Values,
         straight: bool = False,
     ) -> None:
-        """Record a move to every possibility of its targets; joints that were solved for a pose bring their own tool.
+        """Record a move to every possible target; joints computed for a pose have their own tool.
 
-        ``straight``: along a line from where the robot is.
+        ``straight``: along a line from the robot's position.
         """
         motion = self.motion(call.function, call.start, call.end)
         ends: dict[Value, None] = {}

@@ -10,11 +10,11 @@ Key = tuple[int, str]  # the scope, 0 for the program's own, and the name
 
 
 class Environment:
-    """Variables with their possibilities, in layers: a branch writes to its own, which is then taken off and joined."""
+    """Variables with their possibilities, in layers: each branch writes to its own, which is then removed and joined."""
 
     def __init__(self) -> None:
         self.layers: list[dict[Key, Values]] = [{}]
-        self.records: list[dict[Key, dict[Value, None]]] = []  # of all that names stood for since each began
+        self.records: list[dict[Key, dict[Value, None]]] = []  # all values of names since each began
 
     def get(self, key: Key) -> Values | None:
         for layer in reversed(self.layers):
@@ -31,14 +31,14 @@ class Environment:
         self.layers[-1][key] = values
 
     def since(self, depth: int) -> dict[Key, Values]:
-        """What was written to the layers from ``depth`` on."""
+        """Return what was written to the layers from ``depth`` on."""
         out: dict[Key, Values] = {}
         for layer in self.layers[depth:]:
             out |= layer
         return out
 
     def join(self, ways: Sequence[Mapping[Key, Values]]) -> None:
-        """Go on from where several ways meet, each with what was written on it."""
+        """Continue where several paths meet, each with its own assignments."""
         for key in dict.fromkeys(key for way in ways for key in way):
             before = self.get(key)
             values: Values | None = None

@@ -1,4 +1,4 @@
-"""A move of a program and what it goes to."""
+"""A move of a program and its goal."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from truearm.files.programs.syntax import Expression, Number, Taught, Text, Truth
 from truearm.files.programs.values import Goal, Pose, Solved, Unknown, Value, Values
 
-UNDECLARED = "name"  # the remedy of a name that the file does not declare, until it is known what for
+UNDECLARED = "name"  # the remedy for a name that the file does not declare, until its use is known
 
 
 @dataclass(slots=True)
 class Motion:
-    """A statement that moves the robot; ``problems`` say why it, or a part of it, cannot be corrected.
+    """A statement that moves the robot; ``problems`` are the reasons why it, or a part of it, cannot be corrected.
 
-    ``legs``: each time that it was followed, what the robot may come from and what it may end at; ``straight``: along a line in space.
+    ``legs``: each time it was followed, the possible starts and ends; ``straight``: along a line in space.
     """
 
     name: str
@@ -23,11 +23,11 @@ class Motion:
     goals: dict[Goal, None] = field(default_factory=dict)
     legs: list[tuple[Values, Values]] = field(default_factory=list)
     straight: bool = False
-    problems: dict[tuple[str, str], None] = field(default_factory=dict)  # why, and the argument that would settle it
+    problems: dict[tuple[str, str], None] = field(default_factory=dict)  # reason, and the argument to resolve it
 
 
 def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
-    """The goal, or why there is none."""
+    """Return the goal, or why there is none."""
     place = (argument.start, argument.end) if not isinstance(argument, Number | Text | Truth) else (-1, -1)
     if isinstance(value, Unknown):
         return value.why, "" if value.remedy == UNDECLARED else value.remedy

@@ -1,4 +1,4 @@
-"""A program's text with other numbers in place of its targets'. Every byte that is not a number of a target stays."""
+"""A program's text with new numbers for its targets. Every byte that is not a number of a target is unchanged."""
 
 from __future__ import annotations
 
@@ -35,7 +35,10 @@ class Solution(NamedTuple):
 
 
 def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | None = None) -> Solution:
-    """The literals with which every target becomes what is told (n, 4, 4), each in its frame; ``known`` are their ``literal_poses``, as they were."""
+    """Return the literals for which every target has the commanded pose ``told`` (n, 4, 4), each in its frame.
+
+    ``known`` are the original ``literal_poses``.
+    """
     known = known or literal_poses(targets)
     literals = LiteralPoses(known.rows, known.matrices.copy())
     rows: list[tuple[int, int]] = []
@@ -65,7 +68,7 @@ def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | No
 
 
 def _solved(factors: Sequence[Factor], literal: Taught, goal: Floats, literals: LiteralPoses) -> Floats:
-    """The literal's matrix with which the product of the factors is the goal (4, 4)."""
+    """Return the literal's matrix for which the product of the factors is the goal (4, 4)."""
     k = next(i for i, factor in enumerate(factors) if factor.pose == literal)
     before, after = (matrix_of(Pose(tuple(part)), literals) for part in (factors[:k], factors[k + 1 :]))
     here = np.linalg.inv(before) @ goal @ np.linalg.inv(after)
@@ -73,7 +76,7 @@ def _solved(factors: Sequence[Factor], literal: Taught, goal: Floats, literals: 
 
 
 class Change(NamedTuple):
-    """Text in place of what stands from ``start`` to ``end``."""
+    """Text that replaces the range from ``start`` to ``end``."""
 
     start: int
     end: int
@@ -82,7 +85,7 @@ class Change(NamedTuple):
 
 @uncollected()
 def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, new: Solution) -> list[Change]:
-    """The changes of the text with which every target is told."""
+    """Return the changes of the text that give every target its commanded pose."""
     seen = list({one.literal.start: one.literal for one in targets if one.literal is not None}.values())
     poses = new.literals.matrices[[new.literals.rows[literal.start] for literal in seen]]
     out = [_renumbered(literal, texts) for literal, texts in zip(seen, _pose_texts(seen, poses), strict=True)]
@@ -93,7 +96,7 @@ def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, ne
 
 
 def joint_changes(literals: Sequence[Taught], q: Floats) -> list[Change]:
-    """The changes of the text with joint readings q (n, j) [rad] in place of those of literals."""
+    """Return the changes of the text that replace joint readings of literals by q (n, j) [rad]."""
     out = []
     for literal, readings in zip(literals, q, strict=True):
         values, digits = (readings, 10) if literal.form is Form.JOINTS else (DEG.of(readings), 8)
@@ -102,13 +105,13 @@ def joint_changes(literals: Sequence[Taught], q: Floats) -> list[Change]:
 
 
 def _renumbered(literal: Taught, texts: Sequence[str]) -> Change:
-    """A literal with other first numbers."""
+    """Return a literal with other first numbers."""
     new = iter(texts)
     return Change(literal.start, literal.end, NUMBERS.sub(lambda _: next(new), literal.text, len(texts)))
 
 
 def changed_text(program: Program, changes: Iterable[Change]) -> bytes:
-    """The program with changes of its text; every other byte is as it was."""
+    """Return the program with changes of its text; every other byte is unchanged."""
     pieces, at = [], 0
     for change in sorted(changes):
         pieces += [program.source.text[at : change.start], change.text]
@@ -117,7 +120,7 @@ def changed_text(program: Program, changes: Iterable[Change]) -> bytes:
 
 
 def marks_of(program: Program, refused: Sequence[Refused]) -> list[Change]:
-    """A comment at the end of each line whose move is not corrected."""
+    """Return a comment at the end of each line whose move is not corrected."""
     sign = "#" if program.language == "urscript" else "!"
     whys: dict[int, list[str]] = {}
     for one in refused:
@@ -134,7 +137,7 @@ def marks_of(program: Program, refused: Sequence[Refused]) -> list[Change]:
 
 
 def _pose_texts(literals: Sequence[Taught], poses: Floats) -> list[list[str]]:
-    """The numbers of literals as text: 10 nm and 1e-9 of a turn, finer than a controller's arithmetic."""
+    """Return the numbers of literals as text: 10 nm and 1e-9 of a rotation, finer than a controller's arithmetic."""
     if not literals:
         return []
     rotation = Rotation.from_matrix(poses[:, :3, :3])
@@ -144,13 +147,13 @@ def _pose_texts(literals: Sequence[Taught], poses: Floats) -> list[list[str]]:
         return [[plain(value, 9) for value in row] for row in six.tolist()]
     quaternion = rotation.as_quat()[:, [3, 0, 1, 2]]
     old = values_of(literals)[:, 3:7]
-    quaternion *= np.where((quaternion * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]  # q and −q are one turn
+    quaternion *= np.where((quaternion * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]  # q and −q are the same rotation
     places = [[plain(value, 5) for value in row] for row in MM.of(poses[:, :3, 3]).tolist()]
     return [[*place, *(plain(v, 10) for v in turn)] for place, turn in zip(places, quaternion.tolist(), strict=True)]
 
 
 def _written(program: Program, goal: Goal, pose: Floats) -> str:
-    """A target of its own, in place of an argument."""
+    """Return a separate target that replaces an argument."""
     rotation = Rotation.from_matrix(pose[:3, :3])
     if program.language == "urscript":
         six = ", ".join(plain(value, 9) for value in (*pose[:3, 3], *rotation.as_rotvec()))
@@ -165,7 +168,7 @@ def _written(program: Program, goal: Goal, pose: Floats) -> str:
 
 
 def _near(turn: Floats, old: Floats) -> Floats:
-    """Rotation vectors with whole turns added so that they are near the old ones: p[…, 0, 3.2, 0] is no −3.083."""
+    """Return rotation vectors with full turns added to be near the old ones: p[…, 0, 3.2, 0] does not become −3.083."""
     angle = np.linalg.norm(turn, axis=1, keepdims=True)
     axis = turn / np.maximum(angle, 1e-12)
     choices = np.stack([axis * (angle + 2.0 * math.pi * k) for k in (-2, -1, 0, 1, 2)])
@@ -175,6 +178,6 @@ def _near(turn: Floats, old: Floats) -> Floats:
 
 
 def plain(value: float, decimals: int) -> str:
-    """Without an exponent, trailing zeros or a negative zero."""
+    """Return a number without an exponent, trailing zeros or a negative zero."""
     text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

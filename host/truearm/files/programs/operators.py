@@ -1,4 +1,4 @@
-"""What the operators of a program make of numbers."""
+"""The operators of a program, applied to numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
 
 
 def operator_of(sign: str, at: int) -> Callable[..., Value]:
-    """What an operator makes of numbers; comparisons are left to the run."""
+    """Return the function of an operator on numbers; comparisons are left to run time."""
 
     def result(*operands: Value) -> Value:
         values = [one.value for one in operands if isinstance(one, Number)]

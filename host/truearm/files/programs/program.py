@@ -1,4 +1,4 @@
-"""A robot's program, read: its text and its moves, each with what it goes to."""
+"""A robot program that was read: its text and its moves, each with its goals."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ ProgramLanguage = Literal["urscript", "rapid"]
 
 
 class Surroundings(NamedTuple):
-    """What a program leaves to its surroundings.
+    """The external definitions of a program.
 
-    ``tool``: the tool in force before a URScript sets one, None where that is not known. ``frames``: tools and work objects of a RAPID program that are
-    declared elsewhere, by name. ``harmless``: routines from elsewhere that do not move the robot.
+    ``tool``: the active tool before a URScript sets one, None if unknown. ``frames``: tools and work objects of a RAPID
+    program that are declared elsewhere, by name. ``harmless``: external routines that do not move the robot.
     """
 
     tool: Pose | None = None
@@ -50,17 +50,17 @@ class Program:
 
     @cached_property
     def motion_at(self) -> Mapping[int, Motion]:
-        """The moves by their places."""
+        """Return the moves by their places."""
         return {motion.start: motion for motion in self.motions}
 
 
 def is_program(path: Path) -> bool:
-    """Whether a file is a robot's program, by its suffix."""
+    """Return whether a file is a robot program, by its suffix."""
     return path.suffix.lower() in (*RAPID_SUFFIXES, *SCRIPT_SUFFIXES)
 
 
 def language_of(path: Path) -> ProgramLanguage:
-    """The language of a program, by its suffix."""
+    """Return the language of a program, by its suffix."""
     return "urscript" if path.suffix.lower() in SCRIPT_SUFFIXES else "rapid"
 
 
@@ -71,7 +71,11 @@ def read_program(path: Path, surroundings: Surroundings) -> Program:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Without cyclic garbage collection, which goes through the hundred thousands of tuples of a large program again and again; they have no cycles."""
+    """Disable cyclic garbage collection: it would scan the hundreds of thousands of tuples of a large program
+    repeatedly.
+
+    They have no cycles.
+    """
     was = gc.isenabled()
     gc.disable()
     try:
@@ -108,7 +112,7 @@ def _followed(source: Source, language: ProgramLanguage, surroundings: Surroundi
 
 
 def _check_text(source: Source, data: bytes) -> None:
-    """Refuse what is not text, and a text in two encodings: somebody has put parts together, and names may not agree."""
+    """Reject what is not text, and text in two encodings: it was assembled from parts, and names may not match."""
     if (at := source.text.find("\0")) >= 0:
         raise source.wrong(at, "holds a NUL byte, so it is not a program in a one-byte encoding or UTF-8")
     try:
@@ -129,13 +133,13 @@ def _is_utf8(line: bytes) -> bool:
 
 
 def statement_of(program: Program, motion: Motion) -> str:
-    """A move's statement, on one line and short."""
+    """Return a move's statement, shortened to one line."""
     text = one_line(" ".join(program.source.text[motion.start : motion.end].split()))
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 class Refused(NamedTuple):
-    """A move that cannot be corrected: its line, its statement and why; ``remedy``: the argument that would settle it, or ""."""
+    """A move that cannot be corrected: line, statement and reason; ``remedy``: the argument to resolve it, or ""."""
 
     line: int
     statement: str
@@ -144,5 +148,5 @@ class Refused(NamedTuple):
 
 
 def refused_at(program: Program, at: int, why: str, remedy: str = "") -> Refused:
-    """The refusal of the move at a place."""
+    """Return the rejection of the move at a place."""
     return Refused(program.source.line(at), statement_of(program, program.motion_at[at]), why, remedy)

@@ -1,7 +1,7 @@
-"""RAPID, read: the grammar of ABB's technical reference manual (RAPID kernel, IRC5 and OmniCore).
+"""The parser of RAPID: the grammar of ABB's technical reference manual (RAPID kernel, IRC5 and OmniCore).
 
-Words are the same in upper and lower case; names are kept in lower case, and may hold letters of ISO 8859-1. Statements end with a semicolon, line
-ends mean nothing. A module gives its data, its routines, and the types of what it declares.
+Words are case-insensitive; names are stored in lower case, and may contain letters of ISO 8859-1. Statements end with a
+semicolon; line ends have no meaning. A module yields its data, its routines, and the types of its declarations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from truearm.files.programs.syntax import (
     Truth,
 )
 
-LATE_BOUND = "%"  # what stands for %expression%: the procedure of that name
+LATE_BOUND = "%"  # represents %expression%: the procedure of that name
 
 
 class Declared(NamedTuple):
@@ -46,7 +46,7 @@ class Declared(NamedTuple):
 
 
 class Module(NamedTuple):
-    """What a module declares."""
+    """The declarations of a module."""
 
     data: tuple[Declared, ...]
     routines: tuple[Routine, ...]
@@ -54,7 +54,7 @@ class Module(NamedTuple):
 
 
 def read_rapid(source: Source) -> tuple[Module, ...]:
-    """The modules of a program. Raises ProgramError with file and line."""
+    """Return the modules of a program. Raises ProgramError with file and line."""
     reader = _Reader(source, TOKENS)
     found = [reader.module()]
     while reader.kind != END:
@@ -172,7 +172,7 @@ class _Reader(ExpressionReader):
         return tuple(found)
 
     def block(self) -> Block:
-        """Statements up to the word that closes them, which is left."""
+        """Return the statements up to the word that closes them, which is not consumed."""
         self.deeper()
         found: list[Statement] = []
         while not (self.kind == END or self.is_word(*CLOSING)):
@@ -242,7 +242,7 @@ class _Reader(ExpressionReader):
         return [Leave("halt")]
 
     def raised(self) -> list[Statement]:
-        """RAISE, RETRY or TRYNEXT: an error handler, which may be entered from anywhere, is left."""
+        """Read RAISE, RETRY or TRYNEXT: it leaves an error handler, which may be entered from anywhere."""
         self.step()
         if self.text != ";":
             self.expression()
@@ -258,7 +258,7 @@ class _Reader(ExpressionReader):
         return []
 
     def simple(self) -> Statement:
-        """An assignment, or an instruction or procedure with its arguments."""
+        """Read an assignment, or an instruction or procedure with its arguments."""
         start = self.start
         if self.following in (":=", ".", "{"):
             left = self.postfix()

@@ -1,4 +1,4 @@
-"""RAPID's words and expressions, read: what ``rapid`` makes statements and modules of."""
+"""The words and expressions of RAPID, from which ``rapid`` builds statements and modules."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOKENS = re.compile(
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
 _NOT, _MINUS = 3, 7
-PASSED = r"\?"  # what stands for \name?parameter: the parameter where it is given
+PASSED = r"\?"  # represents \name?parameter: the parameter, if it is given
 ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
 CLOSING = frozenset(
     {*ENDS.values(), "else", "elseif", "endif", "endfor", "endwhile", "endtest", "case", "default", "error", "undo", "backward"}
@@ -77,7 +77,7 @@ class ExpressionReader(Reader):
         return self.once(self.step().lower())
 
     def arguments(self, closing: str) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
-        r"""Arguments in order, and those after a \\, up to a sign that is taken. A switch is True."""
+        r"""Return arguments in order, and those after a \\, up to a sign that is consumed. A switch is True."""
         values: list[Expression] = []
         named: list[tuple[str, Expression]] = []
         self.deeper()
@@ -89,13 +89,13 @@ class ExpressionReader(Reader):
                 if self.text == ":=":
                     self.step()
                     value = self.expression()
-                elif self.text == "?":  # as the routine's own optional parameter, or not at all
+                elif self.text == "?":  # passed on from the routine's own optional parameter, or omitted
                     self.step()
                     at = self.start
                     value = Call(PASSED, (Name(self.word("a parameter"), at),), (), at, self.end)
                 named.append((name, value))
             else:
-                if self.following == ":=" and self.kind == "word":  # required arguments stand in order, named or not
+                if self.following == ":=" and self.kind == "word":  # required arguments are in order, named or not
                     self.step()
                     self.step()
                 values.append(self.expression())
@@ -108,7 +108,7 @@ class ExpressionReader(Reader):
         return tuple(values), tuple(named)
 
     def expression(self, least: int = 0) -> Expression:
-        """An expression whose operators bind at least so strongly."""
+        """Return an expression whose operators have at least this precedence."""
         start, text = self.start, self.text.lower()
         if text == "not" or text in ("-", "+"):
             self.deeper()
@@ -178,7 +178,7 @@ class ExpressionReader(Reader):
         raise self.unexpected("an expression")
 
     def bracketed(self, closing: str) -> tuple[Expression, ...]:
-        """Expressions between commas up to a closing bracket, which is taken."""
+        """Return expressions between commas up to a closing bracket, which is consumed."""
         self.deeper()
         items: list[Expression] = []
         while self.text != closing:
@@ -196,5 +196,5 @@ class ExpressionReader(Reader):
 
 
 def quoted_sign(text: str) -> str:
-    """A sign as it is shown."""
+    """Return a sign as it is displayed."""
     return f"'{text}'"

@@ -1,6 +1,6 @@
-"""What RAPID's instructions and functions mean for the moves of a program (ABB, technical reference manual 3HAC050917).
+"""The effect of RAPID's instructions and functions on a program's moves (ABB, technical reference manual 3HAC050917).
 
-An instruction that is not listed (``rapid_words``) may move the robot, and is named.
+An instruction that is not listed (``rapid_words``) may move the robot, and is reported.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from truearm.files.programs.values import (
 
 DISPLACED = "program displacement"
 LOCKED = "axis 4 locked"
-CONFIGURATIONS = ("confj", "confl")  # whether they are watched in joint moves, and in the others
+CONFIGURATIONS = ("confj", "confl")  # whether they are monitored in joint moves, and in the others
 
 
 _FIELDS: Mapping[str, int] = {
@@ -63,7 +63,11 @@ _TOOL, _OBJECT = "tool0", "wobj0"
 
 @dataclass(frozen=True)
 class Rapid:
-    """RAPID's meaning. ``fields``: places of components in records; ``harmless``: routines from elsewhere that do not move the robot; ``constants``: their names."""
+    """The meaning of RAPID.
+
+    ``fields``: places of components in records; ``harmless``: external routines that do not move the robot;
+    ``constants``: their names.
+    """
 
     fields: Mapping[str, int]
     harmless: frozenset[str] = frozenset()
@@ -71,11 +75,11 @@ class Rapid:
 
     @property
     def outer_names(self) -> bool:
-        """A name that a routine does not declare is the module's."""
+        """Return that a name not declared in a routine is the module's."""
         return True
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
-        """The arguments that an instruction may assign to: all but constants, and but of those that are known to read them."""
+        """Return the arguments to which an instruction may assign: all except constants and read-only ones."""
         if call.function in SEARCHES:
             return call.arguments[1:2]
         if call.function in READERS:
@@ -84,11 +88,11 @@ class Rapid:
         return tuple(one for one in given if root_of(one) not in self.constants)
 
     def literal(self, of: Taught) -> Value:
-        """A literal robtarget or jointtarget, as it is."""
+        """Return a literal robtarget or jointtarget unchanged."""
         return of
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
-        """What an instruction or function of the language gives, after its effect; None where it is none."""
+        """Apply an instruction or function of the language and return its result; None for any other."""
         name, at = call.function, call.start
         if name in MOVES:
             self._move(flow, call, arguments, named)
@@ -135,7 +139,7 @@ class Rapid:
         return None
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
-        """An element of an array, counted from 0, or a component of a record; nothing where the array ends before it."""
+        """Return an element of an array, counted from 0, or a component of a record; nothing beyond its end."""
         if isinstance(of, Unknown):
             return (of,)
         items = items_of(of)
@@ -147,7 +151,7 @@ class Rapid:
         return tuple(dict.fromkeys(value for item in items for value in item))
 
     def changed(self, of: Value, at: Value | str, new: Values, place: int) -> Value:
-        """An array or record with another item."""
+        """Return an array or record with another item."""
         items = items_of(of)
         k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
         if items is None or k is None or not 0 <= k < len(items):
@@ -162,7 +166,7 @@ class Rapid:
         if "corr" in named:
             flow.uncertain(name, at, call.end, r"\Corr changes the path at run time")
         tools = tuple(tool_of(value, at) for value in arguments[move.tool])
-        absent = (Truth(False),)  # an optional parameter that is passed on and was not given
+        absent = (Truth(False),)  # an optional parameter that is passed on but was not given
         given = named.get("wobj", absent)
         objects = tuple(NOWHERE if value in absent else object_of(value, at) for value in given)
         for state in (DISPLACED, LOCKED):
@@ -175,7 +179,7 @@ class Rapid:
         flow.goes_to(call, targets, tools, objects, straight=name in STRAIGHT)
 
     def _beside(self, target: Value, at: int, free: bool) -> Value:
-        """A target, unless one of its external axes may move the robot's base; ``free``: in any configuration."""
+        """Return a target, unless an external axis of it may move the robot's base; ``free``: in any configuration."""
         if isinstance(target, Pose) and free:
             target = target._replace(free=True)
         like = target.like if isinstance(target, Pose) else None
@@ -189,7 +193,7 @@ class Rapid:
 
 
 def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
-    """Follow a program; ``frames`` are tools and work objects that are declared elsewhere."""
+    """Follow a program; ``frames`` are tools and work objects declared elsewhere."""
     records = {
         name: k for module in modules for record in module.records.values() for k, (_, name) in enumerate(record)
     }
@@ -204,7 +208,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     routines = [routine for module in modules for routine in module.routines]
     constants = {_TOOL, _OBJECT}
     constants |= {datum.name for module in modules for datum in module.data if datum.kind == "const"}
-    for routine in routines:  # a name may be another variable's in a routine
+    for routine in routines:  # in a routine, a name may be another variable's
         constants -= {one.name for one in routine.parameters}
         constants -= {root_of(one.target) for one in statements_in(routine.body) if isinstance(one, Assign)}
     flow = Flow(source, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
@@ -243,7 +247,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
             flow.enter(routine, None, (), {})
             flow.environment.layers.pop()
             for name in kept:
-                # all that it ever was: the run may be stopped anywhere, or ended by ExitCycle
+                # All values it ever had: the run may be stopped anywhere, or ended by ExitCycle.
                 before = flow.environment.get((0, name))
                 after = joined(before, tuple(record.get((0, name), ())))
                 grown |= after != before
@@ -254,7 +258,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
             for name in kept:
                 flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
     flow.environment.records.pop()
-    for routine in routines:  # what may be run at any time: traps, service routines, and what only such routines call
+    for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call
         if routine.name != "main" and (routine in entries or routine.name not in flow.called):
             flow.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
             flow.enter(routine, None, (), {})
@@ -266,7 +270,10 @@ MAX_ROUNDS = 4
 
 
 def _assigned_elsewhere(modules: Sequence[Module]) -> tuple[str, ...]:
-    """Data that keep what one routine or run gave them for the next, in the order of the text; so do the displacement and what is watched."""
+    """Return data that keep their value from one routine or run to the next, in the order of the text.
+
+    These include the displacement and the monitored configurations.
+    """
     return (
         *(datum.name for module in modules for datum in module.data if datum.kind != "const"),
         DISPLACED,

@@ -1,7 +1,7 @@
-"""Robtargets, tools and work objects of RAPID as poses, and what its functions make of them.
+"""Robtargets, tools and work objects of RAPID as poses, and the functions on them.
 
-A robtarget lies in the object frame of its work object: user frame · object frame · target; the tool's frame is that of its tooldata. ``Offs`` shifts a
-target along the work object's axes, ``RelTool`` along the tool's.
+A robtarget is relative to the object frame of its work object: user frame · object frame · target; the tool's frame is
+that of its tooldata. ``Offs`` shifts a target along the work object's axes, ``RelTool`` along the tool's.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from truearm.files.programs.values import (
 )
 from truearm.units import MM
 
-NO_AXIS = 8.9e9  # 9E9 stands for an external axis that there is not
+NO_AXIS = 8.9e9  # 9E9 represents a missing external axis
 
 
 def target_of(value: Value, at: int) -> Value:
@@ -47,7 +47,7 @@ def target_of(value: Value, at: int) -> Value:
 
 
 def tool_of(value: Value, at: int) -> Value:
-    """The frame of a tooldata."""
+    """Return the frame of a tooldata."""
     if isinstance(value, Pose):
         return value
     if isinstance(value, Unknown):
@@ -61,7 +61,7 @@ def tool_of(value: Value, at: int) -> Value:
 
 
 def object_of(value: Value, at: int) -> Value:
-    """The frame of a wobjdata: user frame and object frame."""
+    """Return the frame of a wobjdata: user frame and object frame."""
     if isinstance(value, Pose):
         return value
     if isinstance(value, Unknown):
@@ -83,7 +83,7 @@ def object_of(value: Value, at: int) -> Value:
 
 
 def _frame(values: Values) -> Pose | None:
-    """A pose [[x, y, z], [q1, q2, q3, q4]] of plain numbers."""
+    """Return a pose [[x, y, z], [q1, q2, q3, q4]] of plain numbers."""
     if len(values) != 1 or not isinstance(values[0], Listed) or len(values[0].items) != 2:
         return None
     parts = [numbers_of(item[0]) if len(item) == 1 else None for item in values[0].items]
@@ -116,7 +116,7 @@ def offset(given: Sequence[Value], at: int) -> Value:
 
 
 def offset_along_tool(given: Sequence[Value], at: int) -> Value:
-    """Rotations are about x first, then the new y, then the new z."""
+    """Return a target offset along the tool, rotated about x first, then the new y, then the new z."""
     target, numbers = target_of(given[0], at), _numbers(given[1:])
     if isinstance(target, Unknown):
         return target
@@ -130,7 +130,7 @@ def offset_along_tool(given: Sequence[Value], at: int) -> Value:
 
 
 def oriented(given: Sequence[Value], at: int) -> Value:
-    """A quaternion, scalar first, of turns about z, the new y, the new x [deg]."""
+    """Return a quaternion, scalar first, of rotations about z, the new y, the new x [deg]."""
     numbers = _numbers(given)
     if numbers is None:
         return first_unknown(given) or Unknown("the angles of OrientZYX are not known", at)
@@ -139,7 +139,7 @@ def oriented(given: Sequence[Value], at: int) -> Value:
 
 
 def items_of(of: Value) -> tuple[Values, ...] | None:
-    """The items of a list or of a literal, as lists again."""
+    """Return the items of a list or of a literal, as lists again."""
     if isinstance(of, Listed):
         return of.items
     if not isinstance(of, Taught):

@@ -1,7 +1,9 @@
-"""RAPID's instructions and functions by what they do (ABB, technical reference manual 3HAC050917, and the manuals of the process packages).
+"""RAPID's instructions and functions by effect (ABB, technical reference manual 3HAC050917, and process package
+manuals).
 
-Held against the words of a public syntax file (rapid-for-vim 2.3.0): what it has as a movement is among the moves or the instructions without a target
-here, or is not listed, so that it is refused; but for those that only stop, start or retrace a path (Break, StartMove, StopMove, PathRecMoveBwd …).
+Compared with the words of a public syntax file (rapid-for-vim 2.3.0): each of its movements is listed here among the
+moves or the instructions without a target, or is not listed and therefore rejected. Exceptions are those that only
+stop, start or retrace a path (Break, StartMove, StopMove, PathRecMoveBwd …).
 """
 
 from __future__ import annotations
@@ -32,7 +34,8 @@ MOVES: Mapping[str, Move] = {
     "searchl": Move((2,), 4),
     "searchj": Move((2,), 4),
     "searchc": Move((2, 3), 5),
-    # the tool is the last argument whatever process data stand before it: ArcWare before RobotWare 5 has weavedata among them
+    # The tool is the last argument, whatever process data precede it: ArcWare before RobotWare 5 has weavedata among
+    # them.
     **dict.fromkeys(
         words("arcl arclstart arclend arcl1 arcl1start arcl1end arcl2 arcl2start arcl2end"), Move((0,), -1)
     ),
@@ -132,5 +135,5 @@ WRITING_FUNCTIONS = words(
 _FOLLOWED = words(
     "pdispon pdispset pdispoff eoffson eoffsset eoffsoff confj confl singarea moveextj offs orientzyx reltool"
 )
-# what reads its arguments; everything else, what the program does not define too, may assign to them
+# These read their arguments; everything else, including what the program does not define, may assign to them.
 READERS = (frozenset(MOVES) | FUNCTIONS | READING | _FOLLOWED | {PASSED}) - WRITING_FUNCTIONS

@@ -1,7 +1,7 @@
-"""What URScript and RAPID have in common once read: expressions, statements, and where in the text each stands.
+"""The common syntax tree of URScript and RAPID: expressions, statements, and their places in the text.
 
-Both languages are read into this one tree, so that one analysis (``dataflow``) follows values through either. A node keeps the
-places (``start``, ``end``) that a message or a change of the text needs, and nothing else of how it was written.
+Both languages are read into this one tree, so that one analysis (``dataflow``) follows values through either. A node
+stores the places (``start``, ``end``) that a message or a change of the text needs, and no other formatting.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from truearm.errors import ProgramError
 from truearm.schema import quoted
 
 _BRACKETS = dict.fromkeys(map(ord, "p[]"))
-MAX_DEPTH = 60  # of brackets and blocks within each other
+MAX_DEPTH = 60  # nesting depth of brackets and blocks
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 NUMBERS = re.compile(rf"[+-]?{NUMBER}")
 
@@ -30,7 +30,7 @@ class Number(NamedTuple):
 
 
 class Written(NamedTuple):
-    """A plain number with its sign, and where it stands."""
+    """A plain number with its sign, and its place."""
 
     value: float
     start: int
@@ -57,24 +57,24 @@ class Name(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The place behind it."""
+        """Return the place after it."""
         return self.start + len(self.name)
 
 
 class Form(StrEnum):
-    """What a list of plain numbers is that stands in a program as one literal."""
+    """The type of a list of plain numbers that is one literal in a program."""
 
     POSE = "p[…]"  # x, y, z [m], rotation vector [rad]
     ROBTARGET = "robtarget"  # x, y, z [mm], quaternion with the scalar first, configuration, external axes
     JOINTS = "joints"  # readings [rad]
     JOINTTARGET = "jointtarget"  # readings [deg], external axes
     COMPUTED = (
-        "computed joints"  # readings [rad] that an expression gives, so that the text is ours; ``start`` is the move
+        "computed joints"  # readings [rad] from an expression, so the new text is truearm's; ``start`` is the move
     )
 
 
 class Taught(NamedTuple):
-    """A literal of plain numbers: what a person or an editor wrote or taught there. Its numbers are read where they are asked for."""
+    """A literal of plain numbers, as a person or an editor wrote or taught it. Its numbers are read on demand."""
 
     form: Form
     text: str
@@ -82,23 +82,23 @@ class Taught(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The place behind it."""
+        """Return the place after it."""
         return self.start + len(self.text)
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The numbers."""
+        """Return the numbers."""
         return tuple(map(float, self.text.translate(_BRACKETS).split(",")))
 
     @property
     def numbers(self) -> tuple[Written, ...]:
-        """The numbers with their places."""
+        """Return the numbers with their places."""
         found = NUMBERS.finditer(self.text)
         return tuple(Written(float(m[0]), self.start + m.start(), self.start + m.end()) for m in found)
 
 
 class Items(NamedTuple):
-    """A list in brackets; ``pose`` where a p stands before them."""
+    """A list in brackets; ``pose`` if it starts with p."""
 
     items: tuple[Expression, ...]
     pose: bool
@@ -107,7 +107,7 @@ class Items(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A function or instruction with its arguments in order, and those that are given by name."""
+    """A function or instruction with its arguments in order, and its named arguments."""
 
     function: str
     arguments: tuple[Expression, ...]
@@ -138,7 +138,7 @@ Expression = Number | Text | Truth | Name | Taught | Items | Call | Element | Op
 
 
 class Assign(NamedTuple):
-    """``target = value``; ``scope`` is said where the language says it there."""
+    """``target = value``; ``scope`` if the language states it there."""
 
     target: Name | Element
     value: Expression
@@ -146,13 +146,13 @@ class Assign(NamedTuple):
 
 
 class Do(NamedTuple):
-    """An expression, mostly a call, for its effect."""
+    """An expression, usually a call, for its effect."""
 
     what: Expression
 
 
 class If(NamedTuple):
-    """One of several blocks; ``whole`` where one of them is always taken."""
+    """One of several blocks; ``whole`` if one of them is always taken."""
 
     conditions: tuple[Expression, ...]
     blocks: tuple[Block, ...]
@@ -160,7 +160,7 @@ class If(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """A block that is run any number of times. ``counter``: a variable that counts."""
+    """A block that is executed any number of times. ``counter``: a variable that counts."""
 
     condition: Expression | None
     body: Block
@@ -174,19 +174,19 @@ class Return(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """The end of a loop (break), of a turn of it (continue), or of the program (halt)."""
+    """The end of a loop (break), of one pass of it (continue), or of the program (halt)."""
 
     what: Literal["break", "continue", "halt"]
 
 
 class Jump(NamedTuple):
-    """A GOTO: what is run next is not followed."""
+    """A GOTO: the next statement is not followed."""
 
     start: int
 
 
 class Parameter(NamedTuple):
-    """Of a routine. ``shared``: it is the variable that is given, not a copy."""
+    """A parameter of a routine. ``shared``: it is the passed variable, not a copy."""
 
     name: str
     default: Expression | None = None
@@ -200,9 +200,9 @@ class Routine(NamedTuple):
     name: str
     parameters: tuple[Parameter, ...]
     body: Block
-    kind: Literal["routine", "beside"]  # "beside": runs beside or in between the rest, as threads and traps do
+    kind: Literal["routine", "beside"]  # "beside": runs concurrently or in between, as threads and traps do
     start: int
-    handlers: tuple[Block, ...] = ()  # may be run from any place of the body, and go back to it
+    handlers: tuple[Block, ...] = ()  # may be executed from any place of the body, and return to it
 
 
 Statement = Assign | Do | If | Loop | Return | Leave | Jump | Routine
@@ -211,33 +211,34 @@ Block = tuple[Statement, ...]
 
 @dataclass(frozen=True)
 class Source:
-    """A program's text: bytes, one character each (Latin-1), so that every byte that is not changed stays."""
+    """A program's text: bytes, one character each (Latin-1), so that unchanged bytes are preserved."""
 
     text: str
     name: str
 
     @cached_property
     def line_starts(self) -> list[int]:
-        """The place of each line's first character; lines end with CR LF, LF or CR."""
+        """Return the place of each line's first character; lines end with CR LF, LF or CR."""
         return [0, *(match.end() for match in re.finditer("\r\n|\n|\r", self.text))]
 
     def line(self, at: int) -> int:
-        """The line, from 1, of a place."""
+        """Return the line, from 1, of a place."""
         return bisect_right(self.line_starts, at)
 
     def wrong(self, at: int, what: str) -> ProgramError:
-        """An error with file and line."""
+        """Return an error with file and line."""
         return ProgramError(f"{self.name} line {self.line(at)}: {what}")
 
 
 END = "end of the file"
-Token = tuple[str, str, int]  # kind, the name of the group of the language's pattern; text; place
+Token = tuple[str, str, int]  # kind, the name of the group in the language's pattern; text; place
 
 
 def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
-    """The tokens of a text one after the other, by a pattern whose named groups are the kinds.
+    """Yield the tokens of a text, by a pattern whose named groups are the kinds.
 
-    It begins with what is skipped, and matches nothing else where there is no token. The last ones have kind END. Raises ProgramError with the line of what is not a token.
+    The pattern begins with what is skipped, and matches nothing else if there is no token. The last tokens have kind
+    END. Raises ProgramError with the line for text that is not a token.
     """
     at, text = 0, source.text
     for match in pattern.finditer(text):
@@ -256,8 +257,8 @@ def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
 class Reader:
     """Tokens taken one after the other, by a language's grammar.
 
-    ``kind``, ``text`` and ``start`` are of the token that is next, ``following`` is the text of the one behind it, ``last`` and ``end`` are the places of the one
-    that was taken last and behind it.
+    ``kind``, ``text`` and ``start`` belong to the next token, ``following`` is the text of the token after it. ``last``
+    is the place of the token taken last, ``end`` the place after that token.
     """
 
     __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text")
@@ -267,10 +268,10 @@ class Reader:
         self._tokens = tokens_of(source, pattern)
         self.kind, self.text, self.start = next(self._tokens)
         self._next = next(self._tokens)
-        self.known: dict[str, str] = {}  # names, each kept once
+        self.known: dict[str, str] = {}  # names, each stored once
 
     def step(self) -> str:
-        """Take the token; its text."""
+        """Take the token; return its text."""
         text, self.last = self.text, self.start
         self.end = self.last + len(text)
         self.kind, self.text, self.start = self._next
@@ -279,30 +280,30 @@ class Reader:
 
     @property
     def following(self) -> str:
-        """The text of the token behind the one that is next."""
+        """Return the text of the token after the next one."""
         return self._next[1]
 
     def once(self, name: str) -> str:
-        """A name, the same object each time."""
+        """Return a name, always as the same object."""
         return self.known.setdefault(name, name)
 
     def wrong(self, what: str) -> ProgramError:
-        """An error where the reader stands."""
+        """Return an error at the reader's position."""
         return self.source.wrong(self.start, what)
 
     def unexpected(self, wanted: str) -> ProgramError:
-        """An error: something else was wanted here."""
+        """Return an error: something else was expected here."""
         if self.kind == END:
             return self.wrong(f"the file ends where {wanted} should stand; it is cut short")
         return self.wrong(f"{quoted(self.text)} stands where {wanted} should")
 
     def deeper(self) -> None:
-        """Count a bracket or block that begins; ``depth`` is lowered where it ends."""
+        """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""
         self.depth += 1
         if self.depth > MAX_DEPTH:
             raise self.wrong(f"is nested more than {MAX_DEPTH} deep")
 
 
 def words(text: str) -> frozenset[str]:
-    """The words of a text."""
+    """Return the words of a text."""
     return frozenset(text.split())

@@ -1,8 +1,9 @@
-"""What of a program is to be corrected: which numbers of it each move goes to.
+"""The numbers of a program to correct: those that determine the goal of each move.
 
-A move's goal is a product of poses (``values.Pose``). One literal of it takes up the correction: the last one, which is the taught point where the others are
-features and offsets, unless another move needs it for itself. Two moves that would need two values of one literal are refused with both lines; with ``split``
-the later one gets numbers of its own, written where its argument stood.
+A move's goal is a product of poses (``values.Pose``). One literal of it receives the correction: the last one, which is
+the taught point if the others are features and offsets, unless another move needs that literal alone. Two moves that
+require different values of one literal are rejected with both lines. With ``split`` the later move gets separate
+numbers, written in place of its argument.
 """
 
 from __future__ import annotations
@@ -32,19 +33,19 @@ from truearm.types import Floats
 from truearm.units import DEG, MM, UNITS
 
 MAX_TARGETS = 100_000
-QUARTERS = (0, 3, 5)  # joints whose quarter turns a robtarget's configuration names: axes 1, 4 and 6
+QUARTERS = (0, 3, 5)  # joints whose quarter turns a robtarget's configuration gives: axes 1, 4 and 6
 
 
 class PoseTarget(NamedTuple):
-    """A pose that moves go to. ``literal`` takes up the correction; None where it is written into the move (``split``)."""
+    """A pose that is a goal of moves. ``literal`` receives the correction; None if written into the move (``split``)."""
 
     goal: Goal
     literal: Taught | None
-    at: int  # of the first move that goes there
+    at: int  # of the first move that goes to it
 
 
 class Line(NamedTuple):
-    """A straight move: its place, from where and to which pose. A start is a pose, or joint readings."""
+    """A straight move: its place, its start and its goal pose. A start is a pose, or joint readings."""
 
     at: int
     start: int | Taught  # a pose's index among the targets' poses
@@ -52,7 +53,10 @@ class Line(NamedTuple):
 
 
 class Revisit(NamedTuple):
-    """A further way to a pose (by its index): with another qnear, or from elsewhere. The arm may come to it in another configuration, in which it needs another correction."""
+    """A further path to a pose (by its index): with another qnear, or from elsewhere.
+
+    The arm may arrive in another configuration, which requires another correction.
+    """
 
     pose: int
     goal: Goal
@@ -61,10 +65,11 @@ class Revisit(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be.
+    """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be corrected.
 
-    ``lines`` are the straight moves, of which ``loose`` (by place) may begin elsewhere too. ``origins``: where the robot comes from when it first goes to each
-    pose, another pose by its index or joint readings, None where the program does not say; ``revisits``: the further ways to them.
+    ``lines`` are the straight moves; those in ``loose`` (by place) may also begin elsewhere. ``origins``: the robot's
+    position before it first goes to each pose, given as another pose by its index or joint readings, None if the
+    program does not determine it. ``revisits``: the further paths to them.
     """
 
     poses: tuple[PoseTarget, ...]
@@ -81,9 +86,10 @@ Refuse = Callable[[Motion, str, str], None]
 
 @uncollected()
 def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
-    """Which literals take up the corrections. ``joint_moves``: joint readings are corrected too; else they are left.
+    """Return which literals receive the corrections. ``joint_moves``: joint readings are corrected too; otherwise they
+    are kept.
 
-    Raises ProgramError where there are too many targets.
+    Raises ProgramError if there are too many targets.
     """
     refused: dict[Refused, None] = {}
     users: dict[Goal, Motion] = {}
@@ -118,7 +124,7 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
 
 
 def _straight_ways(program: Program, index: Mapping[Goal, int | None]) -> tuple[tuple[Line, ...], tuple[int, ...]]:
-    """The straight moves from known places to poses that are corrected, and those that may begin elsewhere too."""
+    """Return the straight moves from known places to corrected poses, and those that may also begin elsewhere."""
     lines: dict[Line, None] = {}
     loose: dict[int, None] = {}
     for motion in program.motions:
@@ -136,7 +142,7 @@ def _straight_ways(program: Program, index: Mapping[Goal, int | None]) -> tuple[
 def _ways(
     program: Program, poses: Sequence[PoseTarget], index: Mapping[Goal, int | None]
 ) -> tuple[tuple[int | Taught | None, ...], tuple[Revisit, ...]]:
-    """Where the robot first comes from to each pose, and the further ways to it."""
+    """Return the robot's position before it first goes to each pose, and the further paths to it."""
     origins: dict[int, int | Taught] = {}
     further: dict[tuple[object, ...], Revisit] = {}
     for motion in program.motions:
@@ -161,7 +167,10 @@ def _ways(
 
 
 def _chooses(goal: Goal) -> tuple[float, ...] | bool:
-    """What of a goal chooses the arm's configuration besides where the robot comes from: joint readings, or whether the target's own data count."""
+    """Return what selects a goal's arm configuration other than the robot's previous position.
+
+    These are joint readings, or whether the target's own data count.
+    """
     if goal.near is None:
         return isinstance(goal.target, Pose) and goal.target.free
     return goal.near.values if isinstance(goal.near, Taught) else goal.near
@@ -176,7 +185,7 @@ def _origin(start: Value, index: Mapping[Goal, int | None]) -> int | Taught | No
 def _assigned(
     program: Program, users: Mapping[Goal, Motion], split: bool, refuse: Refuse
 ) -> tuple[tuple[PoseTarget, ...], list[int | None]]:
-    """The targets, with a literal for each goal (those with one candidate choose first), and which of them each goal is."""
+    """Return the targets, with a literal for each goal (those with one candidate first), and each goal's target."""
     goals, motions = list(users), list(users.values())
     fixtures = {literal.start for goal in goals for pose in goal[1:3] if pose.factors for literal in literals_in(pose)}
     candidates = [_candidates(goal, fixtures) for goal in goals]
@@ -219,20 +228,20 @@ def _assigned(
 
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
-    """The goal written into its move, where the argument goes nowhere else."""
+    """Return the goal written into its move, if the argument is used nowhere else."""
     alone = sum(1 for other in motion.goals if (other.start, other.end) == (goal.start, goal.end)) == 1
     return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 else None
 
 
 def _same(a: Goal, b: Goal) -> bool:
-    """Whether two goals ask the same of a literal."""
+    """Return whether two goals require the same of a literal."""
     assert isinstance(a.target, Pose)
     assert isinstance(b.target, Pose)
     return (a.target.factors, a.tool, a.frame) == (b.target.factors, b.tool, b.frame)
 
 
 def _candidates(goal: Goal, fixtures: set[int]) -> list[Taught]:
-    """The literals that may take up a goal's correction, the best first."""
+    """Return the literals that may receive a goal's correction, the best first."""
     assert isinstance(goal.target, Pose)
     found = list(literals_in(goal.target))
     if len(found) == 1:
@@ -242,7 +251,7 @@ def _candidates(goal: Goal, fixtures: set[int]) -> list[Taught]:
 
 
 def _suspects(literals: Sequence[Taught]) -> Iterator[Taught]:
-    """The literals with a number so large, or a quaternion so far from a unit one, that they may be absurd."""
+    """Yield the literals with a number so large, or a quaternion so far from a unit one, that they may be invalid."""
     for form in Form:
         mine = [one for one in literals if one.form is form]
         if mine:
@@ -254,7 +263,7 @@ def _suspects(literals: Sequence[Taught]) -> Iterator[Taught]:
 
 
 def _plain(form: Form) -> float:
-    """What no length or angle of a literal exceeds that a robot reaches, in the units that it is written in."""
+    """Return an upper limit for lengths and angles of a literal that a robot can reach, in the literal's units."""
     metres, radians = UNITS["m"].largest, UNITS["rad"].largest
     match form:
         case Form.POSE | Form.JOINTS | Form.COMPUTED:
@@ -268,7 +277,7 @@ def _plain(form: Form) -> float:
 
 
 def _absurd(literal: Taught) -> str | None:
-    """Why a literal cannot be a pose or joint readings of a robot."""
+    """Return why a literal cannot be a pose or joint readings of a robot."""
     numbers = literal.values
     match literal.form:
         case Form.POSE | Form.ROBTARGET as form:
@@ -299,7 +308,10 @@ def _beyond(values: Sequence[float], largest: float) -> float | None:
 
 
 def poses_of(targets: Sequence[PoseTarget], known: LiteralPoses | None = None) -> tuple[Floats, Floats, Floats]:
-    """(n, 4, 4) targets in their frames, the frames in the controller's base, and the tools, in m; ``known`` are their ``literal_poses``."""
+    """Return targets (n, 4, 4) in their frames, the frames in the controller's base, and the tools, in m.
+
+    ``known`` are their ``literal_poses``.
+    """
     literals = known or literal_poses(targets)
     goals = [one.goal for one in targets]
     target, frame, tool = (
@@ -310,8 +322,8 @@ def poses_of(targets: Sequence[PoseTarget], known: LiteralPoses | None = None) -
 
 
 def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
-    """(n, 4, 4) of poses, many of which are one literal or the same object."""
-    if poses and all(pose is poses[0] for pose in poses):  # as tools and frames mostly are
+    """Return the matrices (n, 4, 4) of poses, many of which are one literal or the same object."""
+    if poses and all(pose is poses[0] for pose in poses):  # as tools and frames usually are
         return np.broadcast_to(matrix_of(poses[0], literals), (len(poses), 4, 4))
     out = np.empty((len(poses), 4, 4))
     rows: list[tuple[int, int]] = []
@@ -331,15 +343,15 @@ def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
 
 
 def literal_poses(targets: Sequence[PoseTarget]) -> LiteralPoses:
-    """The poses of all literals that targets, tools and frames are made of."""
+    """Return the poses of all literals that make up targets, tools and frames."""
     found = _literals_of(targets)
     return LiteralPoses(dict(zip(found, range(len(found)), strict=True)), matrices_of(list(found.values())))
 
 
 def _literals_of(targets: Sequence[PoseTarget]) -> dict[int, Taught]:
-    """The literals of targets, tools and frames by their places."""
+    """Return the literals of targets, tools and frames by their places."""
     found: dict[int, Taught] = {}
-    seen: set[int] = set()  # tools and frames are mostly the same objects
+    seen: set[int] = set()  # tools and frames are usually the same objects
     for one in targets:
         for pose in one.goal[:3]:
             if not isinstance(pose, Pose) or not pose.factors or id(pose) in seen:
@@ -354,7 +366,7 @@ def _literals_of(targets: Sequence[PoseTarget]) -> dict[int, Taught]:
 
 
 def nears_of(goals: Sequence[Goal], n_joints: int) -> Floats:
-    """(n, j) joint readings [rad] near those of each goal, NaN where the program says none."""
+    """Return joint readings (n, j) [rad] near those of each goal, NaN if the program gives none."""
     out = np.full((len(goals), n_joints), np.nan)
     taught = [(i, one.near) for i, one in enumerate(goals) if isinstance(one.near, Taught)]
     if taught and n_joints == 6:
@@ -367,7 +379,7 @@ def nears_of(goals: Sequence[Goal], n_joints: int) -> Floats:
 
 
 def quarters_of(goals: Sequence[Goal], n_joints: int) -> Floats:
-    """(n, j) the quarter turns of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
+    """Return the quarter turns (n, j) of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
     out = np.full((len(goals), n_joints), np.nan)
     poses = [(i, one.target) for i, one in enumerate(goals)]
     known = [(i, pose.like) for i, pose in poses if isinstance(pose, Pose) and not pose.free and pose.like is not None]

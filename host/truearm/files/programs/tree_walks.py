@@ -1,4 +1,4 @@
-"""What stands within the tree of a program: calls, names, statements and routines, and what a routine changes."""
+"""Search a program's syntax tree: calls, names, statements and routines, and what a routine changes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from truearm.files.programs.syntax import (
 
 
 def calls_in(node: object) -> Iterator[Call]:
-    """The calls in a block, a statement or an expression, but for those of routines that are defined there."""
+    """Yield the calls in a block, a statement or an expression, except those in routines defined there."""
     if isinstance(node, Call):
         yield node
     if isinstance(node, tuple) and not isinstance(node, Number | Taught | Routine):
@@ -30,7 +30,7 @@ def calls_in(node: object) -> Iterator[Call]:
 
 
 def names_in(node: object) -> Iterator[str]:
-    """The names of variables in a block, a statement or an expression."""
+    """Yield the names of variables in a block, a statement or an expression."""
     if isinstance(node, Name):
         yield node.name
     elif isinstance(node, tuple) and not isinstance(node, Number | Taught):
@@ -39,7 +39,7 @@ def names_in(node: object) -> Iterator[str]:
 
 
 def routines_in(block: Block) -> Iterator[Routine]:
-    """The routines that are defined in a block, not those within them."""
+    """Yield the routines defined in a block, but not those within them."""
     for statement in block:
         if isinstance(statement, Routine):
             yield statement
@@ -48,7 +48,7 @@ def routines_in(block: Block) -> Iterator[Routine]:
 
 
 def statements_in(block: Block) -> Iterator[Statement]:
-    """The statements of a block and of the blocks in it, but for those of routines that are defined there."""
+    """Yield the statements of a block and of the blocks in it, except those in routines defined there."""
     for statement in block:
         yield statement
         for inner in _blocks_of(statement):
@@ -56,7 +56,7 @@ def statements_in(block: Block) -> Iterator[Statement]:
 
 
 def _blocks_of(statement: Statement) -> Sequence[Block]:
-    """The blocks of a statement, but for a routine's."""
+    """Return the blocks of a statement, except a routine's."""
     if isinstance(statement, If):
         return statement.blocks
     return (statement.body,) if isinstance(statement, Loop) else ()
@@ -69,7 +69,7 @@ def root_of(target: Expression | None) -> str:
 
 
 def assigns_parameters(routine: Routine) -> bool:
-    """Whether a routine may change a variable that is given to it; what it gives on to others counts."""
+    """Return whether a routine may change a variable passed to it, including through others."""
     names = {one.name for one in routine.parameters}
     assigned = {root_of(one.target) for one in statements_in(routine.body) if isinstance(one, Assign)}
     given = {root_of(argument) for call in calls_in(routine.body) for argument in call.arguments}
@@ -79,7 +79,7 @@ def assigns_parameters(routine: Routine) -> bool:
 def reached_by(
     routine: Routine, routines: Mapping[str, Routine], changed_by: Callable[[Call], Sequence[Expression]]
 ) -> tuple[set[str], set[str]]:
-    """The names that a routine and those that it calls use, and those that they change."""
+    """Return the names that a routine and those that it calls use, and those that they change."""
     used, changed, found = set[str](), set[str](), {routine.name}
     waiting = [routine]
     while waiting:

@@ -1,6 +1,7 @@
-"""URScript, read: the grammar of Universal Robots' script manual (5.x), with what PolyScope adds to the programs that it writes.
+"""The parser of URScript: the grammar of Universal Robots' script manual (5.x), and PolyScope's additions.
 
-A line is a statement unless a bracket is open. ``$ 3 "MoveJ"`` marks a step of PolyScope's tree and is skipped, as comments are.
+A line is a statement unless a bracket is open. ``$ 3 "MoveJ"`` marks a step of PolyScope's tree and is skipped, as
+comments are.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ _NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break"
 
 
 def read_urscript(source: Source) -> Block:
-    """The statements of a program. Raises ProgramError with file and line."""
+    """Return the statements of a program. Raises ProgramError with file and line."""
     reader = _Reader(source)
     block = reader.block()
     if reader.kind != END:
@@ -62,7 +63,7 @@ def read_urscript(source: Source) -> Block:
 
 
 class _Reader(Reader):
-    """The grammar by recursive descent. ``open``: brackets that are open."""
+    """The grammar by recursive descent. ``open``: number of open brackets."""
 
     __slots__ = ("open",)
 
@@ -71,7 +72,7 @@ class _Reader(Reader):
         self.open = 0
 
     def block(self) -> Block:
-        """Statements up to the word that closes them, which is left."""
+        """Return the statements up to the word that closes them, which is not consumed."""
         self.deeper()
         found: list[Statement] = []
         while True:
@@ -112,11 +113,11 @@ class _Reader(Reader):
         return found
 
     def assigned(self, scope: str) -> Statement:
-        """An assignment, a declaration without value, or an expression for its effect."""
+        """Read an assignment, a declaration without value, or an expression for its effect."""
         left = self.expression()
         if self.text != "=" or self.kind != "sign":
             if scope:
-                return Do(Truth(False))  # a name is declared; it has no value yet
+                return Do(Truth(False))  # a name is declared without a value
             return Do(left)
         if not isinstance(left, Name | Element):
             raise self.wrong("the left side of = is not a variable")
@@ -161,14 +162,14 @@ class _Reader(Reader):
         return If(tuple(conditions), tuple(blocks), whole)
 
     def inner(self) -> Block:
-        """The block after a colon."""
+        """Return the block after a colon."""
         if self.text != ":":
             raise self.unexpected("a colon")
         self.step()
         return self.block()
 
     def close(self, what: str, start: int) -> None:
-        """Take the end of what began at ``start``."""
+        """Consume the end of what began at ``start``."""
         if self.text != "end":
             raise self.unexpected(f"the end of {what} (line {self.source.line(start)})")
         self.step()
@@ -179,7 +180,7 @@ class _Reader(Reader):
         return self.once(self.step())
 
     def expression(self, least: int = 0) -> Expression:
-        """An expression whose operators bind at least so strongly; within brackets it goes on in the next line."""
+        """Return an expression whose operators have at least this precedence; brackets may span lines."""
         if self.kind in _PLAIN and self._next[1] in _AFTER_OPERAND:
             return self.atom()
         start, text = self.start, self.text
@@ -199,7 +200,7 @@ class _Reader(Reader):
         return left
 
     def operand(self, least: int) -> Expression:
-        """What stands behind a sign, which is taken."""
+        """Return what follows a sign, which is consumed."""
         self.deeper()
         self.step()
         found = self.expression(least)
@@ -217,7 +218,7 @@ class _Reader(Reader):
             start = self.start
             if self.step() == ".":
                 found = Element(found, self.word("a field"), start, self.end)
-                if self.text == "(":  # a method, of an RPC handle for instance
+                if self.text == "(":  # a method, for instance of an RPC handle
                     arguments, named = self.arguments()
                     found = Call(f".{found.at}", (found.of, *arguments), named, start, self.end)
                 continue
@@ -259,7 +260,7 @@ class _Reader(Reader):
         raise self.unexpected("an expression")
 
     def named(self) -> Expression:
-        """A variable, a call, p[…], or what is done with a thread."""
+        """Return a variable, a call, p[…], or an operation on a thread."""
         start, name = self.start, self.once(self.step())
         if self.text == "(":
             arguments, named = self.arguments()
@@ -275,7 +276,7 @@ class _Reader(Reader):
         return Name(name, start)
 
     def arguments(self) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
-        """What stands in the brackets of a call."""
+        """Return the arguments in the brackets of a call."""
         self.deeper()
         self.open += 1
         self.step()
@@ -304,7 +305,7 @@ class _Reader(Reader):
         return tuple(values), tuple(named)
 
     def bracketed(self, closing: str) -> tuple[Expression, ...]:
-        """Expressions between commas up to a closing bracket, which is taken."""
+        """Return expressions between commas up to a closing bracket, which is consumed."""
         self.deeper()
         self.open += 1
         items: list[Expression] = []
@@ -323,6 +324,6 @@ class _Reader(Reader):
         return tuple(items)
 
     def spaces(self) -> None:
-        """Pass over the ends of lines within brackets."""
+        """Skip the ends of lines within brackets."""
         while self.kind == "newline":
             self.step()

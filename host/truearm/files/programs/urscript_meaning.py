@@ -1,7 +1,7 @@
-"""What URScript's own functions mean for the moves of a program (Universal Robots, script manual 5.x).
+"""The effect of URScript's own functions on a program's moves (Universal Robots, script manual 5.x).
 
-``pose_trans(A, B)`` is A·B; ``pose_add(A, B)`` adds positions and multiplies rotations; ``get_inverse_kin`` gives the joints that a pose needs. A function
-that is not listed may move the robot, and is said.
+``pose_trans(A, B)`` is A·B; ``pose_add(A, B)`` adds positions and multiplies rotations; ``get_inverse_kin`` returns the
+joints that a pose requires. A function that is not listed may move the robot, and is reported.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ from truearm.files.programs.values import (
 )
 
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
-TRACKED = "tracked conveyor"  # no name of a variable has a space
+TRACKED = "tracked conveyor"  # variable names contain no spaces
 
 
 class UrScript(NamedTuple):
-    """URScript's meaning. ``harmless``: functions from elsewhere that a person says do not move the robot."""
+    """The meaning of URScript. ``harmless``: external functions that, according to the user, do not move the robot."""
 
     harmless: frozenset[str] = frozenset()
 
     @property
     def outer_names(self) -> bool:
-        """What a function assigns without ``global`` or ``local`` may be its own or the program's."""
+        """Return that an assignment without ``global`` or ``local`` may be to the function's or the program's variable."""
         return False
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
-        """What a method is called of, a list for instance (``path.insert(0, p)``); arguments are copies."""
+        """Return the object of a method call, such as a list (``path.insert(0, p)``); arguments are copies."""
         return call.arguments[:1] if call.function.startswith(".") else ()
 
     def literal(self, of: Taught) -> Value:
-        """A literal p[…] is a pose, […] six joint readings or six numbers."""
+        """Return a literal: p[…] is a pose, […] six joint readings or six numbers."""
         return taught_pose(of) if of.form is Form.POSE else of
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
-        """What a built-in function gives, after its effect; None where it is none."""
+        """Apply a built-in function and return its result; None for any other function."""
         name, at = call.function, call.start
         if name in MOVES:
             _move(flow, call, arguments, named)
@@ -99,7 +99,7 @@ class UrScript(NamedTuple):
         return None
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
-        """An element of a list or pose, counted from 0, or a field of a struct; nothing where the list ends before it."""
+        """Return an element of a list or pose, counted from 0, or a field of a struct; nothing beyond its end."""
         if isinstance(of, Unknown):
             return (of,)
         if isinstance(of, Fields) and isinstance(at, str) and at in of.names:
@@ -113,7 +113,7 @@ class UrScript(NamedTuple):
         return tuple(dict.fromkeys(value for item in items for value in item))
 
     def changed(self, of: Value, at: Value | str, new: Values, place: int) -> Value:
-        """A list or struct with another item."""
+        """Return a list or struct with another item."""
         if isinstance(of, Fields) and isinstance(at, str) and at in of.names:
             k = of.names.index(at)
             return Fields(of.names, (*of.items[:k], new, *of.items[k + 1 :]))
@@ -125,7 +125,7 @@ class UrScript(NamedTuple):
 
 
 def analyse(source: Source, block: Block, tool: Values, harmless: frozenset[str]) -> Flow:
-    """Follow a program; ``tool`` is in force until it sets another."""
+    """Follow a program; ``tool`` is active until it sets another."""
     routines = [one for one in block if isinstance(one, Routine)]
     flow = Flow(source, UrScript(harmless), routines)
     for name in flow.routines:
@@ -159,7 +159,7 @@ def _move(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[st
 
 
 def _target(value: Value, at: int) -> Value:
-    """A pose, joints or solved joints, where it is one."""
+    """Return a pose, joints or solved joints, if the value is one."""
     if isinstance(value, Taught | Pose | Solved | Unknown):
         return value
     if not isinstance(value, Listed):
@@ -183,7 +183,7 @@ def _solved(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[
     nears = arguments[1] if len(arguments) > 1 else named.get("qnear", ())
     said = call.arguments[1] if len(arguments) > 1 else dict(call.named).get("qnear")
     if isinstance(said, Call) and said.function in _WHERE_IT_IS:
-        nears = ()  # which is what the controller takes without qnear
+        nears = ()  # the controller uses these without qnear
     given = named.get("tcp", arguments[4] if len(arguments) > 4 else ())
     if not given or given == (Text("active_tcp"),):
         tools = flow.get(TOOL) or ()
@@ -204,7 +204,7 @@ def _solved(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[
 
 
 def _near(value: Value, at: int) -> Taught | tuple[float, ...] | Unknown | None:
-    """The joint readings of a qnear, None where there is none. They say which of the arm's configurations is meant."""
+    """Return the joint readings of a qnear, which select one of the arm's configurations; None without one."""
     if isinstance(value, Taught) and value.form is Form.JOINTS:
         return value
     if isinstance(value, Truth):

@@ -1,4 +1,4 @@
-"""Poses and lists of URScript, and what its functions make of them.
+"""Poses and lists of URScript, and the functions on them.
 
 ``pose_trans(A, B)`` is A·B; ``pose_add(A, B)`` adds positions and multiplies rotations.
 """
@@ -88,7 +88,7 @@ def _trans(given: Sequence[Value], at: int) -> Value:
 
 
 def _add(given: Sequence[Value], at: int) -> Value:
-    """A's position plus B's, and rotation R_A·R_B: a shift, A, and a turn."""
+    """Return A's position plus B's, and rotation R_A·R_B: a translation, A, and a rotation."""
     poses = _poses(given, 2, at)
     return poses if isinstance(poses, Unknown) else _moved(poses[0], poses[1], 1, at)
 
@@ -124,7 +124,7 @@ def _degrees(given: Sequence[Value], at: int) -> Value:
 
 
 def _rotvec(given: Sequence[Value], at: int) -> Value:
-    """Roll, pitch and yaw about fixed x, y, z as a rotation vector."""
+    """Return roll, pitch and yaw about fixed x, y, z as a rotation vector."""
     return _three(given, at, lambda rpy: Rotation.from_euler("xyz", rpy).as_rotvec())
 
 
@@ -133,7 +133,7 @@ def _rpy(given: Sequence[Value], at: int) -> Value:
 
 
 def _three(given: Sequence[Value], at: int, function: Callable[[Floats], Floats]) -> Value:
-    """What a function makes of a list of three numbers."""
+    """Return the result of a function for a list of three numbers."""
     numbers = numbers_of(given[0]) if len(given) == 1 else None
     if numbers is None or len(numbers) != 3 or not np.isfinite(numbers).all():
         return first_unknown(given) or unknown_in(given[0]) or Unknown("it is not a list of three known numbers", at)

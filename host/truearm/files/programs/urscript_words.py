@@ -1,7 +1,7 @@
-"""URScript's functions by what they do (Universal Robots, script manual 5.x).
+"""URScript's functions by effect (Universal Robots, script manual 5.x).
 
-Held against the functions that a public editor extension (urscript for VS Code 0.1.21) lists from the manuals up to 5.19: each is here, or is followed in
-``urscript_meaning``.
+Compared with the functions that a public editor extension (urscript for VS Code 0.1.21) lists from the manuals up to
+5.19: each is listed here, or is followed in ``urscript_meaning``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from truearm.files.programs.syntax import words
 
-# every move with a target: the names of the arguments that give it
+# every move with a target: the names of the arguments that contain it
 MOVES: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "movej": (("q", "pose"),),
     "movel": (("pose", "q"),),

@@ -1,8 +1,8 @@
-"""What an expression of a program may be when it is run: numbers, poses, lists, and what only the run will tell.
+"""The possible values of a program's expressions at run time: numbers, poses, lists, and values known only at run time.
 
-A variable may be one of several things where the program branches, so that a value is a tuple of *possibilities*, each once. A pose remembers
-which literals it is made of: a product of them, of their inverses and of fixed matrices. So a target that is reached over names, features and
-offsets leads back to the numbers that a person taught.
+A variable may have one of several values where the program branches, so a value is a tuple of *possibilities*, each
+once. A pose stores the literals of which it is made: a product of them, of their inverses and of fixed matrices. A
+target reached through names, features and offsets therefore leads back to the numbers that a person taught.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
 from truearm.types import Floats
 from truearm.units import DEG, MM
 
-MOST = 20_000  # possibilities that a function makes of several arguments
-UNIT_QUATERNION = 1e-3  # how far from 1 the norm of a quaternion may be that was written with few digits
+MOST = 20_000  # possibilities of a function of several arguments
+UNIT_QUATERNION = 1e-3  # tolerance of the norm of a quaternion about 1, if it was written with few digits
 
 
 class Unknown(NamedTuple):
-    """What is known at run time only, and why; ``at`` is the place in the text, ``remedy`` the argument that would settle it."""
+    """A value known only at run time, and why; ``at``: place in the text, ``remedy``: the argument to resolve it."""
 
     why: str
     at: int
@@ -33,7 +33,7 @@ class Unknown(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """A list or record, each item with its possibilities; ``pose`` where it is a p[…]."""
+    """A list or record, each item with its possibilities; ``pose`` if it is a p[…]."""
 
     items: tuple[Values, ...]
     pose: bool = False
@@ -47,20 +47,20 @@ class Fields(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """A rigid motion that no literal stands for by itself: the rows of its (4, 4) matrix."""
+    """A rigid motion that is not a literal: the rows of its (4, 4) matrix."""
 
     rows: tuple[float, ...]
 
 
 class Factor(NamedTuple):
-    """Of a product of poses."""
+    """A factor of a product of poses."""
 
     pose: Taught | Fixed
     inverse: bool = False
 
 
 class Pose(NamedTuple):
-    """A product of poses. ``like``: the robtarget whose configuration and external axes it has; ``free``: the controller goes there in any configuration."""
+    """A product of poses. ``like``: its robtarget for configuration and external axes; ``free``: any configuration."""
 
     factors: tuple[Factor, ...]
     like: Taught | None = None
@@ -76,13 +76,13 @@ class Solved(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """What a move goes to: a pose of the tool in a frame, or joint readings."""
+    """The goal of a move: a pose of the tool in a frame, or joint readings."""
 
     target: Pose | Taught
     tool: Pose
     frame: Pose
-    near: Taught | tuple[float, ...] | None  # joint readings [rad] that say which configuration
-    start: int  # of the argument that gives it
+    near: Taught | tuple[float, ...] | None  # joint readings [rad] that select the configuration
+    start: int  # of the argument that contains it
     end: int
 
 
@@ -95,7 +95,7 @@ _IDENTITY.flags.writeable = False
 
 
 def joined(a: Values | None, b: Values | None) -> Values:
-    """The possibilities of both, in order; None where there is no value yet."""
+    """Return the possibilities of both, in order; None if there is no value yet."""
     if a is None or a is b:
         return b or ()
     if not b or a == b:
@@ -104,7 +104,7 @@ def joined(a: Values | None, b: Values | None) -> Values:
 
 
 def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
-    """A function of one value each for every choice of possibilities."""
+    """Return the results of a function of single values for every combination of possibilities."""
     if len(arguments) == 1:
         return tuple(function(one) for one in arguments[0])
     if math.prod(map(len, arguments)) > max(MOST, *map(len, arguments)):
@@ -113,12 +113,12 @@ def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values
 
 
 def first_unknown(values: Sequence[Value]) -> Unknown | None:
-    """The first of the values that only the run will tell."""
+    """Return the first of the values known only at run time."""
     return next((value for value in values if isinstance(value, Unknown)), None)
 
 
 def numbers_of(value: Value) -> tuple[float, ...] | None:
-    """The plain numbers of a list or literal; None where there is another thing, or several possibilities."""
+    """Return the plain numbers of a list or literal; None for anything else, or for several possibilities."""
     if isinstance(value, Taught):
         return value.values
     if not isinstance(value, Listed):
@@ -128,17 +128,17 @@ def numbers_of(value: Value) -> tuple[float, ...] | None:
 
 
 def fixed(matrix: Floats) -> Pose:
-    """A pose (4, 4) that is written nowhere."""
+    """Return a pose (4, 4) that is not in the text."""
     return Pose((Factor(Fixed(tuple(np.asarray(matrix, dtype=float).ravel().tolist()))),))
 
 
 def fixed_six(six: Sequence[float]) -> Pose:
-    """The pose at x, y, z [m] with a rotation vector [rad]."""
+    """Return the pose at x, y, z [m] with a rotation vector [rad]."""
     return fixed(_matrix(six[:3], Rotation.from_rotvec(six[3:])))
 
 
 def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
-    """The pose at x, y, z [mm] with a quaternion, scalar first; None where they are none, or the quaternion is not a unit one."""
+    """Return the pose at x, y, z [mm] with a quaternion, scalar first; None for anything else, or without unit norm."""
     if (len(xyz), len(quaternion)) != (3, 4) or not all(map(math.isfinite, xyz)):
         return None
     if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_QUATERNION:
@@ -148,29 +148,29 @@ def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
 
 
 def shifted(xyz: Sequence[float]) -> Pose:
-    """A translation [m]."""
+    """Return a translation [m]."""
     x, y, z = map(float, xyz)
     return Pose((Factor(Fixed((1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0))),))
 
 
 def turned(turn: Rotation) -> Pose:
-    """A rotation about the origin."""
+    """Return a rotation about the origin."""
     return fixed(_matrix((0.0, 0.0, 0.0), turn))
 
 
 def times(*poses: Pose) -> Pose:
-    """The product of poses; it has the configuration of the first that has one."""
+    """Return the product of poses; it has the configuration of the first that has one."""
     like = next((pose.like for pose in poses if pose.like is not None), None)
     return Pose(tuple(factor for pose in poses for factor in pose.factors), like)
 
 
 def inverse(pose: Pose) -> Pose:
-    """The inverse of a pose."""
+    """Return the inverse of a pose."""
     return Pose(tuple(Factor(factor.pose, not factor.inverse) for factor in reversed(pose.factors)))
 
 
 def taught_pose(taught: Taught) -> Pose:
-    """A literal as a pose."""
+    """Return a literal as a pose."""
     return Pose((Factor(taught),), taught if taught.form is Form.ROBTARGET else None)
 
 
@@ -178,13 +178,13 @@ _NO_SIGNS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))
 
 
 def values_of(literals: Sequence[Taught]) -> Floats:
-    """(n, k) the numbers of literals of one form."""
+    """Return the numbers (n, k) of literals of one form."""
     joined_text = ",".join([one.text for one in literals]).translate(_NO_SIGNS)
     return np.fromstring(joined_text, sep=",").reshape(len(literals), -1)
 
 
 def matrices_of(literals: Sequence[Taught]) -> Floats:
-    """(n, 4, 4) the poses [m] of literals of form POSE and ROBTARGET."""
+    """Return the poses (n, 4, 4) [m] of literals of form POSE and ROBTARGET."""
     out = np.tile(np.eye(4), (len(literals), 1, 1))
     for form in (Form.POSE, Form.ROBTARGET):
         rows = [i for i, one in enumerate(literals) if one.form is form]
@@ -206,12 +206,12 @@ class LiteralPoses:
     matrices: Floats
 
     def of(self, literal: Taught) -> Floats:
-        """(4, 4) the pose of one of them."""
+        """Return the pose (4, 4) of one of them."""
         return np.asarray(self.matrices[self.rows[literal.start]])
 
 
 def matrix_of(pose: Pose, literals: LiteralPoses) -> Floats:
-    """(4, 4) the product."""
+    """Return the product (4, 4)."""
     out = _IDENTITY
     for factor in pose.factors:
         of = factor.pose
@@ -221,18 +221,18 @@ def matrix_of(pose: Pose, literals: LiteralPoses) -> Floats:
 
 
 def plain_literal(pose: Pose) -> Taught | None:
-    """The literal that a pose is, where it is nothing else."""
+    """Return the literal of a pose that is nothing else, otherwise None."""
     factor = pose.factors[0] if len(pose.factors) == 1 else None
     return factor.pose if factor is not None and isinstance(factor.pose, Taught) and not factor.inverse else None
 
 
 def literals_in(pose: Pose) -> Iterator[Taught]:
-    """The literals of a product."""
+    """Yield the literals of a product."""
     return (factor.pose for factor in pose.factors if isinstance(factor.pose, Taught))
 
 
 def readings_of(taught: Taught) -> tuple[float, ...]:
-    """The joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
+    """Return the joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
     values = taught.values[:6]
     return values if taught.form is not Form.JOINTTARGET else tuple(float(DEG.to_si(value)) for value in values)
 
