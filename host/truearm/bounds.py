@@ -47,6 +47,7 @@ class OneOf:
 
 FINITE = Within()
 SIGMA = Within(0.0)  # a standard deviation, SI
+MASS = Within(0.0)  # kg
 SEED = Within(0)
 ITERATIONS = Within(1, 10_000)
 LINE_POINTS = Within(5)

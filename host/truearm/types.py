@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import check, check_fields
-from truearm.bounds import FINITE, SIGMA, TRAVEL
+from truearm.bounds import FINITE, MASS, SIGMA, TRAVEL
 from truearm.errors import Argument, InputError, PlanError
 
 Floats = NDArray[np.float64]
@@ -222,6 +222,9 @@ class Rig:
     approach direction of a joint is unknown. ``backlash`` (j,) [rad, m] is empty for none: each link lags its encoder
     by half of it, on the side that the joint came from. ``backlash_sigma`` (j,) is its standard deviation.
 
+    ``payload`` [kg] is a known mass on the end beyond the tool, and ``payload_centre`` [m] its centre in the end frame.
+    A row's own payload takes precedence.
+
     Examples
     --------
     >>> import truearm
@@ -246,6 +249,8 @@ class Rig:
     joint_cov: Matrix = ()
     backlash: Annotated[tuple[float, ...], FINITE] = ()
     backlash_sigma: Annotated[tuple[float, ...], SIGMA] = ()
+    payload: Annotated[float, MASS] = 0.0
+    payload_centre: Annotated[tuple[float, float, float], FINITE] = (0.0, 0.0, 0.0)
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 
@@ -790,18 +795,29 @@ class CurveKnots:
         return self.count
 
 
+class Payload(NamedTuple):
+    """A known mass [kg] on the end, beyond what always belongs to the tool, and its centre [m] in the end frame."""
+
+    mass: float
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class SagMasses:
-    """The sag of one joint: the frames with unit masses at their origins, and the direction of gravity in the base frame."""
+    """The sag of one joint: the frames with unit masses at their origins, and the direction of gravity in the base frame.
+
+    With ``payload``, the torque of the known payload acts too, times one more parameter: the joint's compliance.
+    """
 
     joint: int
     frames: tuple[int, ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    payload: bool = False
 
     @property
     def size(self) -> int:
         """The number of its parameters."""
-        return len(self.frames)
+        return len(self.frames) + self.payload
 
 
 Law = CurveKnots | SagMasses
@@ -857,6 +873,7 @@ class JointLaws:
     reasons: tuple[str, ...]
     gravity: tuple[float, float, float]
     gravity_known: bool  # from the robot file; otherwise z is assumed to point up
+    payloads: tuple[Payload, ...]  # the different ones of the fitted rows
     noise_factor: float = math.nan
     noise_shared: float = math.nan
     noise_joint: float = math.nan

@@ -69,6 +69,7 @@ RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0, 1.0)
 DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE, 1.0 / DEGREE)
 DEGC = Scale("degc", "°C", "degc", 1.0, 1.0)  # temperatures stay in °C: only their differences are computed with
 MDEGC = Scale("mdegc", "m°C", "degc", 1e-3, 1e3)
+KG = Scale("kg", "kg", "kg", 1.0, 1.0)
 PER_K = Scale("per_k", "1/K", "1/K", 1.0, 1.0)
 PPM_PER_K = Scale("ppm_per_k", "ppm/K", "1/K", 1e-6, 1e6)
 
@@ -76,7 +77,7 @@ SUFFIXES: Mapping[str, Scale] = {
     scale.suffix: scale
     for scale in (
         *(M, CM, MM, UM, INCH, RAD, DEG, MRAD, URAD, ONE, PPM),
-        *(S, MS, US, NS, M_S, MM_S, M_S2, RAD_S, DEG_S, DEGC, MDEGC, PER_K, PPM_PER_K),
+        *(S, MS, US, NS, M_S, MM_S, M_S2, RAD_S, DEG_S, DEGC, MDEGC, KG, PER_K, PPM_PER_K),
     )
 }
 
@@ -124,6 +125,7 @@ UNITS: Mapping[str, Unit] = {
         Unit("rad/s", DEG_S, 4, 20.0 * math.pi),
         Unit("m/s2", M_S2, 3, 100.0),
         Unit("degc", DEGC, 1, 200.0),
+        Unit("kg", KG, 3, 1e4),
         Unit("1/K", PPM_PER_K, 2, 1e-2, 1e-5, 1e-4, 1e-4),
     )
 }
@@ -133,7 +135,7 @@ def suffixes(
     si: str,
     of: Iterable[str] = (
         *("m", "mm", "rad", "deg", "s", "ms", "m_s", "mm_s", "rad_s", "deg_s"),
-        *("m_s2", "degc", "per_k", "ppm_per_k"),
+        *("m_s2", "degc", "kg", "per_k", "ppm_per_k"),
     ),
 ) -> dict[str, float]:
     """The suffixes ``of`` that a quantity in an SI unit may have, each with the factor that makes it SI; SI's own first."""

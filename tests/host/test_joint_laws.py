@@ -11,21 +11,24 @@ from ur10_bench import RIG, ROBOT
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
+from truearm.errors import InputError, ProblemError
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_curves import sampled_curves
 from truearm.estimate.problem import build_problem
 from truearm.files.observation_table import format_table, parse_table
 from truearm.files.result_file import format_document, parse_result
+from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.position import nearest_rotation
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.joint_terms.curve import Curve
-from truearm.model.law_chain import distal_frames, with_laws
+from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Known
 from truearm.plan.law_forecast import curve_forecasts
-from truearm.types import CurveKnots, ObservationTable, SagMasses
+from truearm.report.law_words import law_sentences
+from truearm.types import CurveKnots, ObservationTable, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
@@ -42,9 +45,9 @@ POINT = np.array([0.0, 0.02, 0.109])  # m, on the flange: the tracked target
 
 
 def arm_with_laws():
-    """A UR10 chain with a periodic and an open curve, and sag of every joint that can have it."""
-    chain = ROBOT.chain
-    sags = [SagMasses(j, frames) for j in range(6) if (frames := distal_frames(chain, j))]
+    """A UR10 chain under a payload, with a periodic and an open curve, and sag of every joint that can have it."""
+    chain = carries(ROBOT.chain, Payload(2.5, (0.03, -0.02, 0.1)))
+    sags = [SagMasses(j, frames, payload=True) for j in range(6) if (frames := distal_frames(chain, j))]
     curves = [CurveKnots(0, -np.pi, 2 * np.pi / 126, 126, True), CurveKnots(2, -2.0, 0.05, 80, False)]
     return with_laws(chain, [*curves, *sags])
 
@@ -262,6 +265,106 @@ def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
     both = identified_with(replace(table, more={"gravity": turned}), np.zeros(160, dtype=bool), "sag").estimate
     assert both.joint_laws.kept == ()
     assert "gravity differs by up to 20.1 deg" in both.joint_laws.reasons[0]
+
+
+HELD = np.array([0.0, 0.06, 0.12])  # m, centre of the payloads in the end frame
+
+
+def loaded_world(rng, masses):
+    """Rows of an arm that yields at two joints under its own links and under ``masses`` [kg] at HELD; ``true_points`` of any."""
+    chain, compliance = ROBOT.chain, {1: 4e-5, 2: 6e-5}
+    truth = chain.params_nominal + ROBOT.free * rng.normal(
+        0.0, [1e-3 if p.unit == "m" else 2e-3 for p in chain.parameters]
+    )
+    q = rng.uniform(-1.5, 1.5, (len(masses), 6)) + np.array([0.0, -1.5, 1.5, 0.0, 1.5, 0.0])
+
+    def true_points(q, masses):
+        frames, out = joint_frames(chain, truth, q), q.copy()
+        payload = point_forward(chain, truth, q, HELD)
+        for joint, give in compliance.items():
+            axis, origin = frames[:, joint, :3, 2], frames[:, joint, :3, 3]
+            for at, mass in ((frames[:, 3, :3, 3], 8.0), (payload, masses)):
+                out[:, joint] += give * mass * (np.cross(axis, at - origin) @ DOWN)
+        return point_forward(chain, truth, out, POINT)
+
+    n = len(masses)
+    table = ObservationTable(
+        q=q,
+        kind=np.full(n, "position"),
+        xyz=true_points(q, masses) + rng.normal(0.0, NOISE, (n, 3)),
+        sigma=np.full(n, NOISE),
+        tracker=np.full(n, "tracker"),
+        target=np.full(n, "reflector"),
+        source=np.array([f"world row {i + 1}" for i in range(n)]),
+        more={"payload": np.array(masses, dtype=float), "payload_centre": np.tile(HELD, (n, 1))},
+    )
+    return table, true_points
+
+
+@pytest.fixture(scope="module")
+def loaded_arm():
+    """Fitted under 0 and 4 kg; the last 60 rows are held out, under 8 kg."""
+    masses = np.where(np.arange(260) >= 200, 8.0, 4.0 * (np.arange(260) % 2))
+    table, true_points = loaded_world(np.random.default_rng(21), masses)
+    read = parse_table(format_table(table, ("rad",) * 6), "rows.csv", ("rad",) * 6)
+    return identified_with(read, np.arange(260) >= 200, "auto"), table, true_points
+
+
+def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
+    """Twice the heaviest payload that was fitted; without the column its sag has no name, and curves cannot make up for it."""
+    found, table, _ = loaded_arm
+    mean = found.estimate.held_out.figures["m"].mean
+    assert mean < 1.5 * np.sqrt(8.0 / np.pi) * NOISE  # the factor is the mean norm of the noise alone
+    blind = identified_with(replace(table, more={}), ~found.estimate.fitted, "sag").estimate
+    assert blind.held_out.figures["m"].mean > 3.0 * mean
+    laws = found.document["joint_laws"]
+    assert [one["mass_kg"] for one in laws["payloads"]] == [0.0, 4.0]
+    assert "The sag of the joints depends on the payload, which was 0, 4 kg." in law_sentences(found.document)
+    at = {name: i for i, name in enumerate(found.chain.parameter_names)}
+    for joint, give in (("joint2", 4e-5), ("joint3", 6e-5)):
+        which = at[f"{joint}.sag.payload"]
+        sigma = found.estimate.sigma[which]
+        assert found.estimate.value[which] == pytest.approx(give, abs=4.0 * sigma)
+        assert sigma < 0.1 * give
+
+
+def test_a_result_carries_the_payload_of_a_program(loaded_arm):
+    found, table, true_points = loaded_arm
+    again = calibration_of(parse_result(format_document(found.document), "r.json"), ROBOT, "ur10", "r.json")
+    q = table.q[:50]
+    empty, full = (
+        point_forward(one.chain, again.identified, q, np.array(POINT))
+        for one in (again, again.carrying(6.0, tuple(HELD)))
+    )
+    due = true_points(q, np.full(50, 6.0)) - true_points(q, np.zeros(50))
+    assert np.linalg.norm(due, axis=1).max() > 1e-4
+    np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
+    assert "payload of 6 kg" in again.carrying(6.0).doubt_of_payload
+    with pytest.raises(InputError, match="plausible"):
+        again.carrying(-1.0)
+
+
+def test_one_payload_in_all_rows_says_nothing_of_another():
+    """It passes for mass of the tool: the sag holds for it, which is said; the rig may name it as well as the table."""
+    table, _ = loaded_world(np.random.default_rng(22), np.full(160, 4.0))
+    none = np.zeros(160, dtype=bool)
+    read = parse_rig("payload_kg = 4.0\npayload_centre_mm = [0, 60, 120]\n", "rig.toml")
+    assert parse_rig(format_rig(read), "again.toml") == read
+    rig = replace(RIG, payload=read.payload, payload_centre=read.payload_centre)
+    by_table = identified_with(table, none, "sag")
+    by_rig = identified(
+        ROBOT, rig, replace(table, more={}), Selection(ROBOT.free, none), IdentifyOptions(joint_laws="sag")
+    )
+    for found in (by_table, by_rig):
+        assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
+        assert any("holds for the payload of these rows, 4 kg" in line for line in law_sentences(found.document))
+    again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
+    assert "payload of the calibration" in again.doubt_of_payload
+    with pytest.raises(InputError, match="does not know how a payload acts"):
+        again.carrying(2.0)
+    bad = replace(table, more={"payload": np.full(160, -1.0)})
+    with pytest.raises(ProblemError, match="world row 1: a payload of -1 kg"):
+        identified_with(bad, none, "sag")
 
 
 def test_a_curve_is_stored_as_it_is_with_a_band_that_opens_outside(learned_arm):

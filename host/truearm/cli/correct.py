@@ -13,12 +13,14 @@ from truearm.cli.options import (
     IdentifiedRobotOption,
     JsonOption,
     OwnFramesOption,
+    PayloadOption,
     ResultArgument,
     TipOption,
     frame_of,
     joints_of,
     numbers_of,
     out_file,
+    payload_of,
 )
 from truearm.cli.output import print_json, print_lines
 from truearm.correct.joint_moves import JointMoves
@@ -44,6 +46,7 @@ def correct(
         int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Number of steps of {' or '.join(with_steps())}.")
     ] = 1,
     own_frames: OwnFramesOption = False,
+    payload: PayloadOption = None,
     work: Annotated[
         list[str] | None,
         typer.Option(
@@ -146,7 +149,7 @@ def correct(
         harmless=frozenset(harmless or ()),
     )
     files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report, force)
-    calibration = read_calibration(files.result, files.robot)
+    calibration = read_calibration(files.result, files.robot).carrying(*payload_of(payload))
     options = CorrectOptions(
         method=method,
         steps=steps,

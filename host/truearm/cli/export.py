@@ -13,12 +13,14 @@ from truearm.cli.options import (
     IdentifiedRobotOption,
     JsonOption,
     OwnFramesOption,
+    PayloadOption,
     ResultArgument,
     TipOption,
     choices,
     completed,
     one_of,
     out_file,
+    payload_of,
 )
 from truearm.cli.output import print_json, print_lines
 from truearm.export.formats import FORMATS, formats_help
@@ -41,6 +43,7 @@ def export(
     base: BaseOption = None,
     tip: TipOption = None,
     own_frames: OwnFramesOption = False,
+    payload: PayloadOption = None,
     adjust: Annotated[
         list[str] | None,
         typer.Option(
@@ -77,7 +80,7 @@ def export(
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import ExportOptions, export_file
 
-    options = ExportOptions(form, own_frames, tuple(adjust or ()))
+    options = ExportOptions(form, own_frames, tuple(adjust or ()), payload_of(payload))
     found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force)
     if as_json:
         print_json(document(found, out, curves))

@@ -16,12 +16,14 @@ from truearm.cli.options import (
     IdentifiedRobotOption,
     JsonOption,
     OwnFramesOption,
+    PayloadOption,
     ResultArgument,
     TipOption,
     bounded,
     joints_of,
     numbers_of,
     out_file,
+    payload_of,
 )
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
@@ -63,6 +65,7 @@ def map_(
         ),
     ] = None,
     own_frames: OwnFramesOption = False,
+    payload: PayloadOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -82,7 +85,7 @@ def map_(
     varied, shown = _joints_of(joints), numbers_of("--at", at)
     wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)
-    calibration = read_calibration(files.result, files.robot)
+    calibration = read_calibration(files.result, files.robot).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
     found = map_files(calibration, files, section, wanted)

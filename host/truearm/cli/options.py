@@ -17,6 +17,7 @@ from truearm.units import DEG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
     from truearm.model.workspace import Branch
+    from truearm.types import Payload
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
@@ -101,6 +102,14 @@ OwnFramesOption = Annotated[
     typer.Option(
         "--own-frames",
         help="Use the robot's own base and flange frames: leave out the mounting of base and tool.",
+    ),
+]
+PayloadOption = Annotated[
+    str | None,
+    typer.Option(
+        "--payload",
+        metavar="KG[,X,Y,Z]",
+        help="Payload [kg], and its centre in the end frame [mm]. Needs a result that was identified under different payloads.",
     ),
 ]
 
@@ -197,6 +206,17 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
     if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
         raise InputError(f"{option} {text[:60]}: needs {count or 'some'} numbers between commas")
     return values
+
+
+def payload_of(text: str | None) -> Payload:
+    """Return the payload of the option; none if it was not given. Raises InputError."""
+    from truearm.types import Payload
+
+    mass, *centre = numbers_of("--payload", text) or (0.0,)
+    if len(centre) not in (0, 3):
+        raise InputError(f"--payload {(text or '')[:60]}: needs KG, or KG,X,Y,Z with the centre in mm")
+    x, y, z = map(MM.to_si, centre or (0.0, 0.0, 0.0))
+    return Payload(mass, (x, y, z))
 
 
 def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -26,6 +26,7 @@ from truearm.estimate.law_rows import law_rows
 from truearm.estimate.law_systematic import law_systematic
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import measured_order, poses
+from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Rigs, build_problem
@@ -93,7 +94,8 @@ def with_joint_laws(
     if request.mode is LawMode.NONE or (request.mode is LawMode.AUTO and _nothing_to_explain(estimate, table)):
         return chain, estimate
     gravity = gravity_of(table.select(estimate.fitted), request.gravity)
-    laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity)
+    payloads = tuple(dict.fromkeys(payloads_of(rig, table.select(estimate.fitted))))
+    laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
     why_none = _why_none(estimate)
     if why_none:
         laws, reasons = [], [why_none]
@@ -117,6 +119,7 @@ def with_joint_laws(
         tuple(reasons),
         gravity.direction,
         gravity.known,
+        payloads,
     )
     if best is None:
         return chain, replace(estimate, joint_laws=report)

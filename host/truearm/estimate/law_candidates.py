@@ -23,8 +23,8 @@ from truearm.estimate.solvers import LawMode
 from truearm.kinds.quantities import GRAVITY
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.sag import Sag
-from truearm.model.law_chain import DOWN, distal_frames, with_laws
-from truearm.types import CurveKnots, Floats, Law, ObservationTable, SagMasses
+from truearm.model.law_chain import DOWN, carries, distal_frames, with_laws
+from truearm.types import CurveKnots, Floats, Law, ObservationTable, Payload, SagMasses
 from truearm.units import DEG
 
 SPACING = 0.05  # rad between knots, at most
@@ -64,15 +64,20 @@ def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | N
     return Gravity((float(x), float(y), float(z)), True, float(np.arccos(np.clip(unit @ mean, -1.0, 1.0)).max()))
 
 
-def candidates(chain: Chain, q: Floats, mode: LawMode, gravity: Gravity) -> tuple[list[Law], list[str]]:
-    """Return the laws to try for readings q (n, j), and a sentence for each joint that can have none."""
+def candidates(
+    chain: Chain, q: Floats, mode: LawMode, gravity: Gravity, payloads: Sequence[Payload] = ()
+) -> tuple[list[Law], list[str]]:
+    """Return the laws to try for readings q (n, j), and a sentence for each joint that can have none.
+
+    ``payloads`` are the different ones of the rows. A single one cannot be distinguished from the mass of the tool.
+    """
     laws: list[Law] = []
     reasons: list[str] = []
     if mode in (LawMode.AUTO, LawMode.SAG) and gravity.apart > ONE_DIRECTION:
         apart = DEG.text(gravity.apart, ".1f")
         reasons.append(f"gravity differs by up to {apart} between the rows: sag is fitted to one mounting at a time")
     elif mode in (LawMode.AUTO, LawMode.SAG):
-        laws += _sags(chain, q, gravity.direction)
+        laws += _sags(chain, q, gravity.direction, payloads)
         if not laws:
             reasons.append("the torque of gravity does not vary at any joint: sag cannot be seen")
     if mode in (LawMode.AUTO, LawMode.CURVE):
@@ -96,16 +101,20 @@ def knots(joint: int, lower: float, upper: float) -> CurveKnots:
     return CurveKnots(joint, lower - MARGIN, SPACING, count, periodic=False)
 
 
-def _sags(chain: Chain, q: Floats, gravity: tuple[float, float, float]) -> Iterator[SagMasses]:
+def _sags(
+    chain: Chain, q: Floats, gravity: tuple[float, float, float], payloads: Sequence[Payload]
+) -> Iterator[SagMasses]:
+    differs = len(payloads) > 1
+    heaviest = carries(chain, max(payloads)) if differs else chain
     for i, joint in enumerate(chain.joints):
-        frames = distal_frames(chain, i) if joint.kind == "revolute" else ()
-        masses = SagMasses(i, frames, gravity)
-        if frames and float(unit_torques(chain, masses, q).std(axis=1).max()) > LEAST_TORQUE:
-            yield masses
+        if joint.kind == "revolute":
+            masses = SagMasses(i, distal_frames(chain, i), gravity, differs)
+            if masses.size and float(torques(heaviest, masses, q).std(axis=1).max()) > LEAST_TORQUE:
+                yield masses
 
 
-def unit_torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
-    """Return torques (m, n) [kg·m] of unit masses about the joint, with gravity of length 1, at readings q (n, j)."""
+def torques(chain: Chain, masses: SagMasses, q: Floats) -> Floats:
+    """Return torques (m, n) [kg·m] of unit masses and the chain's payload about the joint, with gravity of length 1, at readings q (n, j)."""
     own = with_laws(chain, [masses])
     return Sag.of_chain(own).by_parameters(own.params_nominal, q.T)
 
@@ -117,8 +126,7 @@ def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
         if isinstance(law, CurveKnots):
             block = PriorBlock(slice(at, at + law.count), _kernels(law), CURVE_CAP)
         else:
-            m = len(law.frames)
-            block = PriorBlock(slice(at, at + m), np.eye(m)[None], SAG_CAP)
+            block = PriorBlock(slice(at, at + law.size), np.eye(law.size)[None], SAG_CAP)
         out.append(block)
         at = block.columns.stop
     return out

@@ -21,6 +21,7 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
 from truearm.estimate.effects import BASE, JUMPED, MOVED, TOOL, Cause, Errors, Modelled, motion_of_tool, with_effects
+from truearm.estimate.payload_rows import payloads_of, with_payloads
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.kinds.group import Group
@@ -28,6 +29,7 @@ from truearm.kinds.registry import end_points, kinds
 from truearm.kinds.rig_use import RigUse, Scope
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain
+from truearm.model.law_chain import has_payload_law
 from truearm.types import Floats, ObservationTable, Residuals, Rig
 from truearm.units import UNITS
 
@@ -105,6 +107,8 @@ def build_problem(
     names = (*chain.parameter_names, *(u.name for u in free))
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     groups = tuple(group for use in uses for group in use.make(layout))
+    if has_payload_law(chain):
+        groups = with_payloads(groups, payloads_of(rigs, table))
     errors, causes = _errors(chain, rigs, layout, uses)
     problem = Problem(chain, names, units, start, prior, groups, len(table), joint_cov, errors, causes)
     if backlash is not None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, Table, Whole, as_table, at
 from truearm.types import CurveKnots, JointLaws, Law, LawStep, SagMasses, TriedLaw
-from truearm.units import DEG, MRAD, key, shown
+from truearm.units import DEG, MM, MRAD, key, shown
 
 MAX_LAWS = 200
 MAX_COEFFICIENTS = 2000
@@ -23,6 +25,9 @@ def law_document(found: JointLaws | None, held_out: Any, units: Sequence[str]) -
         "reasons": list(found.reasons),
         "gravity": list(found.gravity),
         "gravity_known": found.gravity_known,
+        "payloads": [
+            {"mass_kg": one.mass, "centre_mm": MM.of(np.array(one.centre)).tolist()} for one in found.payloads
+        ],
         "laws": [_law(law) for law in found.kept],
         "tried": [_tried(law) for law in found.tried],
         "steps": [_step(step, held_out, units) for step in found.steps],
@@ -44,7 +49,13 @@ def _law(law: Law) -> dict[str, Any]:
             "count": law.count,
             "periodic": law.periodic,
         }
-    return {"term": "sag", "joint": law.joint, "frames": list(law.frames), "gravity": list(law.gravity)}
+    return {
+        "term": "sag",
+        "joint": law.joint,
+        "frames": list(law.frames),
+        "gravity": list(law.gravity),
+        "payload": law.payload,
+    }
 
 
 def _tried(law: TriedLaw) -> dict[str, Any]:
@@ -82,8 +93,10 @@ def _curve(term: str, joint: int, first: float, spacing: float, count: int, peri
     return CurveKnots(joint, first, spacing, count, periodic)
 
 
-def _sag(term: str, joint: int, frames: tuple[int, ...], gravity: tuple[float, float, float]) -> SagMasses:
-    return SagMasses(joint, frames, gravity)
+def _sag(
+    term: str, joint: int, frames: tuple[int, ...], gravity: tuple[float, float, float], payload: bool = False
+) -> SagMasses:
+    return SagMasses(joint, frames, gravity, payload)
 
 
 TERM = Choice(("curve", "sag"))
@@ -97,7 +110,12 @@ KEYS: Mapping[str, tuple[Key, ...]] = {
         Key("count", Whole(4, MAX_COEFFICIENTS)),
         Key("periodic", Flag()),
     ),
-    "sag": (_JOINT, Key("frames", List(Whole(1, MAX_JOINT + 1))), Key("gravity", List(Number("1"), 3))),
+    "sag": (
+        _JOINT,
+        Key("frames", List(Whole(1, MAX_JOINT + 1), least=0)),
+        Key("gravity", List(Number("1"), 3)),
+        Key("payload", Flag(), optional=True),
+    ),
 }
 _MAKE: Mapping[str, Callable[..., Law]] = {"curve": _curve, "sag": _sag}
 LAWS: Table[dict[str, Any]] = Table((Key("laws", List(_LawValue(), least=0, most=MAX_LAWS)),), dict, unknown_keys=True)

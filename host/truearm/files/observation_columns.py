@@ -63,7 +63,8 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     if title == "kind" or title in registry.identifiers():
         return title, ""
     units = number_units() | JOINTS
-    match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(map(re.escape, number_units()))})([0-9]{{0,3}})(?:_(\w*))?", title)
+    longest_first = sorted(map(re.escape, number_units()), key=len, reverse=True)
+    match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(longest_first)})([0-9]{{0,3}})(?:_(\w*))?", title)
     if match is None or (match[2] != "") != (match[1] in JOINTS):
         raise TableError(f"{where}: is not a known column; {_suggestion(title)}")
     quantity, unit, known = match[1] + match[2], match[3], units[match[1]]

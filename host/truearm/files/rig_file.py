@@ -42,6 +42,8 @@ RIG = Table(
         Key("time_offset", Number("s"), optional=True),
         Key("time_offset_sigma", sigma("s", unknown=True), optional=True),
         Key("line_travel", SIZE, optional=True),
+        Key("payload", Number("kg", least=0.0), optional=True),
+        Key("payload_centre", List(Number("m"), 3), optional=True),
         *JOINT_COVARIANCE,
     ),
     _rig,

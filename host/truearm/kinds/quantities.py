@@ -54,5 +54,7 @@ SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=
 TIME = Quantity("time", ("time",), "s", 1e11)  # on any clock, from any epoch; 3000 years
 TEMPERATURE = Quantity("temperature", ("temperature",), "degc")
 GRAVITY = Quantity("gravity", ("gravity_x", "gravity_y", "gravity_z"), "m/s2")  # along the base frame's axes
-CIRCUMSTANCES = (TIME, TEMPERATURE, GRAVITY)  # for a row of any kind
+PAYLOAD = Quantity("payload", ("payload",), "kg")
+PAYLOAD_CENTRE = Quantity("payload_centre", ("payload_x", "payload_y", "payload_z"), "m")  # in the end frame
+CIRCUMSTANCES = (TIME, TEMPERATURE, GRAVITY, PAYLOAD, PAYLOAD_CENTRE)  # for a row of any kind
 TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not exceed π

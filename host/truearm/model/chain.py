@@ -44,9 +44,10 @@ from truearm.model.constant_folding import Constants, Folded, constants_of, fold
 from truearm.model.frames import far_frames
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, move, turn
-from truearm.types import Floats
+from truearm.types import Floats, Payload
 
 GEOMETRY = "geometry"
+NO_PAYLOAD = Payload(0.0)
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class Element:
 class Chain:
     """Elementary transforms from the base frame to the end frame, with the parameters and joints they refer to.
 
+    ``payload`` acts on the sag of joints, where an identification found how.
+
     Raises RobotError unless every parameter and every joint is used exactly once, in the order of ``joints``.
     """
 
@@ -103,6 +106,7 @@ class Chain:
     joints: tuple[Joint, ...]
     base_frame: str = "base"
     end_frame: str = "end"
+    payload: Payload = NO_PAYLOAD
 
     def __post_init__(self) -> None:
         _check_motions(self)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -16,9 +17,10 @@ from truearm.model.chain import Chain, Parameter
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.robot import Robot
-from truearm.types import CurveKnots, Law, SagMasses
+from truearm.types import CurveKnots, Law, Payload, SagMasses
 
 DOWN = (0.0, 0.0, -1.0)  # default direction of gravity in the base frame
+PAYLOAD = "payload"  # last part of the name of the parameter that is multiplied by the payload's torque
 
 
 def with_laws(chain: Chain, laws: Sequence[Law]) -> Chain:
@@ -46,12 +48,28 @@ def _parameters(chain: Chain, law: Law) -> list[Parameter]:
         labels = [str(k) for k in range(law.count)]
     else:
         unit, term = Sag.unit_of(joint.kind), Sag.name
-        bases = [(float(frame), *law.gravity) for frame in law.frames]
-        labels = [str(frame) for frame in law.frames]
+        ends = (*law.frames, len(chain.joints) + 1) if law.payload else law.frames
+        bases = [(float(frame), *law.gravity) for frame in ends]
+        labels = [*map(str, law.frames), *[PAYLOAD] * law.payload]
     return [
         Parameter(f"{joint.name}.{term}.{label}", unit, 0.0, term, law.joint, tuple(basis))
         for label, basis in zip(labels, bases, strict=True)
     ]
+
+
+def carries(chain: Chain, payload: Payload) -> Chain:
+    """Return the chain with a payload."""
+    return chain if chain.payload == payload else _carries(chain, payload)
+
+
+@lru_cache(maxsize=64)
+def _carries(chain: Chain, payload: Payload) -> Chain:
+    return replace(chain, payload=payload)
+
+
+def has_payload_law(chain: Chain) -> bool:
+    """Return whether a payload acts on the joints."""
+    return any(one.term == Sag.name and one.name.endswith(f".{PAYLOAD}") for one in chain.parameters)
 
 
 def distal_frames(chain: Chain, joint: int) -> tuple[int, ...]:

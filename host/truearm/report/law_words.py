@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from truearm.text import counted, one_line
@@ -31,6 +31,7 @@ def law_sentences(document: Document) -> list[str]:
         lines.append(
             "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table."
         )
+    lines += _payload([law for law in kept if law["term"] == "sag"], found.get("payloads", []))
     noise = found["noise"]
     parts = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:
@@ -48,6 +49,19 @@ def _kept(law: Mapping[str, Any]) -> str:
     low, high = law["covered_deg"]
     periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])
     return f"{start}, covered {low:.0f} to {high:.0f} deg, strongest cycles a turn: {periods}."
+
+
+def _payload(sags: Sequence[Mapping[str, Any]], payloads: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is known of how a payload acts; empty where no joint sags or no row has a payload."""
+    masses = sorted({one["mass_kg"] for one in payloads})
+    if not sags or not any(masses):
+        return []
+    if len(payloads) > 1:
+        listed = ", ".join(f"{mass:g}" for mass in masses)
+        return [f"The sag of the joints depends on the payload, which was {listed} kg."]
+    return [
+        f"The sag of the joints holds for the payload of these rows, {masses[0]:g} kg: it is the same in all of them."
+    ]
 
 
 def law_steps(document: Document, suffix: str) -> list[tuple[str, str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,13 +15,13 @@ from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
-from truearm.model.law_chain import robot_with_laws
+from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
 from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.report.parameter_cells import parameter_cells
-from truearm.types import Floats, Law, SagMasses
-from truearm.units import DEG, MM
+from truearm.types import Floats, Law, Payload, SagMasses
+from truearm.units import DEG, MM, UNITS
 
 LARGEST_JOINT = 100.0  # rad, m
 DEFAULT = RobotChoice()
@@ -115,6 +115,35 @@ class Calibration:
             )
             for name, unit, nominal, value, sigma, free, robot in columns
         }
+
+    def carrying(self, mass: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Calibration:
+        """Return the calibration of the robot with a payload: its mass [kg], and its centre [m] in the end frame.
+
+        Raises InputError if the result does not know how a payload acts on the robot, or for an implausible payload.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> truearm.read_result("result.json").carrying(0.0).chain.payload.mass
+        0.0
+        """
+        payload = Payload(mass, centre)
+        if not (0.0 <= mass <= UNITS["kg"].largest and max(map(abs, centre)) <= UNITS["m"].largest):
+            raise InputError(f"a payload of {mass:g} kg at {centre}: is not a plausible mass and centre")
+        if payload.mass and not has_payload_law(self.chain):
+            raise InputError(
+                "the result does not know how a payload acts on the robot: identify with rows under different payloads"
+            )
+        return replace(self, robot=replace(self.robot, chain=carries(self.chain, payload)))
+
+    @property
+    def doubt_of_payload(self) -> str:
+        """A sentence about the payload that the joints' sag holds for; "" if the result has no sag."""
+        if not any(isinstance(law, SagMasses) for law in self.stored.laws):
+            return ""
+        if has_payload_law(self.chain):
+            return f"The sag of the joints is that under a payload of {self.chain.payload.mass:g} kg."
+        return "The sag of the joints is that under the payload of the calibration."
 
     @property
     def chain(self) -> Chain:

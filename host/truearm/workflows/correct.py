@@ -254,6 +254,8 @@ def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     doubts = []
     if calibration.stored.status != "converged":
         doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
+    if calibration.doubt_of_payload:
+        doubts.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
         remedy = "" if own_frames else " With own frames, base and tool stay out of the correction."

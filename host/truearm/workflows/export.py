@@ -16,9 +16,9 @@ from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
-from truearm.model.chain import Chain
+from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.text import one_line
-from truearm.types import CurveKnots, Floats, rms
+from truearm.types import CurveKnots, Floats, Payload, rms
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
 from truearm.workflows.curve_table import curve_table, looks_like_curves
@@ -31,11 +31,14 @@ MARK = "written by truearm export"
 class ExportOptions(NamedTuple):
     """What to write: a format, with or without the mountings of base and tool, and patterns of what may change
     (default: all).
+
+    ``payload`` is that of the robot that a file is written for.
     """
 
     form: str
     own_frames: bool = False
     adjust: tuple[str, ...] = ()
+    payload: Payload = NO_PAYLOAD
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,7 @@ def export_file(
     check_writable(out, force, inputs=inputs, ours=looks_like_ours)
     if curves is not None:
         check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves)
-    calibration = read_calibration(result, robot)
+    calibration = read_calibration(result, robot).carrying(*options.payload)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
     table = None if curves is None else curve_table(_curves(calibration, curves))
     write_atomic(out, found.text)

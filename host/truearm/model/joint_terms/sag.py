@@ -5,8 +5,11 @@
 p_k are points that move with the links beyond joint i: the origins of the frames of further joints and of the end. The
 sum over k is the torque of unit masses at these points. s_ik is joint i's compliance times the mass at p_k, an unknown
 [rad per kg·m, with g of length 1]. Any distribution of masses along the lines between these points has such a torque.
-The geometry is the nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame with origin p_k (the
-number of joints stands for the end), and the direction of gravity in the base frame.
+The geometry is the nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame with origin p_k (j, the
+number of joints, stands for the end), and the direction of gravity in the base frame.
+
+k = j + 1 stands for the centre of the chain's payload. Its torque is that of the payload's known mass, so its parameter
+is the joint's compliance alone.
 
 Like a curve, a sag has no key in a robot file: ``model.law_chain`` adds it to a chain.
 """
@@ -28,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Sag(Term):
-    """s_ik [rad per kg·m]: the rotation of joint i under a unit mass at frame k."""
+    """s_ik [rad per kg·m]: the rotation of joint i per torque of a unit mass at frame k, or of the payload."""
 
     name = "sag"
     unit = "rad"
@@ -39,6 +42,8 @@ class Sag(Term):
         self._arm = NominalArm(chain)
         basis = np.array([chain.parameters[i].basis for i in parameters]).reshape(-1, 4)
         self._frames, self._gravity = basis[:, 0].astype(int), basis[:, 1:]
+        self._payload = chain.payload
+        self._mass = np.where(self._frames > len(chain.joints), self._payload.mass, 1.0)
 
     def value(self, params: Floats, q: Floats) -> Floats:
         torque = self._torques(q)
@@ -59,26 +64,28 @@ class Sag(Term):
                     by = np.cross(axes[i], np.cross(axes[at], origins[k] - origins[at]))
                 else:  # rotates joint and mass equally
                     by = np.cross(axes[at], np.cross(axes[i], lever))
-                out[i, at] += params[self.parameters[row]] * rates[at] * (by @ self._gravity[row])
+                compliance = params[self.parameters[row]] * self._mass[row]
+                out[i, at] += compliance * rates[at] * (by @ self._gravity[row])
         return out
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
         return self._torques(q)
 
     def _torques(self, q: Floats) -> Floats:
-        """Return torques (m, n) [kg·m] of unit masses with gravity of length 1."""
+        """Return torques (m, n) [kg·m] of unit masses and of the payload, with gravity of length 1."""
         axes, origins = self._lines(self._arm.frames(q))
         # g·(a × l) = (g × a)·l
         rows = [
-            (np.cross(gravity, axes[i]) * (origins[k] - origins[i])).sum(axis=-1)
-            for i, k, gravity in zip(self.joints, self._frames, self._gravity, strict=True)
+            mass * (np.cross(gravity, axes[i]) * (origins[k] - origins[i])).sum(axis=-1)
+            for i, k, gravity, mass in zip(self.joints, self._frames, self._gravity, self._mass, strict=True)
         ]
         return np.stack(rows) if rows else np.zeros((0, q.shape[1]))
 
     def _lines(self, frames: list[Floats]) -> tuple[list[Floats], list[Floats]]:
-        """Return axes of the joints and origins of all frames, (n, 3) each."""
+        """Return axes of the joints, and origins of all frames with the payload's centre after them, (n, 3) each."""
         axes = [frame[..., :3, axis_of(motion)] for frame, motion in zip(frames, self._arm.motions, strict=False)]
-        return axes, [frame[..., :3, 3] for frame in frames]
+        payload = frames[-1][..., :3, :3] @ np.array(self._payload.centre) + frames[-1][..., :3, 3]
+        return axes, [*(frame[..., :3, 3] for frame in frames), payload]
 
 
 TERM = Sag

@@ -1,0 +1,92 @@
+"""Rows under a payload: the known mass on the end, from the table or from the rig, and its effect on predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import ProblemError
+from truearm.kinds.group import Group
+from truearm.kinds.linearised import Indices, Linearised
+from truearm.kinds.quantities import PAYLOAD, PAYLOAD_CENTRE
+from truearm.model.chain import Chain
+from truearm.model.law_chain import carries
+from truearm.types import Floats, ObservationTable, Payload, Rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class PayloadRows(Group):
+    """n observations of another group, all with one payload on the robot."""
+
+    COMPONENTS = ()  # those of ``inner``, set per instance
+
+    inner: Group
+    payload: Payload
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
+
+    def evaluate(self, chain: Chain, x: Floats) -> Linearised:
+        """Return residuals (n·w,) and their derivatives at x (P,), with the payload."""
+        return self.inner.evaluate(carries(chain, self.payload), x)
+
+    def opened(self, chain: Chain, x: Floats) -> Linearised:
+        """Return the same as ``evaluate``, with the derivatives by the known constants appended to ``jac_rig``."""
+        return self.inner.opened(carries(chain, self.payload), x)
+
+    def settle(self, chain: Chain, x: Floats) -> PayloadRows:
+        """Settle as ``inner`` does with the payload."""
+        return replace(self, inner=self.inner.settle(carries(chain, self.payload), x))
+
+    def orientations(self) -> Indices:
+        """Return those of ``inner``."""
+        return self.inner.orientations()
+
+    def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> PayloadRows:
+        """Return some of the observations."""
+        row = None if self.row is None else self.row[which]
+        return replace(self, row=row, sensor_cov=self.sensor_cov[which], inner=self.inner.take(which))
+
+
+def payloads_of(rig: Rig | Mapping[str, Rig], table: ObservationTable) -> list[Payload]:
+    """Return the payload of each row (n): the row's own, otherwise that of its rig.
+
+    Raises ProblemError for a negative mass.
+    """
+    rigs = {"": rig} if isinstance(rig, Rig) else rig
+    mass = table.column(PAYLOAD.field, np.nan)
+    centre = table.column(PAYLOAD_CENTRE.field, np.nan).reshape(len(table), -1)
+    bad = np.flatnonzero(mass < 0.0)
+    if bad.size:
+        raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 for none")
+    of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs.items()}
+    return [
+        of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))
+        for name, m, (x, y, z) in zip(
+            table.rig, mass, np.broadcast_to(np.nan_to_num(centre), (len(table), 3)).tolist(), strict=True
+        )
+    ]
+
+
+def with_payloads(groups: Sequence[Group], payloads: Sequence[Payload]) -> tuple[Group, ...]:
+    """Return the groups split by the payload of their rows; knowledge that is not a row has none."""
+    number = {payload: k for k, payload in enumerate(dict.fromkeys(payloads))}
+    of_row = np.array([number[payload] for payload in payloads], dtype=np.intp)
+    out: list[Group] = []
+    for group in groups:
+        if group.row is None:
+            out.append(group)
+            continue
+        for payload, k in number.items():
+            mine = of_row[group.row] == k
+            if mine.any():
+                some = group.take(mine)
+                out.append(
+                    PayloadRows(
+                        row=some.row, sensor_cov=some.sensor_cov, constants=np.zeros(0), inner=some, payload=payload
+                    )
+                )
+    return tuple(out)
