@@ -58,8 +58,8 @@ class ExportedRobot:
     Mountings (written at both ends):
     ...
     The format urdf has no place for joint1.gain, ...
-    Refitted over 600 poses: ... costs ... mm RMS (... at most)
-    where it is simply left out, and ... mm RMS (... at most) after the rest has made up for it.
+    Refitted over 600 poses. Error without what the file cannot hold or you do not adjust: ... mm RMS (... at most);
+    with the other parameters refitted to compensate: ... mm RMS (... at most).
     """
 
     form: str
