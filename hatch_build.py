@@ -1,4 +1,4 @@
-"""What a wheel holds beside the code: the flashable image of the box, and a README whose links hold on a package index."""
+"""The content of a wheel besides the code: the box's flashable image, and a README with links for a package index."""
 
 import os
 import re
@@ -12,10 +12,10 @@ URL = "TRUEARM_URL"  # of the repository; make release URL=https://… sets it
 
 
 class ImageHook(BuildHookInterface):  # type: ignore[misc]
-    """Puts the image of this version (make uf2) into the package; a checkout without one builds without it."""
+    """Put the image of this version (make uf2) into the package; a checkout without one builds without it."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Add the image to what is built; an editable installation finds it in the checkout."""
+        """Add the image to the build; an editable installation finds it in the checkout."""
         image = Path(self.root) / "build" / "uf2" / f"truearm-{self.metadata.version}.uf2"
         if version == "editable" or not image.is_file():
             return
@@ -24,7 +24,7 @@ class ImageHook(BuildHookInterface):  # type: ignore[misc]
 
 
 class LinksHook(MetadataHookInterface):  # type: ignore[misc]
-    """Makes the README's links absolute where the repository's address is given; without it they stay as they are."""
+    """Make the README's links absolute if the repository's address is given; otherwise they are unchanged."""
 
     def update(self, metadata: dict[str, Any]) -> None:
         """Set readme and urls."""

@@ -1,7 +1,7 @@
 """truearm: measure where a robot arm really is, identify its kinematic parameters, correct it.
 
-The names below are the public interface (docs/reference/api.md). They are imported when they are first used, so that ``import truearm``
-costs nothing.
+The names below are the public interface (docs/reference/api.md). They are imported on first use, so ``import truearm``
+is cheap.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ __all__ = [
     "write_table",
 ]
 
-# where the names are that truearm.api does not define
+# modules of the names that truearm.api does not define
 _MODULES = {
     "BallBar": "types",
     "BallBarOptions": "workflows.plan",

@@ -1,4 +1,4 @@
-"""``truearm`` and ``python -m truearm``: nothing is imported before an interrupt is looked after."""
+"""``truearm`` and ``python -m truearm``: interrupts are handled before anything else is imported."""
 
 from __future__ import annotations
 

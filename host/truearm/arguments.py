@@ -1,8 +1,9 @@
-"""Arguments of the public interface, checked against their annotations.
+"""Check arguments of the public interface against their annotations.
 
-An annotation says what an argument is: a class, ``str``, ``int``, ``float``, ``bool``, a union, a tuple or sequence or mapping
-of these. In ``Annotated`` it also has a rule (``Within``, ``OneOf``), or as a text the function that makes such an object.
-A list stands for a tuple and a NumPy number for a number. ``floats`` checks what no annotation can say, the shape of an array.
+An annotation defines the type of an argument: a class, ``str``, ``int``, ``float``, ``bool``, a union, or a tuple,
+sequence or mapping of these. With ``Annotated`` it also has a rule (``Within``, ``OneOf``), or as a text the function
+that makes such an object. A list is accepted as a tuple, and a NumPy number as a number. ``floats`` checks what
+annotations cannot express, the shape of an array.
 """
 
 from __future__ import annotations
@@ -41,14 +42,14 @@ MANY: Mapping[Any, str] = {str: "texts", float: "numbers", int: "whole numbers"}
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function raise TypeError or InputError for an argument that is not what its annotation says."""
+    """Make a function raise TypeError or InputError for an argument that does not match its annotation."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             given = signature.bind(*args, **kwargs).arguments
-        except TypeError as exc:  # as Python says it, with the function's name
+        except TypeError as exc:  # in Python's words, with the function's name
             raise TypeError(f"{function.__name__}() {exc}") from None
         for name, value in given.items():
             check(name, value, _hints(function)[name])
@@ -66,7 +67,7 @@ def check_fields(record: Any) -> None:
 
 
 def check(name: str, value: Any, hint: Any) -> None:
-    """Raise TypeError unless a value is what an annotation says, InputError where a rule of it is broken."""
+    """Raise TypeError unless a value matches an annotation, and InputError if it breaks a rule of it."""
     fitting = [one for one in _alternatives(hint) if _is(value, one)]
     if not fitting:
         wanted = " or ".join(dict.fromkeys(_words(one) for one in _alternatives(hint)))
@@ -77,9 +78,9 @@ def check(name: str, value: Any, hint: Any) -> None:
 
 
 def floats(name: str, value: Any, *shape: int | None, or_one: bool = False) -> NDArray[np.float64]:
-    """Return an array of finite numbers of a shape, where None stands for any number but 0.
+    """Return an array of finite numbers of a shape, in which None means any number but 0.
 
-    ``or_one``: a single item without the first axis will do, too. Raises TypeError, InputError.
+    ``or_one``: a single item without the first axis is accepted, too. Raises TypeError, InputError.
     """
     sizes = ", ".join("n" if size is None else str(size) for size in shape) + "," * (len(shape) == 1)
     try:
@@ -105,14 +106,14 @@ def _hints(of: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
-    """What a union allows."""
+    """Return the alternatives of a union."""
     if get_origin(hint) in (Union, types.UnionType) and hint != ArrayLike:
         return tuple(one for part in get_args(hint) for one in _alternatives(part))
     return (hint,)
 
 
 def _is(value: Any, hint: Any) -> bool:
-    """Whether a value is what one alternative of an annotation says."""
+    """Return whether a value matches one alternative of an annotation."""
     origin, parts = get_origin(hint), get_args(hint)
     if hint is Any or hint == ArrayLike:
         return True
@@ -142,7 +143,7 @@ def _any(value: Any, hint: Any) -> bool:
 
 
 def _words(hint: Any) -> str:
-    """What a person calls a value that an annotation describes."""
+    """Return a readable description of the values that an annotation allows."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
         made_by = [text for text in hint.__metadata__ if isinstance(text, str)]

@@ -1,4 +1,4 @@
-"""What a number or a name may be. An argument of Python and the option of a command take the same bounds from here.
+"""The bounds of numbers and names, shared by the arguments of Python and the options of commands.
 
 ``--help`` reads this, so it imports nothing slow.
 """
@@ -23,7 +23,7 @@ class Within:
     most: float = math.inf
 
     def check(self, name: str, value: Any) -> None:
-        """Raise InputError."""
+        """Raise InputError if a value breaks the rule."""
         several = isinstance(value, Iterable)
         if not all(math.isfinite(one) and self.least <= one <= self.most for one in (value if several else (value,))):
             low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
@@ -35,12 +35,12 @@ class Within:
 
 @dataclass(frozen=True)
 class OneOf:
-    """A rule: one of some names."""
+    """A rule: one of several names."""
 
     names: Collection[str]
 
     def check(self, name: str, value: Any) -> None:
-        """Raise InputError."""
+        """Raise InputError if a value breaks the rule."""
         if value not in self.names:
             raise InputError(Argument(name), f": {value[:SHOWN]!r} is not one of {', '.join(self.names)}")
 
@@ -54,7 +54,7 @@ LINE_POINTS = Within(5)
 POSES = Within(1)
 MINUTES = Within(1.0, 100_000.0)
 CANDIDATES = Within(9, 100_000)
-TRAVEL = Within(0.0)  # m, that a plan keeps free or varies
+TRAVEL = Within(0.0)  # m, kept free or varied by a plan
 DWELL = Within(0.5, 600.0)  # s
 VISITS = Within(1, 10)
 CHECK_POSES = Within(0, 100)

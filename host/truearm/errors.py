@@ -14,17 +14,17 @@
     │   ├── ConfigError       a box's configuration (TOML)
     │   └── ImageError        an image for the box's chip (UF2)
     ├── WriteError            a file cannot be written any more (a full disk)
-    ├── ProblemError          the observations and the robot do not make a solvable problem
-    ├── IncompleteError       a recording ended without all that was asked for; what came is kept
+    ├── ProblemError          the observations and the robot do not define a solvable problem
+    ├── IncompleteError       a recording ended before everything requested arrived; the received data are kept
     └── LinkError             the box or the robot stopped answering
-        ├── LinkClosed        the other side ended the stream in order
+        ├── LinkClosed        the other side ended the stream normally
         ├── RefusedError      the box refuses a command
-        └── ProtocolError     the box speaks a protocol that this version does not
+        └── ProtocolError     the box uses a protocol that this version does not support
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
 
-A text that names what the caller gave has it as an ``Argument`` of its own. Python shows the argument's name, the command line
-the option in its place.
+A text that names an argument of the caller contains it as a separate ``Argument``. Python shows the argument's name, the
+command line shows the option instead.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class Argument(str):
 
 
 class TruearmError(Exception):
-    """Base of all errors of truearm; its text is one line that says what is wrong and what to do.
+    """Base of all errors of truearm; its text is one line that states what is wrong and what to do.
 
-    The text is made of its ``args`` one after the other.
+    The text consists of its ``args`` one after the other.
 
     Examples
     --------
@@ -134,7 +134,7 @@ class TargetError(InputError):
 
 
 class ProgramError(InputError):
-    """A robot's program cannot be read, or a target of it cannot be corrected; the text names file and line."""
+    """A robot's program cannot be read, or a target in it cannot be corrected; the text names file and line."""
 
 
 class SessionError(InputError):
@@ -157,7 +157,7 @@ class ImageError(InputError):
 
 
 class WriteError(TruearmError):
-    """A file cannot be written any more; ``strerror`` is the system's word for why."""
+    """A file cannot be written any more; ``strerror`` is the system's reason."""
 
     def __init__(self, text: str, strerror: str = "") -> None:
         super().__init__(text)
@@ -165,7 +165,7 @@ class WriteError(TruearmError):
 
 
 class ProblemError(TruearmError):
-    """Observations and robot do not make a problem that can be solved (too few rows, unknown names).
+    """Observations and robot do not define a problem that can be solved (too few rows, unknown names).
 
     Examples
     --------
@@ -178,7 +178,7 @@ class ProblemError(TruearmError):
 
 
 class IncompleteError(TruearmError):
-    """A recording ended without all that was asked for."""
+    """A recording ended before everything requested arrived."""
 
     exit_code = ExitCode.INCOMPLETE
 
@@ -188,11 +188,11 @@ class LinkError(TruearmError):
 
 
 class LinkClosed(LinkError):
-    """The other side ended the stream in order; it does not say why."""
+    """The other side ended the stream normally, without a reason."""
 
 
 class RefusedError(LinkError):
-    """The box refuses a command; ``code`` is that of protocol/SPEC.md §4."""
+    """The box refuses a command; ``code`` is defined in protocol/SPEC.md §4."""
 
     def __init__(self, code: int, *text: str) -> None:
         super().__init__(*text)
@@ -200,4 +200,4 @@ class RefusedError(LinkError):
 
 
 class ProtocolError(LinkError):
-    """The box speaks a protocol that this version of truearm does not understand."""
+    """The box uses a protocol that this version of truearm does not support."""

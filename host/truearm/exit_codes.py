@@ -1,4 +1,4 @@
-"""Exit codes of all commands, in one table: ``truearm --help`` prints it, docs/reference/exit-codes.md repeats it."""
+"""Exit codes of all commands in one table: ``truearm --help`` prints it, docs/reference/exit-codes.md repeats it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ExitCode(IntEnum):
-    """How a command ended. ``meaning`` is for people.
+    """How a command ended. ``meaning`` is the text for users.
 
     Examples
     --------
@@ -31,5 +31,5 @@ class ExitCode(IntEnum):
 
 
 def table() -> str:
-    """The codes with their meanings in one line."""
+    """Return the codes with their meanings in one line."""
     return "; ".join(f"{code.value} {code.meaning}" for code in ExitCode) + "."

@@ -1,4 +1,4 @@
-"""Signals that end what a command does, in order."""
+"""Signals that end a command cleanly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ _NUMBERS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if
 
 @contextmanager
 def asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C, SIGTERM and a terminal that was closed only raise a flag: an exception could strike in the middle of a record of the file."""
+    """Make Ctrl-C, SIGTERM and a closed terminal only set a flag.
+
+    An exception could occur in the middle of a record of the file.
+    """
     asked = threading.Event()
     wanted = [
         n for n in _NUMBERS if n == signal.SIGINT or signal.getsignal(n) != signal.SIG_IGN

@@ -1,12 +1,13 @@
-"""What an option of ``identify`` or ``plan`` is where nobody gives it. The command line, the records of options in ``workflows``
-and with them the Python API take it from here.
+"""The defaults of the options of ``identify`` and ``plan``, for the command line and the records of options in
+``workflows``.
 
-Whoever takes them checks them, names included. ``--help`` reads this, so it imports nothing.
+Through those records the Python API uses them too. The users of these values check them, including names. ``--help``
+reads this, so it imports nothing.
 """
 
 from typing import Final
 
-SEED: Final = 0  # of every command that draws
+SEED: Final = 0  # for every command that uses random numbers
 
 # identify
 SOLVER: Final = "lm"
@@ -16,25 +17,25 @@ MAX_ITERATIONS: Final = 50
 
 # plan
 CRITERION: Final = "I"
-DWELL: Final = 2.0  # s, a rest at a pose
+DWELL: Final = 2.0  # s, at rest at a pose
 
 # plan ballbar
-BAR_CANDIDATES: Final = 5000  # poses to choose from
-SPREAD: Final = 0.0  # m, by which the bar's length varies about mid-travel
-VISITS: Final = 1  # of every mount
+BAR_CANDIDATES: Final = 5000  # poses from which the plan is chosen
+SPREAD: Final = 0.0  # m, variation of the bar's length about mid-travel
+VISITS: Final = 1  # to every mount
 CHECK_POSES: Final = 10
-DESIGN_RESERVE: Final = 22e-3  # m of travel for what the model does not know
+DESIGN_RESERVE: Final = 22e-3  # m of travel reserved for errors of the model
 RESULT_RESERVE: Final = 3e-3  # m, with the model of a result
 
 # plan line
-LINE_CANDIDATES: Final = 120  # lines to choose from
+LINE_CANDIDATES: Final = 120  # lines from which the plan is chosen
 LINE_LENGTH: Final = 0.5  # m, the device's reach
 TRANSVERSE_RANGE: Final = 15e-3  # m, full range of the transverse sensors
 LINE_SPEED: Final = 50e-3  # m/s
-LINE_POINTS: Final = 12  # of a way that count as measured
-PASSES: Final = 1  # there and back
+LINE_POINTS: Final = 12  # measured points in each direction
+PASSES: Final = 1  # in both directions
 
 # plan characterize
 APPROACH_POSES: Final = 4
-ROUNDS: Final = 4  # a pose is reached from each side so often
-LONG_DWELL: Final = 20.0  # s, a rest at each pose, for the noise
+ROUNDS: Final = 4  # how often a pose is approached from each side
+LONG_DWELL: Final = 20.0  # s, at rest at each pose, for the noise

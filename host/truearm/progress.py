@@ -1,7 +1,8 @@
-"""What long work tells of itself while it runs: which step it is at, and which share of it is done.
+"""The progress of long computations: the current step and its completed share.
 
-Work that may take seconds names its steps by ``step`` or ``steps_of``. Who wants to show them listens by ``listening``; where nobody
-listens, nothing happens. The listener belongs to the context (``contextvars``): threads and other callers do not share it.
+Code that may take seconds names its steps with ``step`` or ``steps_of``. A caller that displays them registers with
+``listening``; without a listener nothing happens. The listener belongs to the context (``contextvars``): threads and
+other callers do not share it.
 """
 
 from __future__ import annotations
@@ -12,24 +13,24 @@ from contextvars import ContextVar
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-Advance = Callable[[float], None]  # takes the share of a step that is done, 0 to 1
+Advance = Callable[[float], None]  # takes the completed share of a step, 0 to 1
 
 
 class Running(Protocol):
-    """A step that is under way."""
+    """A step in progress."""
 
     def advance(self, share: float) -> None:
-        """Hear which share of it is done, 0 to 1."""
+        """Receive the completed share of the step, 0 to 1."""
 
     def end(self) -> None:
-        """Hear that it ends."""
+        """Receive the end of the step."""
 
 
 class Listener(Protocol):
-    """Hears of steps; steps may lie within others."""
+    """Receives steps; steps may be nested."""
 
     def begin(self, what: str) -> Running:
-        """Hear that a step begins."""
+        """Receive the beginning of a step."""
 
 
 _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
@@ -37,7 +38,7 @@ _LISTENER: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Have a listener hear of every step within."""
+    """Make a listener receive every step inside this context."""
     token = _LISTENER.set(listener)
     try:
         yield
@@ -47,7 +48,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def step(what: str) -> Iterator[Advance]:
-    """Name what is done within; the function that comes back takes the share that is done."""
+    """Name the step inside this context; the yielded function takes its completed share."""
     listener = _LISTENER.get()
     if listener is None:
         yield lambda _: None
@@ -60,7 +61,7 @@ def step(what: str) -> Iterator[Advance]:
 
 
 def steps_of(items: Sequence[T], what: str) -> Iterator[T]:
-    """Return the items one by one, and tell how many of them were done."""
+    """Yield the items one by one, and report how many are completed."""
     with step(what) as advance:
         for done, item in enumerate(items):
             advance(done / len(items))

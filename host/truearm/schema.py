@@ -1,11 +1,12 @@
-"""Schemas: what the keys of a file are, declared once, from which the file is both read and written.
+"""Schemas: the keys of a file are declared once, and the file is both read and written by this declaration.
 
-A ``Value`` turns what TOML or JSON holds into a checked value in SI units, and back into TOML text that reads back bit for
-bit. A ``Key`` gives a value its name in the file; the unit is the end of the name (``length_mm``). A ``Table`` is a set of
-keys and the object that they make; ``Entries`` are the ``[[name]]`` tables of a document. What is wrong raises SchemaError,
-whose text says which key of which entry; ``read`` adds the file and raises the caller's error.
+A ``Value`` converts a TOML or JSON value to a checked value in SI units, and back to TOML text that is read back bit
+for bit. A ``Key`` gives a value its name in the file; the name ends in the unit (``length_mm``). A ``Table`` is a set
+of keys and the object made from them. ``Entries`` are the ``[[name]]`` tables of a document. Errors raise SchemaError,
+whose text names the key and the entry; ``read`` adds the file and raises the caller's error.
 
-Nothing here touches a file, and importing this module is cheap: declarations may stand wherever what they declare stands.
+Nothing here accesses a file, and importing this module is cheap: a declaration can be next to the class that it
+declares.
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
 if TYPE_CHECKING:
     from truearm.types import Matrix  # which needs numpy
 
-MAX_SHOWN = 40  # characters of a stranger's text in a message
-MAX_SIZE = 64  # of a list or a matrix: joints
+MAX_SHOWN = 40  # characters of an external text in a message
+MAX_SIZE = 64  # of a list or a matrix, by the number of joints
 MAX_ENTRIES = 10_000
-HUGE = 1e12  # no number of any unit is larger; an integer beyond it may have no float
+HUGE = 1e12  # no number in any unit is larger; a larger integer may have no float
 UNKNOWN = "unknown"
 NO_UNIT = ("",)
-NAME = re.compile(r"[\w-]{1,64}")  # no dots: names of parameters, socket.<place>.<socket>.x, are made of these
+NAME = re.compile(r"[\w-]{1,64}")  # no dots: parameter names such as socket.<place>.<socket>.x are made from these
 
 T = TypeVar("T")
 
 
 class SchemaError(ValueError):
-    """What is wrong with a value; every table around it puts its key or entry in front."""
+    """An error in a value; every enclosing table puts its key or entry in front."""
 
 
 @contextmanager
@@ -49,7 +50,7 @@ def at(where: str) -> Iterator[None]:
 
 
 def quoted(value: object) -> str:
-    """What a stranger wrote, as it may stand in a one-line message."""
+    """Return an external text in a form suitable for a one-line message."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -64,20 +65,20 @@ def quoted(value: object) -> str:
 
 
 class Value(Protocol):
-    """One value of a file. ``suffixes``: those of ``units.SUFFIXES`` that its key may end in, SI's own first."""
+    """One value of a file. ``suffixes``: those of ``units.SUFFIXES`` that its key may end in, the SI unit first."""
 
     @property
     def suffixes(self) -> Sequence[str]: ...
 
     def parse(self, raw: Any, suffix: str) -> Any:
-        """The checked value in SI of what stands under a key with this suffix. Raises SchemaError."""
+        """Return the checked SI value of an entry whose key has this suffix. Raises SchemaError."""
 
     def format(self, value: Any) -> str:
         """TOML text of a value, under a key with the first of the suffixes."""
 
 
 class ReadOnly:
-    """A value of a file that truearm reads and does not write."""
+    """A value of a file that truearm reads but does not write."""
 
     @property
     def suffixes(self) -> Sequence[str]:
@@ -89,10 +90,12 @@ class ReadOnly:
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's largest.
+    """A finite number in an SI unit of ``UNITS``, between ``least`` and ``most`` [SI]; those default to ± the unit's
+    largest.
 
-    ``positive``: 0 is too small. No number that may not be negative is so small that it must be a slip (``units.SMALLEST``). ``unknown``: the word "unknown" may stand for it and is read as None. ``spelled``: the
-    suffixes that its key may have, the SI unit's own first; by default those of ``units.suffixes``.
+    ``positive``: 0 is too small. A number that may not be negative must not be so small that it is probably an error
+    (``units.SMALLEST``). ``unknown``: the word "unknown" is accepted and read as None. ``spelled``: the suffixes that
+    its key may have, the SI unit first; by default those of ``units.suffixes``.
     """
 
     si: str = "1"
@@ -111,7 +114,7 @@ class Number:
             return None
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise SchemaError(f"{quoted(raw)} is not a number" + f' (or "{UNKNOWN}")' * self.unknown)
-        if not abs(raw) <= HUGE:  # NaN too; an integer of a thousand digits has no float and no text
+        if not abs(raw) <= HUGE:  # also rejects NaN; an integer of a thousand digits has no float and no text
             raise SchemaError("not a finite number of reasonable size")
         unit = SUFFIXES[suffix]
         value = float(raw) * unit.scale
@@ -152,13 +155,13 @@ class Whole:
 
 
 def sigma(si: str = "1", *, unknown: bool = False) -> Number:
-    """A standard deviation, 0 or more."""
+    """Return the value type of a standard deviation, 0 or more."""
     return Number(si, least=0.0, unknown=unknown)
 
 
 @dataclass(frozen=True)
 class List:
-    """A list of ``size`` values of one sort (None: ``least`` to ``most``), read as a tuple."""
+    """A list of ``size`` values of one type (None: ``least`` to ``most``), read as a tuple."""
 
     item: Value
     size: int | None = None
@@ -189,7 +192,7 @@ class List:
 
 @dataclass(frozen=True)
 class Covariance:
-    """A covariance matrix, ``size``×``size`` or, if None, of any size up to MAX_SIZE. ``singular``: it may have rank to spare."""
+    """A covariance matrix, ``size``×``size`` or, if None, any size up to MAX_SIZE. ``singular``: it may be singular."""
 
     size: int | None = None
     singular: bool = False
@@ -218,7 +221,7 @@ class Covariance:
 
 @dataclass(frozen=True)
 class Sigmas:
-    """A list of standard deviations, read as the diagonal covariance matrix that they make."""
+    """A list of standard deviations, read as a diagonal covariance matrix."""
 
     number: Number
     size: int | None = None
@@ -239,7 +242,7 @@ class Sigmas:
 class Text:
     """Text of at most ``longest`` characters; ``one_line``: not empty, and all of it printable.
 
-    Where ``pattern`` is given, all of the text must match; ``wanted`` says what it is then.
+    If ``pattern`` is given, all of the text must match; ``wanted`` describes such a text.
     """
 
     longest: int = 200
@@ -306,8 +309,8 @@ class Flag:
 class Key:
     """A value and its name in a file, without the unit.
 
-    ``field``: what ``Table.make`` calls it, if not by its name. Two keys of one field are two ways to say one thing: only
-    one of them may stand in a table, and the first is the one that is written.
+    ``field``: its name in ``Table.make``, if different. Two keys with the same field are alternatives: a table may have
+    only one of them, and the first is the one that is written.
     """
 
     name: str
@@ -321,7 +324,7 @@ class Key:
 
     @property
     def spellings(self) -> Mapping[str, str]:
-        """The names that it may have in a file, each with its suffix."""
+        """Return the names that it may have in a file, each with its suffix."""
         return {f"{self.name}_{suffix}" if suffix else self.name: suffix for suffix in self.value.suffixes}
 
     def parse(self, raw: Any, spelled: str) -> Any:
@@ -334,7 +337,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Entries(Generic[T]):
-    """The ``[[name]]`` tables of a document, read as a dictionary by ``index``; where that is None, as a tuple."""
+    """The ``[[name]]`` tables of a document, read as a dictionary by ``index``, or as a tuple if that is None."""
 
     name: str
     table: Table[T]
@@ -367,12 +370,12 @@ def _words(index: Hashable) -> str:
 
 @dataclass(frozen=True)
 class Table(Generic[T]):
-    """A table of a file, and what it makes.
+    """A table of a file, and the object made from it.
 
-    ``make`` is called with the values of the keys that are there, by field, and may raise SchemaError where they do not
-    go together; the default of a key is that of ``make``'s parameter. ``take`` is its inverse: an object's values by
-    field. A value that is not there, None (unless it may be unknown) or empty is not written. ``unknown_keys``: those that
-    are not declared are skipped, as of a later version.
+    ``make`` is called with the values of the existing keys, by field, and may raise SchemaError if they are
+    inconsistent; the default of a key is that of ``make``'s parameter. ``take`` is its inverse: an object's values by
+    field. A value that is missing, None (unless it may be unknown) or empty is not written. ``unknown_keys``:
+    undeclared keys, from a later version, are skipped.
     """
 
     keys: tuple[Key, ...]
@@ -386,7 +389,7 @@ class Table(Generic[T]):
         return self.make(**self.values(raw))
 
     def values(self, raw: Any) -> dict[str, Any]:
-        """The values of a table's keys, by field; those of optional keys only where they are there. Raises SchemaError."""
+        """Return the values of a table's keys, by field; optional keys only if they exist. Raises SchemaError."""
         table = as_table(raw)
         spellings = {spelled: key for key in self.keys for spelled in key.spellings}
         if not self.unknown_keys:
@@ -404,7 +407,7 @@ class Table(Generic[T]):
         return values | {e.field: e.parse(table[e.name]) for e in self.entries if e.name in table}
 
     def lines(self, item: T) -> list[str]:
-        """``key = value`` of an object, a line each; its entries are not among them."""
+        """Return ``key = value`` of an object, one line each, without its entries."""
         values = self.take(item)
         first = {key.called: key for key in reversed(self.keys)}
         return [
@@ -414,7 +417,7 @@ class Table(Generic[T]):
         ]
 
     def format(self, item: T) -> str:
-        """The TOML document of an object."""
+        """Return the TOML document of an object."""
         values = self.take(item)
         blocks = [block for entries in self.entries for block in entries.blocks(values.get(entries.field, ()))]
         return "\n\n".join(["\n".join(self.lines(item)), *blocks]) + "\n"
@@ -425,21 +428,21 @@ def _is_written(value: Any, of: Value) -> bool:
 
 
 def as_table(raw: Any) -> Mapping[str, Any]:
-    """``raw``, if it is a table. Raises SchemaError."""
+    """Return ``raw``, if it is a table. Raises SchemaError."""
     if not isinstance(raw, dict):
         raise SchemaError(f"must be a table, is {quoted(raw)}")
     return raw
 
 
 def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
-    """Raise SchemaError for a key that is not known: a misspelt one would silently take its default."""
+    """Raise SchemaError for an unknown key: a misspelt one would silently take its default."""
     for key in table:
         if key not in known:
             raise SchemaError(f"unknown key {key[:MAX_SHOWN]!r}; {hint(key, known)}")
 
 
 def hint(name: str, known: Sequence[str]) -> str:
-    """Which of the known names was probably meant, else what they are."""
+    """Return which of the known names was probably meant, otherwise a list of them."""
     close = difflib.get_close_matches(name[:MAX_SHOWN], known, n=1)
     return (f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}")[:150]
 
@@ -454,6 +457,9 @@ def raising(error: type[InputError], name: str = "") -> Iterator[None]:
 
 
 def read(table: Table[T], document: Mapping[str, Any], name: str, error: type[InputError]) -> T:
-    """What a document makes; ``name`` stands for the file in messages. Raises ``error`` with file, entry and key."""
+    """Return the object made from a document; ``name`` stands for the file in messages.
+
+    Raises ``error`` with file, entry and key.
+    """
     with raising(error, name):
         return table.parse(document)

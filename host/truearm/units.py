@@ -1,8 +1,8 @@
-"""Units: what a number is called in files, how a person sees it, and how large it can sensibly be.
+"""Units: the names of numbers in files, their display, and their plausible size.
 
-SI inside, always. A ``Unit`` is an SI unit, a ``Scale`` is a unit that people and files use for it (``mm`` for metres).
-Every number that a person sees gets its factor, its symbol and its digits from here: ``number(length, "m")`` and
-``title("error", "m")`` where the usual unit is wanted, ``UM.text(noise, ".1f")`` where it is a named one.
+All values inside truearm are in SI units. A ``Unit`` is an SI unit, a ``Scale`` is a unit for people and files (``mm``
+for metres). Every displayed number gets its factor, its symbol and its digits from here: ``number(length, "m")`` and
+``title("error", "m")`` for the usual unit, ``UM.text(noise, ".1f")`` for a specific one.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Scale:
-    """A unit that people and files use: ``value_si = scale · value``, and ``factor`` its inverse: 1000.0 for millimetres.
+    """A unit for people and files: ``value_si = scale · value``, and ``factor`` its inverse: 1000.0 for millimetres.
 
     Both are given, since 1/1e-9 is not 1e9 in floating point.
 
-    ``suffix`` stands at the end of a name in a file (``length_mm``, ``qd1_deg_s``), ``symbol`` behind a number on the
-    screen.
+    ``suffix`` is at the end of a name in a file (``length_mm``, ``qd1_deg_s``), ``symbol`` follows a displayed number.
     """
 
     suffix: str
@@ -30,22 +29,20 @@ class Scale:
     factor: float
 
     def of(self, value_si: Any) -> Any:
-        """A value in SI, or an array of them, in this unit."""
+        """Return an SI value, or an array of them, in this unit."""
         return self.factor * value_si
 
     def to_si(self, value: Any) -> Any:
-        """A value in this unit, or an array of them, in SI."""
+        """Return a value in this unit, or an array of them, in SI."""
         return self.scale * value
 
     def text(self, value_si: float, spec: str = "g") -> str:
-        """A value in SI as text in this unit, with the symbol: ``UM.text(2e-6, ".1f")`` is "2.0 µm"."""
+        """Return an SI value as text in this unit, with the symbol: ``UM.text(2e-6, ".1f")`` is "2.0 µm"."""
         return f"{self.of(value_si):{spec}} {self.symbol}".rstrip()
 
 
 DEGREE = math.pi / 180.0
-SMALLEST = (
-    1e-12  # [SI] a length, an angle or a standard deviation below it is a slip; its square would count for nothing
-)
+SMALLEST = 1e-12  # [SI] a smaller length, angle or standard deviation is an error; its square would have no effect
 
 M = Scale("m", "m", "m", 1.0, 1.0)
 CM = Scale("cm", "cm", "m", 1e-2, 1e2)
@@ -67,7 +64,7 @@ MM_S = Scale("mm_s", "mm/s", "m/s", 1e-3, 1e3)
 M_S2 = Scale("m_s2", "m/s²", "m/s2", 1.0, 1.0)
 RAD_S = Scale("rad_s", "rad/s", "rad/s", 1.0, 1.0)
 DEG_S = Scale("deg_s", "deg/s", "rad/s", DEGREE, 1.0 / DEGREE)
-DEGC = Scale("degc", "°C", "degc", 1.0, 1.0)  # temperatures stay in °C: only their differences are computed with
+DEGC = Scale("degc", "°C", "degc", 1.0, 1.0)  # temperatures stay in °C: only their differences enter computations
 MDEGC = Scale("mdegc", "m°C", "degc", 1e-3, 1e3)
 KG = Scale("kg", "kg", "kg", 1.0, 1.0)
 PER_K = Scale("per_k", "1/K", "1/K", 1.0, 1.0)
@@ -83,18 +80,18 @@ SUFFIXES: Mapping[str, Scale] = {
 
 
 def micro(si: str) -> Scale:
-    """The millionth of a unit that is not in SUFFIXES, such as a volt."""
+    """Return the millionth of a unit that is not in SUFFIXES, such as a volt."""
     return Scale(f"u{si}", f"µ{si}", si, 1e-6, 1e6)
 
 
 @dataclass(frozen=True)
 class Unit:
-    """An SI unit and how it meets people.
+    """An SI unit and its display.
 
-    ``scale``: in which a person sees it. ``decimals``: of a value with its standard deviation. ``largest``: beyond this
-    [SI] a number was written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of what a drawing says, and of what
-    a hand leaves (``estimate.prior``); a parameter that is known less well than ``weak_sigma`` is hardly seen. ``vague_sigma``:
-    σ [SI] that stands for none where a plan needs a finite one.
+    ``scale``: its display unit. ``decimals``: of a value with its standard deviation. ``largest``: a larger number [SI]
+    was written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting
+    (``estimate.prior``); a parameter known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ
+    [SI] that represents no knowledge where a plan needs a finite one.
     """
 
     si: str
@@ -138,48 +135,48 @@ def suffixes(
         *("m_s2", "degc", "kg", "per_k", "ppm_per_k"),
     ),
 ) -> dict[str, float]:
-    """The suffixes ``of`` that a quantity in an SI unit may have, each with the factor that makes it SI; SI's own first."""
+    """Return the suffixes ``of`` that a quantity in an SI unit may have, each with the factor to SI; SI's own first."""
     return {name: SUFFIXES[name].scale for name in of if SUFFIXES[name].si == si}
 
 
 def length(name: str) -> Scale | None:
-    """The unit of length with this suffix or symbol ("um" and "µm" are the same); None for anything else."""
+    """Return the unit of length with this suffix or symbol ("um" and "µm" are the same); None for anything else."""
     return next((s for s in SUFFIXES.values() if s.si == "m" and name in (s.suffix, s.symbol)), None)
 
 
 def shown(value: Any, si: str) -> Any:
-    """A value, or an array of them, in the unit that a person sees: metres become millimetres."""
+    """Return a value, or an array of them, in its display unit: metres become millimetres."""
     return UNITS[si].scale.of(value)
 
 
 def from_shown(value: Any, si: str) -> Any:
-    """The inverse of ``shown``."""
+    """Return the inverse of ``shown``."""
     return UNITS[si].scale.to_si(value)
 
 
 def symbol(si: str) -> str:
-    """The symbol of the unit that a person sees: "mm" for "m"."""
+    """Return the symbol of the display unit: "mm" for "m"."""
     return UNITS[si].symbol
 
 
 def key(name: str, si: str) -> str:
-    """The name of a number in a file, in the unit that a person sees: "rms_after_mm" for "rms_after" in "m"."""
+    """Return the name of a number in a file, in its display unit: "rms_after_mm" for "rms_after" in "m"."""
     return f"{name}_{UNITS[si].scale.suffix}".rstrip("_")
 
 
 def number(value: float, si: str, decimals: int | None = None) -> str:
-    """A value as text without its unit, for a column whose title has it; "-" where it is not finite."""
+    """Return a value as text without its unit, for a column whose title has it; "-" if it is not finite."""
     if not math.isfinite(value):
         return "-"
     return f"{shown(value, si):.{UNITS[si].decimals if decimals is None else decimals}f}"
 
 
 def title(text: str, si: str) -> str:
-    """A column's title with its unit: "error [mm]"."""
+    """Return a column's title with its unit: "error [mm]"."""
     return f"{text} [{symbol(si)}]" if symbol(si) else text
 
 
 def tolerances(prior: str) -> tuple[str, str, str]:
-    """The standard deviations of a length, an angle and a gain by the prior "weak" or "wide"."""
+    """Return the standard deviations of a length, an angle and a gain for the prior "weak" or "wide"."""
     length, angle, gain = (getattr(UNITS[si], f"{prior}_sigma") for si in ("m", "rad", "1"))
     return MM.text(length), MRAD.text(angle), f"{ONE.text(gain)} of a gain"
