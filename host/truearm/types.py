@@ -477,6 +477,12 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
+def not_left_out(weight: Floats) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the rows whose weight is not 0; of all rows if every weight is."""
+    kept = weight != 0.0
+    return kept if kept.any() else ~kept
+
+
 def rms_of_columns(values: Floats) -> Floats:
     """Return the root mean square (k,) of each column of values (n, k)."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
@@ -971,8 +977,10 @@ class Estimate:
 
         ``rms_before`` and ``rms_after`` cover these rows. Where every row was left out, they cover all fitted rows.
         """
-        kept = self.fitted & ~(self.weight == 0.0) if self.weight.size else self.fitted
-        return kept if kept.any() else self.fitted
+        used = self.fitted.copy()
+        if self.weight.size:
+            used[used] = not_left_out(self.weight[used])
+        return used
 
     @property
     def law_parameters(self) -> range:

@@ -80,3 +80,22 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
 def test_what_is_not_there_cannot_be_allowed_or_left_out(run: Run, slip, options, message) -> None:
     folder, *_ = slip
     told(run("identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", *options), message)
+
+
+def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run: Run, slip, tmp_path) -> None:
+    folder, chuck, _ = slip
+    write_table(tmp_path / "clean.csv", worlds.clean(worlds.plan(), np.random.default_rng(2)), CHAIN.joint_units)
+    files = ["--rig", folder / "rig.toml"]
+    run("identify", tmp_path / "clean.csv", "--model", "puma560", *files, "--out", tmp_path / "result.json")
+    outcome = run("validate", tmp_path / "result.json", folder / "poses.csv", *files)
+    assert f"Systematic error: chuck.{chuck} is off by 0." in outcome.out
+    assert "Correct what is off, or judge by rows without it. Without it, χ²" in outcome.out
+    assert "allow" not in outcome.out
+
+
+def test_a_fit_that_did_not_converge_is_not_tested(run: Run, slip) -> None:
+    folder, *_ = slip
+    files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml"]
+    outcome = run("identify", *files, "--max-iterations", "1", "--json")
+    assert outcome.code == 3
+    assert json.loads(outcome.out)["systematic"] == []

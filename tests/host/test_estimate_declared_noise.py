@@ -1,5 +1,7 @@
 """The declared and the unexplained part of the residuals, as two numbers."""
 
+import re
+
 import numpy as np
 import pytest
 from tests.host.puma_bench import CHAIN, FREE, RIG, ROBOT, SIGMA, random_table
@@ -31,3 +33,12 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     assert any(words in line for line in identify_text.chi2_notes(found.document))
     write_page(tmp_path / "page.html", found)
     assert words in (tmp_path / "page.html").read_text()
+
+
+def test_what_noise_alone_may_leave_is_not_called_unexplained():
+    found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(0), 1.05 * SIGMA), RIG)
+    assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
+    assert found.document["rms_unexplained_mm"] > 0.0
+    text = " ".join(identify_text.chi2_notes(found.document))
+    assert re.search(r"the other 0\.0\d+ mm is within chance", text)
+    assert "unexplained" not in text

@@ -323,8 +323,9 @@ def chi2_notes(document: Document) -> list[str]:
     """Return χ² and its range; which part of the residuals declared noise explains; the error that rows of a pose share."""
     lines = []
     low, high = document["chi2_band"]
-    if None not in (low, high, document["chi2_reduced"]):
-        chi2 = document["chi2_reduced"]
+    chi2, by_chance = document["chi2_reduced"], False
+    if None not in (low, high, chi2):
+        by_chance = chi2 <= high
         where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
         lines.append(f"χ² per degree of freedom {chi2:.3g}, {where} its 95 % range of {low:.3g} to {high:.3g}.")
     parts = {}
@@ -332,7 +333,7 @@ def chi2_notes(document: Document) -> list[str]:
         both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
         if None not in both:
             parts[unit.si] = ResidualParts(*(from_shown(value, unit.si) for value in both))
-    lines += filter(None, [parts_words(parts)])
+    lines += filter(None, [parts_words(parts, by_chance)])
     shared = document["pose_error"]
     if shared is not None:
         lines.append(pose_error_words(PoseError(MM.to_si(shared["sigma_mm"]), shared["row_variance"], shared["n"])))

@@ -51,6 +51,7 @@ from truearm.types import (
     ObservationTable,
     Residuals,
     WithOutliers,
+    not_left_out,
     rms,
 )
 from truearm.units import UNITS
@@ -163,10 +164,11 @@ def identify(
     how = measured_order(table, fitted)
     chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
     explained = not fit_quality.reduced > fit_quality.band[1]
-    used = found.weight > 0.0
-    taken = only(problem, used)
-    with step("testing for systematic errors"):
-        wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
+    taken = only(problem, found.weight > 0.0)
+    wrong = None  # the tests are about a minimum of χ²
+    if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
+        with step("testing for systematic errors"):
+            wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
@@ -185,7 +187,7 @@ def identify(
         if not unexplained:
             errors = left_out_errors(taken, x, columns, half(parts), pose)
             unexplained = mean_errors(errors, pose, held_out=False)
-    shown = used if used.any() else slice(None)  # as ``Estimate.used``
+    used = not_left_out(found.weight)
     estimate = Estimate(
         status=found.status,
         message=found.message,
@@ -204,9 +206,9 @@ def identify(
         rank=sight.rank,
         rank_gap=sight.gap,
         null_space=sight.null_space,
-        rms_before=rms_of(before, shown),
-        rms_raw=rms_of(raw, shown),
-        rms_after=rms_of(information.residual, shown),
+        rms_before=rms_of(before, used),
+        rms_raw=rms_of(raw, used),
+        rms_after=rms_of(information.residual, used),
         rms_history={unit: tuple(rms[unit] for rms in (rms_of(raw), *history)) for unit in raw},
         chi2_reduced=fit_quality.reduced,
         held_out=held_after,

@@ -47,13 +47,19 @@ def unexplained_words(errors: Mapping[str, MeanError]) -> str:
     )
 
 
-def parts_words(parts: Mapping[str, ResidualParts]) -> str:
-    """Return how much of the residuals the declared noise explains, by SI unit; "" without residuals."""
+def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool) -> str:
+    """Return how much of the residuals the declared noise explains, by SI unit; "" without residuals.
+
+    ``by_chance``: χ² is not above its band, so noise alone can leave the rest.
+    """
     declared, left = (
         " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
         for name in ("declared", "unexplained")
     )
-    return f"Declared noise explains {declared} of the RMS after; {left} is unexplained." if parts else ""
+    if not parts:
+        return ""
+    rest = f"the other {left} is within chance" if by_chance else f"{left} is unexplained"
+    return f"Declared noise explains {declared} of the RMS after; {rest}."
 
 
 def pose_error_words(error: PoseError) -> str:

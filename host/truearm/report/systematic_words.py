@@ -11,18 +11,20 @@ from truearm.types import DriftWith, ErrorForm
 from truearm.units import DEGC, MM, UNITS
 
 
-def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
+def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] | None = None) -> list[str]:
     """Return what is wrong, from which row, by how much, and what to do; empty if nothing was found.
 
-    ``argument`` is the format of the arguments of an identification.
+    ``argument`` is the format of the arguments of an identification; None if they do not apply, as in a validation.
     """
     found, would_be = document["systematic"], document["without_systematic"]
     lines = [_sentence(entry) for entry in found]
     if would_be is None:
         return lines
-    given = [item for entry in found for item in entry["apply"].items()]
-    apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
     chi2, moves = would_be["chi2_reduced"], would_be["tool_moves_mm"]
+    them = "it" if len(found) == 1 else "all of them"
+    if argument is None:
+        would = "" if chi2 is None else f" Without {them}, χ² per degree of freedom would be {chi2:.3g}."
+        return [*lines, f"Correct what is off, or judge by rows without it.{would}"]
     after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2:.3g}"
     moved = "" if moves is None else f", and the tool moves by {MM.text(MM.to_si(moves), '.3f')} RMS"
     held = (
@@ -30,7 +32,9 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
         if would_be["held_out_ratio"] is None
         else f" The cross-validation error is then {would_be['held_out_ratio']:.3g} times as large."
     )
-    return [*lines, f"To apply {'it' if len(found) == 1 else 'all of them'}: {apply}.{after}{moved}.{held}"]
+    given = [item for entry in found for item in entry["apply"].items()]
+    apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
+    return [*lines, f"To apply {them}: {apply}.{after}{moved}.{held}"]
 
 
 def _sentence(entry: Mapping[str, Any]) -> str:

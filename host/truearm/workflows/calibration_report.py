@@ -64,7 +64,7 @@ def write_page(
         curves=_curves(found),
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
-        systematic=tuple(systematic_sentences(found.document)),
+        systematic=tuple(systematic_sentences(found.document, str)),
         usability=tuple(usability_sentences(found.document)),
         notes=(*_timing(estimate), *_error_elsewhere(found)),
     )
