@@ -479,7 +479,7 @@ def rms(values: Floats) -> float:
 
 def not_left_out(weight: Floats) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows whose weight is not 0; of all rows if every weight is."""
-    kept = weight != 0.0
+    kept = np.asarray(weight != 0.0)
     return kept if kept.any() else ~kept
 
 

@@ -223,7 +223,7 @@ def identify(
         chi2_freedom=fit_quality.freedom,
         distance=_merge(distance, np.nan, fitted, held),
         weight=_merge(found.weight, np.nan, fitted, held),
-        suspect=spread(beyond, fitted),
+        suspect=spread(beyond | (found.weight == 0.0), fitted),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=spread(suggested, free),
         hardly_seen=(*weak, *(NullDirection((name,), (1.0,)) for name in untimed)),

@@ -233,6 +233,7 @@ class _Work:
         wrong = law_systematic(of, fitted, learned.noise, how, quality)
         if wrong is not None:
             wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
+        out = before.weight == 0.0
         number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
         return replace(
             before,
@@ -252,8 +253,8 @@ class _Work:
             chi2_freedom=quality.freedom,
             chi2_band=quality.band,
             unexplained=unexplained,
-            distance=np.where(before.fitted, rows.distance[number], np.nan),
-            suspect=before.fitted & rows.beyond[number],
+            distance=np.where(out, before.distance, np.where(before.fitted, rows.distance[number], np.nan)),
+            suspect=before.fitted & (rows.beyond[number] | out),
             systematic=wrong,
             parts=rows.parts,
             pose_error=_pose_error(of, learned.noise),

@@ -2,7 +2,8 @@
 
 An outlier pushes its neighbours beyond the gate, so the first fit flags too many rows. As in the recursive solver, each
 round leaves out only those rows beyond the gate that are at least half as far as the farthest. The rest is then fitted
-again, and rows that are back within the gate return. The final list holds only the outliers.
+again, and rows that are back within the gate return. The final list holds only the outliers. Where the usual row errs
+by more than its declared noise, the gate is wider in proportion: clean rows are not left out because the model is wrong.
 
 This works for individual rows. If more than MOST of all rows are left out, or more than LONGEST_RUN consecutive ones,
 the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared.
@@ -10,15 +11,19 @@ the fault is in the model and not in the rows: something moved, a label is wrong
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.problem import Problem
 from truearm.estimate.recursive import within
 from truearm.estimate.solution import Options, Solution
-from truearm.estimate.whitened_rows import only, squared_distances, whitened_blocks
+from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
+from truearm.kinds.linearised import Indices
 from truearm.types import Floats
 
 MOST = 0.05  # of the rows
@@ -26,6 +31,7 @@ LONGEST_RUN = 3
 MAX_ROUNDS = 50
 GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
 GROSS_ROUNDS = 5
+MEDIAN_SPREAD = 2.33  # relative σ of the median of n squares of one residual each, times √n; of wider rows it is less
 
 Mask = NDArray[np.bool_]
 
@@ -80,8 +86,8 @@ def without_outliers(
     here, seen_sets = found, set()
     for _ in range(MAX_ROUNDS):
         root = half(spectrum(here.information.root))
-        square, limit = squared_distances(problem, here.x, columns, root, used.astype(float))
-        chosen = within(square, limit, used)
+        square, width = squared_distances(problem, here.x, columns, root, used.astype(float))
+        chosen = within(square, gate(width) * misfit(square, width, used), used)
         if np.array_equal(chosen, used):
             break
         if (~chosen).sum() > MOST * n or chosen.tobytes() in seen_sets:
@@ -99,6 +105,21 @@ def without_outliers(
     return here._replace(
         information=information, weight=used.astype(float), iterations=found.iterations, message=found.message
     )
+
+
+def misfit(square: Floats, width: Indices, used: Mask) -> Floats:
+    """Return by how much (n,) the median of the ``used`` squared distances of each width exceeds that of noise, at least 1.
+
+    The usual row errs in proportion, so that a row as far beyond the gate is no outlier. What chance may add to the
+    median, two of its standard deviations, is taken off.
+    """
+    times = np.ones(square.size)
+    for w in np.unique(width):
+        mine = used & (width == w)
+        if mine.any():
+            usual = float(np.median(square[mine])) / float(special.chdtri(w, 0.5))
+            times[width == w] = max(1.0, usual / (1.0 + 2.0 * MEDIAN_SPREAD / math.sqrt(mine.sum())))
+    return times
 
 
 def _longest_run(flags: Mask) -> int:

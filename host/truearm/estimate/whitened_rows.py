@@ -109,20 +109,20 @@ def standardised(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the distance (n_rows,) of each row from its prediction by all others, in σ, and whether it is beyond the gate."""
-    square, limit = squared_distances(problem, x, columns, covariance_root, weight)
-    return np.sqrt(square), square > limit
+    square, width = squared_distances(problem, x, columns, covariance_root, weight)
+    return np.sqrt(square), square > gate(width)
 
 
 def squared_distances(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], covariance_root: Floats, weight: Floats
-) -> tuple[Floats, Floats]:
-    """Return the squared distance (n_rows,) of each row from its prediction by all others, and the gate for its width."""
-    square, limit = np.full(problem.n_rows, np.nan), np.full(problem.n_rows, np.inf)
+) -> tuple[Floats, Indices]:
+    """Return the squared distance (n_rows,) of each row from its prediction by all others, and its number of residuals."""
+    square, width = np.full(problem.n_rows, np.nan), np.ones(problem.n_rows, dtype=np.intp)
     for block in whitened_blocks(problem, x, columns):
         if block.row is not None:
             square[block.row] = deleted_distance(block.jac, block.residual, covariance_root, weight[block.row])
-            limit[block.row] = gate(block.residual.shape[1])
-    return square, limit
+            width[block.row] = block.residual.shape[1]
+    return square, width
 
 
 def only(problem: Problem, used: NDArray[np.bool_]) -> Problem:
