@@ -29,7 +29,7 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(1), 3.0 * SIGMA), RIG)
     declared, unexplained = (found.document[f"rms_{name}_mm"] for name in ("declared", "unexplained"))
     assert declared**2 + unexplained**2 == pytest.approx(found.document["rms_after_mm"] ** 2)
-    words = f"declared noise explains {declared:.4f} mm; {unexplained:.4f} mm is unexplained"
+    words = f"Declared noise explains {declared:.4f} mm of the RMS after; {unexplained:.4f} mm is unexplained"
     assert any(words in line for line in identify_text.chi2_notes(found.document))
     write_page(tmp_path / "page.html", found)
     assert words in (tmp_path / "page.html").read_text()
