@@ -101,7 +101,9 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
             assert new.metadata[name][key] == old.metadata[name][key]
     assert main(["inspect", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "added afterwards from joints.csv, nobody saw them arrive: their time is utc, its error unknown" in said
+    assert (
+        "added afterwards from joints.csv, their arrival was not observed: their time is utc, its error unknown" in said
+    )
     assert "above the fastest on average" not in said  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]
     assert others == list(old.messages())
@@ -149,7 +151,7 @@ class TestWhatIsWrong:
 
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
         table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
-        assert "else say with --zero" in self.fails(capsys, out, recorded.bare, table)
+        assert "give the time of its zero with --zero" in self.fails(capsys, out, recorded.bare, table)
         assert "is --zero right?" in self.fails(capsys, out, recorded.bare, table, "--zero", "1e8")
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):

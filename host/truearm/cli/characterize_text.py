@@ -14,7 +14,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     of, settling, noise = document["repeatability"], document["settling"], document["noise"]
     yield (
         f"{name}: {document['visits']} visits of {document['poses']} poses from {document['sides']} different sides, "
-        f"bar {document['bar']} (in brackets: intervals of 95 %)"
+        f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""
     yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar, one sigma; three are {MM.text(3.0 * of['along_m']['value'], '.3f')}"
@@ -28,8 +28,8 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         yield f"{joint:16} {cells[0]:>24} {cells[1]:>24} {cells[2]:>22} {cells[3]:>20}"
     if not of["backlash_explains"]:
         yield (
-            f"one backlash per joint does not explain how the sides differ (chance {of['misfit_probability']:.1e}): it changes "
-            "with the pose; sigma of the bar below holds what it leaves"
+            f"one backlash per joint does not explain the differences between sides (probability {of['misfit_probability']:.1e}): it "
+            "changes with the pose; the sigma of the bar below includes the remainder"
         )
     yield ""
     for band in settling["bands"]:

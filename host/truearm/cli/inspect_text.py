@@ -1,4 +1,4 @@
-"""A session's content as a person reads it; everything is taken from the document that ``--json`` prints."""
+"""What ``truearm inspect`` prints, from the document that ``--json`` prints."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EXTREME_WORDS = {
 
 def lines(document: Mapping[str, Any]) -> Iterator[str]:
     """The lines to print. Names from the file have their control characters made visible; console text has so already."""
-    state = ", cut off at its end: its recorder was killed or is still running" if document["truncated"] else ""
+    state = ", incomplete: its recorder was killed or is still running" if document["truncated"] else ""
     yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
     yield from _damage(document["damage"])
     yield from _session(document)
@@ -63,7 +63,7 @@ def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
     for piece in damage:
         yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])
     if damage:
-        yield "  what is lost there is among the losses below, though no link lost it"
+        yield "  these losses are counted below too, although no link lost them"
 
 
 def _session(document: Mapping[str, Any]) -> Iterator[str]:
@@ -137,8 +137,8 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
             f"(range {report['rate_range_ppm']:.3f})"
         )
         yield (
-            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs, of which ±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs no "
-            f"exchange can show; spread {_of_ns(report['spread_ns'], '.2f')} µs; round trip "
+            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs, of which ±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs that "
+            f"exchanges cannot determine; spread {_of_ns(report['spread_ns'], '.2f')} µs; round trip "
             f"{_of_ns(report['rtt_min_ns'], '.1f')} µs at least, median {_of_ns(report['rtt_median_ns'], '.1f')}"
         )
         for change in report["changes"]:
@@ -162,14 +162,14 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     if added:
         when = added.get("time", "?")
         yield "  " + one_line(
-            f"added afterwards from {added.get('source', '?')}, nobody saw them arrive: their time is {when}, its error unknown"
+            f"added afterwards from {added.get('source', '?')}, their arrival was not observed: their time is {when}, its error unknown"
         )
         return
     for report in robot["clock"]:
         yield from _edges(report["edges"])
         yield (
             f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_of_ns(report['spread_ns'], '.1f')} µs, arrivals "
-            f"{_of_ns(report['jitter_ns'], '.0f')} µs above the fastest on average; a constant latency cannot be seen"
+            f"{_of_ns(report['jitter_ns'], '.0f')} µs above the fastest on average; a constant latency cannot be determined"
         )
 
 
@@ -190,11 +190,11 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     if not edges["used"]:
         yield f"  trigger: no input follows the box's output ({edges['edges']} edges); is it wired, and are the readings' inputs recorded?"
         return
-    use = "in use" if edges["in_use"] else "not in use, arrivals tell more"
+    use = "in use" if edges["in_use"] else "not in use, arrivals are more accurate"
     inverted = "inverted, " if edges["inverted"] else ""
     yield (
-        f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, a filter of the input "
-        f"beside; the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
+        f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, not counting a filter of the "
+        f"input; the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
     )
     least, most = edges["falling_later_ns"]
     if least is not None:
@@ -242,7 +242,7 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
         off_m = max(row["time_sigma_s"] * row["speed_m_s"] for row in good)
         yield (
             f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {US.text(late_s, '.0f')}, "
-            f"{UM.text(off_m, '.0f')} at their speed, but for a constant delay, which identify finds of lines there and back"
+            f"{UM.text(off_m, '.0f')} at their speed, except for a constant delay, which identify estimates from lines there and back"
         )
     yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
     shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
@@ -289,7 +289,7 @@ def _explained(reason: str, planned: bool) -> str:
         return ""
     if planned:
         return " (the robot stood where the plan has no pose; these look like stops between poses)"
-    return " (there is no plan, and nothing says which bar, chuck and sphere were mounted; see record --help)"
+    return " (the session has no plan, and does not say which bar, chuck and sphere were mounted; see truearm record --help)"
 
 
 def _number(value: float | None, form: str, scale: Scale = ONE) -> str:

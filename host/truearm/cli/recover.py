@@ -67,10 +67,8 @@ def lines(found: Recovered) -> list[str]:
     if len(found.damage) > SHOWN:
         text.append(f"lost   and in {len(found.damage) - SHOWN} places more")
     if found.cut_off:
-        text.append(
-            "lost   the end: it was cut off, so what came behind (a second, if the recorder was killed) cannot be counted"
-        )
-    text.append(f"       {found.unread_bytes} bytes stand in no whole record")
+        text.append("lost   the end: what followed (a second, if the recorder was killed) cannot be counted")
+    text.append(f"       {found.unread_bytes} bytes are in no intact record")
     return text
 
 

@@ -81,12 +81,12 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
     if "decisions_left" in document:
         left = document["decisions_left"]
         return [
-            f"{sessions}: the last decision is taken back; "
-            + (f"{left} left" if left else "plan and operator count again")
+            f"{sessions}: the last decision is undone; "
+            + (f"{left} left" if left else "plan and confirmations apply again")
         ]
     text = [
         f"{sessions}: {counted(document['dwells'], 'dwell')}, {document['with_reading']} with a reading within the stroke: "
-        f"{document['usable']} labelled, {document['otherwise_than_planned']} of all otherwise than planned"
+        f"{document['usable']} labelled; {document['otherwise_than_planned']} of all differ from the plan"
     ]
     for row in document["table"]:
         if row["bar"] is None and row["reading"]:

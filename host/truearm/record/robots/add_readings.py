@@ -106,7 +106,9 @@ def _outside(t: float | None, zero_s: float | None) -> InputError:
     which = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
     zero = Argument("zero")
     how = (
-        ("is their time UTC? else say with ", zero, " when it was zero") if zero_s is None else ("is ", zero, " right?")
+        ("if their time is not UTC, give the time of its zero with ", zero)
+        if zero_s is None
+        else ("is ", zero, " right?")
     )
     return InputError(f"{which} within the session; ", *how)
 
