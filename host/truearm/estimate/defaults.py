@@ -27,7 +27,7 @@ from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
-from truearm.estimate.identifiability import identifiability, not_told, spread, suggested_free
+from truearm.estimate.identifiability import identifiability, spread, suggested_free, weakly_identifiable
 from truearm.estimate.information import RANK_TOLERANCE, observe, with_prior
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
@@ -116,7 +116,7 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     """
     n = int(free.sum())
     root = _root(problem, x, free)
-    if not not_told(root / LARGEST_MISFIT, n, unit[free]).any():
+    if not weakly_identifiable(root / LARGEST_MISFIT, n, unit[free]).any():
         return np.full(free.size, np.inf)
     # A strongly constrained fit estimates the noise level; with unmodelled errors it is many times the declared one.
     everywhere = np.concatenate(
@@ -127,7 +127,7 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY)).x)
     misfit = _usual_misfit(problem, x, columns)
     root = _root(problem, x, free) / misfit
-    needed = spread(not_told(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
+    needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
     return np.where(needed, unit / misfit, np.inf)
 
 

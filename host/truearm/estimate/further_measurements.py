@@ -3,7 +3,7 @@
 This is computed only if the rank is less than the number of free parameters, or if some parameters are hardly
 identifiable. Each proposal (``Kind.proposals``) is tried: rows such as it would give at the estimate are folded into
 the existing information. Pivoted QR then finds the columns beyond the suggested set that have become independent
-(``identifiability.suggested_free``) or are determined to better than their units (``identifiability.told_apart``).
+(``identifiability.suggested_free``) or are determined to better than their units (``identifiability.identifiable_columns``).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.identifiability import suggested_free, told_apart
+from truearm.estimate.identifiability import identifiable_columns, suggested_free
 from truearm.estimate.information import fold, observe, with_prior
 from truearm.estimate.problem import Rigs, build_problem, settled
 from truearm.kinds.proposals import Proposal
@@ -46,7 +46,11 @@ def additions(
     found = []
     for proposal in _proposals(here, one, table):
         wide, n_robot = _with(here, proposal, prefix, names, root, known, taken.size)
-        more = suggested_free(wide, n_robot, taken, taken) if unit is None else told_apart(wide, n_robot, unit, taken)
+        more = (
+            suggested_free(wide, n_robot, taken, taken)
+            if unit is None
+            else identifiable_columns(wide, n_robot, unit, taken)
+        )
         gained = np.flatnonzero(more & ~taken).tolist()
         if gained:
             told = tuple(names[i] for i in gained)

@@ -117,7 +117,7 @@ def hardly_seen(root: Floats, n_robot: int, unit: Floats, names: Sequence[str]) 
     return _directions(vt[weak].T, 1.0 / unit, names[:n_robot], SMALL_PART)
 
 
-def not_told(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> NDArray[np.bool_]:
+def weakly_identifiable(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> NDArray[np.bool_]:
     """Return a mask (n_robot,) of the columns in directions that the data determine no better than ``unit`` (n_robot,).
 
     Directions with a singular value up to ``least`` of the largest do not count: with RANK_TOLERANCE, null directions.
@@ -129,13 +129,15 @@ def not_told(root: Floats, n_robot: int, unit: Floats, least: float = -1.0) -> N
     return np.asarray((np.abs(vt[(singular < 1.0) & (singular > least * singular[0])]) > SMALL_PART).any(axis=0))
 
 
-def hardly_told(root: Floats, column: int, unit: float) -> bool:
+def is_weakly_identifiable(root: Floats, column: int, unit: float) -> bool:
     """Return whether the data determine this parameter no better than ``unit``, all others (robot and rig) being unknown."""
     rest = project_out(root[:, [column]], np.delete(root, column, axis=1))
     return float(np.linalg.norm(rest)) * unit < 1.0
 
 
-def told_apart(root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def identifiable_columns(
+    root: Floats, n_robot: int, unit: Floats, taken: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """Return as many columns (n_robot,) as there are directions known to better than ``unit``, ``taken`` ones first."""
     rest = _in_units(root, n_robot, unit)
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()

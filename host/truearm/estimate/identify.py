@@ -17,12 +17,12 @@ from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
     hardly_seen,
-    hardly_told,
     identifiability,
+    identifiable_columns,
+    is_weakly_identifiable,
     observability,
     spread,
     suggested_free,
-    told_apart,
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
@@ -158,7 +158,7 @@ def identify(
     unit = weak_prior(chain)[free]
     weak = hardly_seen(data.root, suggested.size, unit, names)
     only_weak = suggested.all() and len(weak) > 0
-    wanting = (told_apart(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
+    wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
     how = measured_order(table, fitted)
@@ -271,7 +271,7 @@ def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Seque
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
     """Return the time offsets that the data hardly determine, whose sigma would be meaningless."""
     offsets = [k for k, name in enumerate(names) if name.rpartition(".")[2] == TIME_OFFSET]
-    return [names[k] for k in offsets if hardly_told(root, k, UNITS["s"].weak_sigma)]
+    return [names[k] for k in offsets if is_weakly_identifiable(root, k, UNITS["s"].weak_sigma)]
 
 
 def _check_choice(solver: str, loss: str, damping: str) -> None:
