@@ -115,7 +115,7 @@ def test_a_fit_that_predicts_the_dwells_worse_makes_nothing_sure(plan):
     words = Words(planned(plan, visits), [visit.typed for visit in visits])
     found = mountings(ROBOT.chain, RIG, readings(extension, plan.q[[v.planned for v in visits]]), words, ROBOT.free)
     assert visits[37].mounted == ("bar61", "c3", "s2")
-    assert not found.bears_out(37, ("bar61", "c3", "s3"))
+    assert not found.supports(37, ("bar61", "c3", "s3"))
     assert found.sure()[37] in (None, ("bar61", "c3", "s2"))
 
 
@@ -123,9 +123,9 @@ def test_readings_that_cannot_tell_leave_the_word_as_it_is():
     """The last dwell of a session, at a pose where two spheres are equally far from the chuck: the old one may have stayed on."""
     right, old = PAIRING, ("bar46", "c1", "s2")
     by_words = np.array([[0.95, 0.05, 0.0]])
-    assert Mountings((right, old), by_words, by_words).bears_out(0, right)
-    assert not Mountings((right, old), np.array([[0.9, 0.1, 0.0]]), by_words).bears_out(0, right)
-    assert not Mountings((right, old), by_words, by_words).bears_out(0, ("bar46", "c3", "s3"))
+    assert Mountings((right, old), by_words, by_words).supports(0, right)
+    assert not Mountings((right, old), np.array([[0.9, 0.1, 0.0]]), by_words).supports(0, right)
+    assert not Mountings((right, old), by_words, by_words).supports(0, ("bar46", "c3", "s3"))
 
 
 def test_without_readings_words_alone_count(plan):
@@ -175,7 +175,7 @@ def test_a_short_session_of_one_pairing_loses_nothing(whole_rig):
     extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], 3)
     words = Words(planned(plan, visits), [()] * len(visits))
     found = mountings(ROBOT.chain, RIG if whole_rig else small, readings(extension, plan.q), words, ROBOT.free)
-    assert all(found.bears_out(i, PAIRING) for i in range(len(visits)))
+    assert all(found.supports(i, PAIRING) for i in range(len(visits)))
 
 
 def test_a_short_session_of_another_pairing_is_not_borne_out():
@@ -186,7 +186,7 @@ def test_a_short_session_of_another_pairing_is_not_borne_out():
     assert np.isfinite(extension).sum() == 4
     words = Words(planned(plan, visits), [(PAIRING,), *[()] * (len(visits) - 1)])
     found = mountings(ROBOT.chain, RIG, readings(extension, plan.q), words, ROBOT.free)
-    assert not any(found.bears_out(i, PAIRING) for i in np.flatnonzero(np.isfinite(extension)))
+    assert not any(found.supports(i, PAIRING) for i in np.flatnonzero(np.isfinite(extension)))
 
 
 def test_readings_that_no_robot_gives_doubt_nothing(plan):

@@ -82,7 +82,7 @@ MOST_SUSPECT, WIDENED = 8, 2.0  # runs left out if the fit misses by this factor
 SURE = 0.998  # minimum probability of a label based on the evidence alone
 SETTLED = 0.9  # if all labels have at least this, the fit to them is not retried
 FITS = 0.999  # if a label on which plan and operator agree has less, all evidence is used
-BORNE_OUT = 0.97  # minimum probability of such a label, by all evidence, if the readings lower it
+SUPPORTED = 0.97  # minimum probability of such a label, by all evidence, if the readings lower it
 
 
 @dataclass(frozen=True)
@@ -134,12 +134,12 @@ class Mountings:
             self.pairings[k] if p[k] >= SURE else None for k, p in zip(best.tolist(), self.probability, strict=True)
         ]
 
-    def bears_out(self, dwell: int, label: Pairing) -> bool:
+    def supports(self, dwell: int, label: Pairing) -> bool:
         """Return whether a label on which plan and operator agree holds: it is certain enough, or not contradicted."""
         if label not in self.pairings:
             return False
         k = self.pairings.index(label)
-        return bool(self.probability[dwell, k] >= min(BORNE_OUT, self.by_words[dwell, k]))
+        return bool(self.probability[dwell, k] >= min(SUPPORTED, self.by_words[dwell, k]))
 
 
 def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> Mountings:

@@ -325,5 +325,5 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     good, said, every = _of_survey(rig, result.survey)
     found = _evidence(robot, rig, every, said)
     for row, (i, label) in enumerate(zip(used, labels, strict=True)):
-        out[row] = found.bears_out(good.index(i), label)
+        out[row] = found.supports(good.index(i), label)
     return out
