@@ -31,7 +31,7 @@ FEW_ITERATIONS = 8  # if only base, tool and rig are placed
 class Trial(NamedTuple):
     """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
 
-    ``moved`` is the displacement of base or tool from the described pose, and ``strayed`` that of any other parameter
+    ``moved`` is the displacement of base or tool from the described pose, and ``shifted`` that of any other parameter
     of the robot, in tolerances of manual mounting.
     """
 
@@ -40,7 +40,7 @@ class Trial(NamedTuple):
     rms: Mapping[str, float]
     known: Mapping[str, float]
     moved: float
-    strayed: float
+    shifted: float
 
 
 def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:

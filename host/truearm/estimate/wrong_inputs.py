@@ -16,7 +16,7 @@ iteration was stopped early.) The usual mistakes in a lab are tried:
 
 Each interpretation is fitted to the same few rows under the same wide prior (``trial_fit``). It explains the
 observations if it reduces χ² by HUNDREDFOLD (the RMS tenfold), leaves residuals within the tolerances of a drawing and
-the robot within STRAYED tolerances of manual mounting, and if this is beyond chance. If all interpretations were as
+the robot within LARGEST_SHIFT tolerances of manual mounting, and if this is beyond chance. If all interpretations were as
 wrong as the given one, their mean squares would differ as F(ν, ν) does, so a reduction by r has the probability P(F <
 r), times the number of interpretations tried (Bonferroni). That is at most LEVEL for each type of interpretation; at
 LEVEL/5 per type, false alarms have the probability LEVEL in total. If the given interpretation is correct, another
@@ -69,7 +69,7 @@ FEW_ROWS = 60  # enough to rank arrangements of joints
 LEAST_ROWS = 5  # of another set-up
 MOST_NAMED = 3
 MOST_HELD = 6  # names of parameters
-STRAYED = 5.0  # tolerances of manual mounting: the paper's PUMA differs by 1.3
+LARGEST_SHIFT = 5.0  # tolerances of manual mounting: the paper's PUMA differs by 1.3
 MOST_FITTED = 4  # of the orders and signs of joints, those with the smallest residuals before the robot is fitted
 AS_LIKELY = 4.0  # χ² of explanations that are reported with the best
 
@@ -118,7 +118,7 @@ def diagnosed(
     finished = _finished(chain, rig, table, estimate.fitted, free) if _unconverged(estimate) else None
     if absurd(estimate) and finished is None:
         explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual)
-    elif _elsewhere(estimate) or (finished is not None and max(finished.moved, finished.strayed) > FAR):
+    elif _elsewhere(estimate) or (finished is not None and max(finished.moved, finished.shifted) > FAR):
         explanations, labels = _turned_about(chain, rig, table, estimate.fitted, free)
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     return replace(estimate, unusable=_unusable(estimate))
@@ -240,7 +240,7 @@ def _explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOL
     fits = all(rms <= UNITS[unit].weak_sigma for unit, rms in after.rms.items())
     return (
         fits
-        and after.strayed < STRAYED
+        and after.shifted < LARGEST_SHIFT
         and ratio < least
         and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
     )
