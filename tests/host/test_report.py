@@ -13,7 +13,7 @@ from scipy import stats
 from truearm.kinds.plane import PlaneRows
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_findings import chi2_words
-from truearm.report.calibration_page import doubts, render, verdict
+from truearm.report.calibration_page import caveats, render, verdict
 from truearm.report.page_parts import looks_like_page
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
@@ -190,7 +190,7 @@ def test_a_fit_that_is_not_usable_is_the_headline_and_what_explains_it_the_first
     page = make_page(20)
     said = ("This fit is not usable. Residuals of 43.0 mm RMS remain.", "This explains the observations: labels.")
     bad = replace(page, estimate=replace(page.estimate, unusable=Unusable.WRONG_INPUTS), usability=said)
-    assert (verdict(bad), doubts(bad)[0]) == said
+    assert (verdict(bad), caveats(bad)[0]) == said
     assert "times smaller" not in render(bad)
 
 
@@ -329,7 +329,7 @@ def test_tiles_and_verdict_are_of_this_estimate():
         "The ball-bar error is 133 times smaller: 10.6 mm RMS before, 0.0802 mm after, 0.0919 mm on observations not "
         "used to fit."
     )
-    assert doubts(page) == []
+    assert caveats(page) == []
 
 
 @pytest.mark.parametrize(
@@ -341,8 +341,8 @@ def test_tiles_and_verdict_are_of_this_estimate():
         ({"chi2_reduced": 9.0}, "3.0 times what the declared sigmas allow"),
     ],
 )
-def test_doubts(changes, word):
+def test_caveats(changes, word):
     page = make_page(100)
-    found = doubts(replace(page, estimate=replace(page.estimate, **changes)))
+    found = caveats(replace(page, estimate=replace(page.estimate, **changes)))
     assert len(found) == 1
     assert word in found[0]

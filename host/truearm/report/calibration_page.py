@@ -123,7 +123,7 @@ def _verdict(page: CalibrationPage) -> str:
             f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {size(page.predicted.largest, 'm')}"
         )
         tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
-    remarks = sentences(doubts(page), "remarks doubts") + sentences(page.notes, "remarks")
+    remarks = sentences(caveats(page), "remarks doubts") + sentences(page.notes, "remarks")
     line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
     return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
 
@@ -166,7 +166,7 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
     return line + (f", {size(held_out.rms, si)} on observations not used to fit" if held_out else "")
 
 
-def doubts(page: CalibrationPage) -> list[str]:
+def caveats(page: CalibrationPage) -> list[str]:
     """Return the reasons to distrust the figures, one sentence each."""
     e, judged = page.estimate, page.judged
     found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]

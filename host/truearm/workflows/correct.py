@@ -154,16 +154,16 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     if files.residuals is not None:
         write_atomic(files.residuals, _residuals(correction, places, "line" if program else "row"))
     said = tuple(warnings(calibration, done.targets, done.moves))
-    doubts = (*_doubts(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
+    caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
         found = findings(calibration, request.pair, done.targets, done.moves)
         document = document_of(found, calibration, said, done.refused, files.out.name)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
-            write_atomic(files.report, render(page_of(found, calibration, names, said, doubts, done.refused)))
+            write_atomic(files.report, render(page_of(found, calibration, names, said, caveats, done.refused)))
     return CorrectedFile(
-        calibration, options.own_frames, files.out, correction, places, doubts, said, document, done.refused
+        calibration, options.own_frames, files.out, correction, places, caveats, said, document, done.refused
     )
 
 
@@ -249,21 +249,21 @@ def _refuse(
         raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}{then}")
 
 
-def _doubts(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
+def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
     """Return caveats about the calibration for readers of the errors."""
-    doubts = []
+    caveats = []
     if calibration.stored.status != "converged":
-        doubts.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
+        caveats.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
     if calibration.doubt_of_payload:
-        doubts.append(calibration.doubt_of_payload)
+        caveats.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
         remedy = "" if own_frames else " With own frames, base and tool stay out of the correction."
-        doubts.append(
+        caveats.append(
             "Combinations of parameters that the observations did not see move the end, how base or tool are mounted perhaps: "
             f"these are as described, not as measured.{remedy}"
         )
-    return doubts
+    return caveats
 
 
 def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
