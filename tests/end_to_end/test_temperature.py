@@ -1,19 +1,23 @@
 """A session while bar and sensor warm up, from the simulated box to lengths: corrected with thermometers, warned of without."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.end_to_end.conftest import truearm
 from tests.end_to_end.levels import LEVELS, wait_until_ready
 from tests.end_to_end.test_identify_levels import one_shell
 
-from truearm.files.rig_file import format_rig
+from truearm.estimate.identify import identify
+from truearm.files.rig_file import format_rig, read_rig
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_tables import tabulate
 from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 from truearm_sim.lab import Lab
+from truearm_sim.robot import STEP as ENCODER_STEP
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.thermal import STEEL, Thermal
 from truearm_sim.world import Setup, World, standard_plan
@@ -24,7 +28,7 @@ SIGMA = 1e-6  # m, repeatability of this bar: a usual one's would hide what 2 K 
 POSES = 14
 
 
-def session(path, thermal, level="vm"):
+def session(path, thermal, level="vm", seed=3):
     """The lab, and its session, of a robot that visits POSES poses; the rig knows the bar's coefficients."""
     rig = one_shell()
     bars = {
@@ -34,10 +38,10 @@ def session(path, thermal, level="vm"):
         for name, bar in rig.bars.items()
     }
     rig = replace(rig, bars=bars)
-    plan = standard_plan(POSES, 3, rig)
-    world = World(3, plan, rig, setup=Setup(thermal=thermal))
-    box = SimulatedBox(world, seed=3, power_on=LEVELS[level]())
-    lab = Lab(world, box, 3)
+    plan = standard_plan(POSES, seed, rig)
+    world = World(seed, plan, rig, setup=Setup(thermal=thermal))
+    box = SimulatedBox(world, seed=seed, power_on=LEVELS[level]())
+    lab = Lab(world, box, seed)
     try:
         wait_until_ready(lab)
         options = RecordOptions(plan=plan_rows(plan), rig_toml=format_rig(rig).encode(), osr=OSR)
@@ -84,6 +88,33 @@ def test_two_kelvins_of_a_steel_bar_are_corrected_to_the_noise(warm):
     assert said == [], "nothing to warn of"
 
 
+def fitted(world, rig, table):
+    """The coefficients that a fit finds in ``table``, of an arm that is known: every other number is. Nothing is known of them."""
+    bars = {name: replace(bar, expansion=0.0, expansion_sigma=30e-6) for name, bar in rig.bars.items()}
+    reading = np.diag(np.full(len(world.chain.joints), ENCODER_STEP**2 / 12.0))
+    rig = replace(rig, bars=bars, joint_cov=tuple(map(tuple, reading.tolist())))
+    known = zip(world.chain.parameters, world.params.tolist(), strict=True)
+    chain = replace(world.chain, parameters=tuple(replace(one, nominal=value) for one, value in known))
+    return identify(chain, rig, table, free=np.zeros(world.params.size, dtype=bool))
+
+
+@pytest.mark.parametrize("seeds", [range(3, 4), pytest.param(range(4, 44), marks=pytest.mark.soak)], ids=["1", "40"])
+def test_an_unknown_expansion_is_found_from_a_session_with_a_drift_of_2_k(seeds, tmp_path):
+    """Within its sigma, which 14 dwells and 2 K make 1.2 ppm/K here; the residuals are the noise."""
+    away, at_noise = [], []
+    for seed in seeds:
+        path = tmp_path / f"{seed}.mcap"
+        world, rig = session(path, Thermal(drift=2.0, ahead=3.0, gain_drift=GAIN_DRIFT), seed=seed)
+        found = fitted(world, rig, observations_of_session(path).table)
+        assert found.parameter_names[-2:] == ("bar.bar46.expansion", "bar.bar46.gain_drift")
+        assert found.sigma[-2] < 2e-6
+        away.append((found.value[-2:] - (STEEL, GAIN_DRIFT)) / found.sigma[-2:])
+        at_noise.append(found.chi2_band[0] < found.chi2_reduced < found.chi2_band[1])
+    assert np.abs(away).max() < 3.5
+    assert np.all(np.mean(np.square(away), axis=0) < 1.0 + 4.0 * np.sqrt(2.0 / len(away)))
+    assert np.mean(at_noise) > 0.85, "a band of 95 %"
+
+
 def test_tables_hold_every_reading_with_its_name_and_time(warm):
     _, _, result, _ = warm
     rows = [columns for name, columns in tabulate(result.survey) if name == "box_temperature"]
@@ -93,6 +124,24 @@ def test_tables_hold_every_reading_with_its_name_and_time(warm):
     assert np.all(np.diff(degc[names == "bar"]) >= 0.0)
     assert 1.5 < np.ptp(degc[names == "bar"]) <= 2.0
     np.testing.assert_allclose(degc[names == "sensor"] - degc[names == "bar"], 3.0, atol=1e-9)
+
+
+def test_a_simulated_laboratory_that_warms_up_is_in_rig_inspect_and_report(tmp_path):
+    run = ("simulate", "--fast", "--warming", "2", "--poses", "9", "--out", tmp_path / "lab")
+    assert truearm(*run).returncode == 0
+    session_file, report = tmp_path / "lab" / "session.mcap", tmp_path / "report.html"
+    (bar, *_) = read_rig(tmp_path / "lab" / "rig.toml").bars.values()
+    assert (bar.expansion, bar.gain_drift) == (STEEL, GAIN_DRIFT)
+    (bar_degc, sensor_degc) = json.loads(truearm("inspect", session_file, "--json").stdout)["temperature_degc"][
+        "thermometers"
+    ].values()
+    assert bar_degc == sensor_degc == [pytest.approx(20.0, abs=0.1), 22.0]
+    said = f"{bar_degc[0]:.1f} to 22.0 °C"
+    assert f"bar {said}, sensor {said}\n" in truearm("inspect", session_file).stdout
+    done = truearm("identify", session_file, "--model", "puma560", "--free", "joint*.offset", "--report", report)
+    assert done.returncode == 0, done.stderr
+    assert "bar.bar46.expansion" in done.stdout
+    assert f"temperature of the sensor</dt><dd>{said}" in report.read_text()
 
 
 def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_with_the_size(tmp_path):

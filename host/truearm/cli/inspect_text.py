@@ -9,7 +9,7 @@ from truearm.session.dwells import MOUNTING
 from truearm.session.losses import COUNTERS, EXTREMES
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED
-from truearm.units import MM_S, NS, ONE, UM, URAD, US, Scale
+from truearm.units import DEGC, MM_S, NS, ONE, UM, URAD, US, Scale
 
 DWELLS = 24  # listed one by one
 LOSSES = (
@@ -52,6 +52,7 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _streams(document["streams"])
     yield from _losses(document["losses"])
     yield from _console(document)
+    yield from _temperature(document["temperature_degc"])
     yield from _clock(document["clock"])
     yield from _robot(document["robot"], document["metadata"]["joints-added"])
     yield from _dwells(document)
@@ -125,6 +126,14 @@ def _console(document: Mapping[str, Any]) -> Iterator[str]:
             yield "  | " + line
     if losses["console_runs"] > len(document["console"]):
         yield f"  | … {losses['console_runs'] - len(document['console'])} more"
+
+
+def _temperature(degc: Mapping[str, Any]) -> Iterator[str]:
+    """Nothing for a box that sends none."""
+    read = [("box", degc["box"]), *((one_line(name) or "unnamed", of) for name, of in degc["thermometers"].items())]
+    texts = [f"{name} {DEGC.of(of[0]):.1f} to {DEGC.text(of[1], '.1f')}" for name, of in read if of is not None]
+    if texts:
+        yield f"temperature: {', '.join(texts)}"
 
 
 def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:

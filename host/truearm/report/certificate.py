@@ -13,7 +13,7 @@ from truearm.report.page_tables import fact_list
 from truearm.report.page_text import size
 from truearm.text import counted
 from truearm.types import Estimate, HeldOut, PredictedError
-from truearm.units import US
+from truearm.units import DEGC, US
 
 K = 2.0  # coverage factor: 95 % of a normal error
 MOST = 6  # sessions, sensors and files listed on page one
@@ -31,7 +31,10 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Recording:
-    """How a session was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown."""
+    """How a session was recorded: times are UTC texts, ``bound`` [s] is of the box's clock, None where unknown.
+
+    ``temperatures``: name, lowest and highest reading [°C] of each thermometer.
+    """
 
     name: str
     begun: str
@@ -46,6 +49,7 @@ class Recording:
     samples_lost: int
     frames_lost: int
     bound: float | None
+    temperatures: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,7 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
             *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
             (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
             (f"{of}bound of the box's clock", "not known" if one.bound is None else US.text(one.bound, ".0f")),
+            *((f"{of}temperature of the {name}", _between(*degc)) for name, *degc in one.temperatures),
         ]
     return tuple(facts)
 
@@ -115,6 +120,9 @@ def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
         return list(facts_of(recordings))
     dwells, rejected = sum(one.dwells for one in recordings), sum(n for one in recordings for _, n in one.rejected)
     bounds = [one.bound for one in recordings]
+    read: dict[str, list[tuple[float, float]]] = {}
+    for name, low, high in (degc for one in recordings for degc in one.temperatures):
+        read.setdefault(name, []).append((low, high))
     worst = None if None in bounds else max(filter(None, bounds), default=None)
     return [
         ("sessions", str(len(recordings))),
@@ -122,7 +130,15 @@ def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
         ("dwells", f"{dwells}, of these rejected: {rejected}"),
         ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
         ("bound of the box's clock", "not known" if worst is None else US.text(worst, ".0f")),
+        *(
+            (f"temperature of the {name}", _between(min(low for low, _ in of), max(high for _, high in of)))
+            for name, of in read.items()
+        ),
     ]
+
+
+def _between(least: float, most: float) -> str:
+    return f"{DEGC.of(least):.1f} to {DEGC.text(most, '.1f')}"
 
 
 def _recorded(recordings: Sequence[Recording]) -> str:

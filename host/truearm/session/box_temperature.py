@@ -27,6 +27,11 @@ class BoxTemperature(NamedTuple):
     t_host_ns: Ints
     degc: Floats
 
+    @property
+    def extremes(self) -> tuple[float, float] | None:
+        """Return the lowest and the highest reading [°C]; None if there are no readings."""
+        return (float(self.degc.min()), float(self.degc.max())) if len(self.degc) else None
+
     def at(self, t_host_ns: Ints) -> Floats:
         """Return the means (n,) of the readings around host times (n,); NaN where there are none."""
         first = np.searchsorted(self.t_host_ns, t_host_ns - AROUND_NS)

@@ -112,6 +112,10 @@ def describe(session: Session) -> dict[str, Any]:
         "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
         "console": [printable(data) for data in contents.console],
         "clock": [asdict(report) for report in found.clock_reports],
+        "temperature_degc": {
+            "box": found.temperature.extremes,
+            "thermometers": {name: readings.extremes for name, readings in found.thermometers.items()},
+        },
         "robot": _robot(found, contents),
         "events": found.marks.kinds,
         "plan_poses": len(found.marks.dwells),

@@ -21,6 +21,7 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
     """Return the facts of one session."""
     idents = list(result.survey.idents.values())
     reports = result.clock_reports
+    read = [(one_line(name) or "unnamed", one.extremes) for name, one in result.survey.thermometers.items()]
     return Recording(
         name=one_line(session.path.name),
         begun=_utc(session.metadata.get("session", {}).get("utc_ns", "")),
@@ -35,6 +36,7 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
         samples_lost=result.losses.samples_lost + result.losses.samples_overrun,
         frames_lost=result.losses.frames_lost,
         bound=max(NS.to_si(report.bound_ns) for report in reports) if reports else None,
+        temperatures=tuple((name, *degc) for name, degc in read if degc is not None),
     )
 
 
