@@ -9,7 +9,7 @@ byte.
 The first build takes about a minute and downloads 45 MB. Later builds compile only what changed: some seconds for the
 firmware.
 
-    python firmware/image/build.py [--out build/uf2] [--work build/image]
+    python firmware/image/build.py [--out build/uf2] [--work build/image] [--suite trixie]
 
 Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this computer cannot build it (no Debian).
 """
@@ -289,6 +289,7 @@ def _configure(work: Path, cmake: Path, environ: dict[str, str]) -> None:
         "MICROPY_FROZEN_MANIFEST": work / "manifest.py",
         "USER_C_MODULES": HERE / "usb_stamp",
         "PICO_NO_PICOTOOL": "1",
+        "PICO_CLIB": "newlib",  # what Debian's Pico SDK 2.2 no longer takes by itself
         "Python3_EXECUTABLE": sys.executable,
     }
     defined = [f"-D{name}={value}" for name, value in options.items()]

@@ -25,7 +25,8 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 SOURCES = CHECKOUT / "hil_sim" / "chip"
 BUILD = CHECKOUT / "build"
 MODULES = BUILD / "chip" / "node_modules"
-IMAGES = BUILD / "uf2"
+# another folder holds what `make uf2 SUITE=…` builds
+IMAGES = Path(os.environ.get("TRUEARM_IMAGES", BUILD / "uf2")).absolute()
 
 
 class NodeError(LinkError):

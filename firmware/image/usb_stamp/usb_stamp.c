@@ -35,6 +35,10 @@ void tud_event_hook_cb(uint8_t rhport, uint32_t event, bool in_isr) {
     if (in_isr && event == DCD_EVENT_XFER_COMPLETE && (usb_dpram->ep_buf_ctrl[OUT_ENDPOINT].out & USB_BUF_CTRL_FULL)) {
         newest_us = time_us_64();
     }
+    #ifdef MICROPYTHON_EVENT_HOOK // from 1.26 on (micropython.cmake)
+    extern void MICROPYTHON_EVENT_HOOK(uint8_t rhport, uint32_t event, bool in_isr);
+    MICROPYTHON_EVENT_HOOK(rhport, event, in_isr);
+    #endif
 }
 
 static void put_time(uint8_t *out, uint64_t us) {
