@@ -300,7 +300,7 @@ def test_what_is_hardly_seen_is_said():
         in text
     )
     assert "<li>link2.z up, link3.z down by as much</li><li>link6.z: alone</li>" in text
-    assert "hardly seen" not in render(page)
+    assert "weakly identifiable" not in render(page)
 
 
 def test_parameters_of_the_rig_stand_apart():
