@@ -19,7 +19,7 @@ from truearm.files import plan_file
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.plan.branches import branch_of
-from truearm.plan.first_rig import bars, first_rig, triangle
+from truearm.plan.first_rig import bars, circle, first_rig
 from truearm.plan.forecast import Known
 from truearm.plan.shells import plan_shells
 from truearm.types import REFERENCE_DEGC, Floats, Plan, Rig
@@ -74,8 +74,8 @@ def standard_rig(robot: Robot | None = None) -> Rig:
     if robot is not None and robot.chain.name != PAPER:
         return first_rig(robot)
     return Rig(
-        chucks=triangle("c", (0.45, 0.15, 0.08), 0.20, turn=0.2, digits=6),
-        spheres=triangle("s", (0.0, 0.0, 0.04), 0.13, turn=0.5, digits=6),
+        chucks=circle("c", 3, (0.45, 0.15, 0.08), 0.20, turn=0.2, digits=6),
+        spheres=circle("s", 3, (0.0, 0.0, 0.04), 0.13, turn=0.5, digits=6),
         bars=bars(0.46, 0.61),
     )
 

@@ -104,10 +104,23 @@ def test_init_writes_a_rig_that_every_robot_reaches(tmp_path, run, name):
 
 
 def test_init_takes_what_was_measured(tmp_path, run):
-    given = ["--bars-mm", "460,610", "--known-mm", "0.02", "--zero-sigma-mm", "0.05", "--minutes", 0]
+    given = [
+        "--chucks",
+        2,
+        "--spheres",
+        1,
+        "--bars-mm",
+        "460,610",
+        "--known-mm",
+        "0.02",
+        "--zero-sigma-mm",
+        "0.05",
+        "--minutes",
+        0,
+    ]
     assert run("init", tmp_path, "--model", "puma560", *given).code == 0
     rig = read_rig(tmp_path / "rig.toml")
-    assert list(rig.bars) == ["bar46", "bar61"]
+    assert [list(parts) for parts in (rig.chucks, rig.spheres, rig.bars)] == [["c1", "c2"], ["s1"], ["bar46", "bar61"]]
     assert rig.bars["bar46"].zero_sigma == 5e-5
     assert rig.chucks["c1"].sigma == 2e-5
 
@@ -117,12 +130,16 @@ def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
         def isatty(self):
             return True
 
-    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n460,610\n0.02\n0.05\n"))
+    monkeypatch.setattr(
+        sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n4\n\n460,610\n0.02\n0.05\n")
+    )
     monkeypatch.chdir(tmp_path)
     assert run("init", "--minutes", 0).code == 0
     said = read_project(tmp_path / FILE)
     assert (said.model, said.name, said.address, said.box) == ("puma560", "cell 3", "tcp://127.0.0.1:7008", "")
-    assert read_rig(tmp_path / "rig.toml").bars["bar61"].zero == pytest.approx(0.61)
+    rig = read_rig(tmp_path / "rig.toml")
+    assert (len(rig.chucks), len(rig.spheres)) == (4, 3)
+    assert rig.bars["bar61"].zero == pytest.approx(0.61)
 
 
 @pytest.mark.parametrize(
@@ -224,6 +241,15 @@ def test_a_rehearsal_needs_no_options(project, run):
     code, _, err = run("simulate", "--fast", "--out", project / "rehearsal", "--rate", 254)
     assert code == 0, err
     assert err.startswith("truearm.toml: --model puma560 --plan plan.csv --rig rig.toml")
+
+
+@pytest.mark.parametrize("options", [["--poses", 9], ["--lines", 2], []])
+def test_a_rehearsal_without_the_plan_does_not_take_its_rig(project, run, options):
+    """Without a plan.csv there is nothing that its rig could belong to."""
+    if options:
+        (project / "plan.csv").write_text("not read")
+    err = run("simulate", "--fast", "--rate", 1e9, "--out", project / "rehearsal", *options).err
+    assert err.splitlines()[0] == "truearm.toml: --model puma560"
 
 
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):

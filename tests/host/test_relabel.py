@@ -187,8 +187,14 @@ class TestOneMissedEnter:
         path.write_bytes(path.read_bytes()[:-2000])
         with path.open("r+b") as file:
             hold(file)  # as a recorder does
-            assert main(["relabel", str(path), "--trust", "plan"]) == 2
-            assert "is still being written" in capsys.readouterr().err
+            for arguments in (
+                ["relabel", str(path), "--trust", "plan"],
+                ["identify", str(path), "--model", "puma560", "--allow-damaged"],
+                ["characterize", str(path), "--model", "puma560", "--allow-damaged"],
+                ["export-session", str(path), "--out", str(path.parent / "tables"), "--allow-damaged"],
+            ):
+                assert main(arguments) == 2
+                assert "is still being written" in capsys.readouterr().err
         assert main(["relabel", str(path), "--trust", "plan"]) == 2
         assert "truearm recover" in capsys.readouterr().err
         assert os.listdir(path.parent) == ["s.mcap"]

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +18,7 @@ from truearm.record.robots.sources import sources_help
 from truearm.units import MM
 
 UNKNOWN = "unknown"
+PARTS: dict[str, Any] = {"min": 1, "max": 9}  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 
 
@@ -44,6 +45,13 @@ def init(
     ] = None,
     box: Annotated[
         str | None, typer.Option(metavar="DEVICE", help="Port of the box. Default: the box that is plugged in.")
+    ] = None,
+    chucks: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Chucks (magnetic cups) on the table (3).", **PARTS),
+    ] = None,
+    spheres: Annotated[
+        int | None, typer.Option(metavar="N", help="Spheres (steel balls) on the robot's end (3).", **PARTS)
     ] = None,
     bars: Annotated[
         str | None,
@@ -106,6 +114,13 @@ def init(
         address=ask(address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)"),
         box=ask(box, "Port of the box (Enter for the one that is plugged in)"),
     )
+    n_chucks, n_spheres = (
+        given if given is not None else _count(option, ask(None, f"How many {what}", "3"))
+        for option, given, what in (
+            ("--chucks", chucks, "chucks (magnetic cups) on the table"),
+            ("--spheres", spheres, "spheres (steel balls) on the robot's end"),
+        )
+    )
     lengths = _lengths(
         ask(bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)")
     )
@@ -115,7 +130,9 @@ def init(
         if zero is not None
         else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
     )
-    wanted = Wanted(project, lengths, places, MM.to_si(length), minutes or None, branch_given(branch))
+    wanted = Wanted(
+        project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, branch_given(branch)
+    )
     created = create(folder, wanted)
     print_lines(f"{path.name:<16}{path}" for path in created.written)
     if created.plan is not None:
@@ -137,6 +154,12 @@ def _number(option: str, text: str) -> float:
     if not 0.0 <= value < math.inf:
         raise InputError(f"{option} {text[:40]}: needs a number of 0 or more")
     return value
+
+
+def _count(option: str, text: str) -> int:
+    if not (text.isdecimal() and PARTS["min"] <= int(text) <= PARTS["max"]):
+        raise InputError(f"{option} {text[:40]}: needs a number from {PARTS['min']} to {PARTS['max']}")
+    return int(text)
 
 
 def _known(text: str) -> float | None:

@@ -36,7 +36,7 @@ from truearm.cli.recover import recover
 from truearm.cli.relabel import relabel
 from truearm.cli.report import report
 from truearm.cli.reproduce import reproduce
-from truearm.cli.simulate import simulate
+from truearm.cli.simulate import SimulateCommand, simulate
 from truearm.cli.status import status
 from truearm.cli.validate import validate
 from truearm.errors import TruearmError
@@ -79,7 +79,8 @@ app = typer.Typer(
     add_completion=True,
 )
 for _command in COMMANDS:
-    app.command(_command.__name__.strip("_").replace("_", "-"), cls=ProjectCommand)(_command)
+    _class = SimulateCommand if _command is simulate else ProjectCommand
+    app.command(_command.__name__.strip("_").replace("_", "-"), cls=_class)(_command)
 app.add_typer(box, name="box")
 app.add_typer(plan)
 

@@ -35,7 +35,7 @@ class ProjectCommand(TyperCommand):
         taken = [
             word
             for one in self.params
-            if _source(ctx, one.name or "") == "DEFAULT_MAP"
+            if _source(ctx, one.name or "") == "DEFAULT_MAP" and ctx.params[one.name or ""] is not None
             for word in _words(one, ctx.params[one.name or ""])
         ]
         if taken:

@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,7 +21,7 @@ from truearm.cli.options import (
     branch_given,
     out_folder,
 )
-from truearm.cli.project import typed
+from truearm.cli.project import ProjectCommand, typed
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
     DEFAULT_PERIODS,
@@ -43,8 +43,20 @@ from truearm.units import MS
 FAST_RATE_HZ = 500.0
 
 
+class SimulateCommand(ProjectCommand):
+    """Takes the project's plan unless poses, lines, a robot or a stage are asked for, and its rig with a plan only."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        other = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
+        if other:
+            ctx.params["plan"] = typed(ctx, "plan")
+        if other or ctx.params["plan"] is None:
+            ctx.params["rig"] = typed(ctx, "rig")
+        return super().invoke(ctx)
+
+
 def simulate(
-    context: typer.Context,
     out: Annotated[Path, out_folder("plan.csv and rig.toml, with --fast session.mcap")] = Path("out/simulated"),
     model: ModelOption = DEFAULT_MODEL,
     base: BaseOption = None,
@@ -152,10 +164,6 @@ def simulate(
         simulate_stage,
     )
 
-    if any(typed(context, name) is not None for name in ("poses", "lines", "model")):  # not the project's plan then
-        plan, rig = typed(context, "plan"), typed(context, "rig")
-    if plan is None:  # the project's rig belongs to a plan
-        rig = typed(context, "rig")
     options = SimulateOptions(
         folder=out,
         model=RobotChoice(model, base, tip),

@@ -32,16 +32,15 @@ def reach(robot: Robot, branch: Branch) -> float:
     return float(np.linalg.norm(end - shoulder, axis=1).max())
 
 
-def first_rig(robot: Robot) -> Rig:
-    """Return a rig with three chucks in front of the arm, three spheres on its end and two bars; all as if known
-    exactly.
+def first_rig(robot: Robot, chucks: int = 3, spheres: int = 3) -> Rig:
+    """Return a rig with chucks in front of the arm, spheres on its end and two bars; all as if known exactly.
 
     Raises PlanError for a robot without a branch.
     """
     r = SHARE * reach(robot, branch_of(robot))
     return Rig(
-        chucks=triangle("c", (BEFORE * r, ASIDE * r, TABLE), CHUCKS * r, turn=0.2, digits=3),
-        spheres=triangle("s", (0.0, 0.0, PLATE), SPHERES * r, turn=0.5, digits=3),
+        chucks=circle("c", chucks, (BEFORE * r, ASIDE * r, TABLE), CHUCKS * r, turn=0.2, digits=3),
+        spheres=circle("s", spheres, (0.0, 0.0, PLATE), SPHERES * r, turn=0.5, digits=3),
         bars=bars(round(SHORT * r, 2), round(LONG * r, 2)),
     )
 
@@ -52,13 +51,13 @@ def bars(*zeros: float) -> dict[str, BallBar]:
     return {name: BallBar(name, zero, 1.0, TRAVEL, REPEATABILITY) for name, zero in zip(names, zeros, strict=True)}
 
 
-def triangle(
-    prefix: str, centre: tuple[float, float, float], radius: float, *, turn: float, digits: int
+def circle(
+    prefix: str, count: int, centre: tuple[float, float, float], radius: float, *, turn: float, digits: int
 ) -> dict[str, Point]:
-    """Return three points of an equilateral triangle in a plane of constant z [m], rounded to this number of digits."""
+    """Return points evenly spaced on a circle in a plane of constant z [m], rounded to this number of digits."""
     points = {}
-    for i in range(3):
-        angle = turn + 2.0 * math.pi * i / 3.0
+    for i in range(count):
+        angle = turn + 2.0 * math.pi * i / count
         x, y = centre[0] + radius * math.cos(angle), centre[1] + radius * math.sin(angle)
         points[f"{prefix}{i + 1}"] = Point(f"{prefix}{i + 1}", (round(x, digits), round(y, digits), centre[2]))
     return points

@@ -38,7 +38,7 @@ from truearm.text import one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.inspect import ident_of
 from truearm.workflows.session_observations import attached_rig, labels_of
-from truearm.workflows.session_parts import session_parts
+from truearm.workflows.session_parts import refuse_unfinished, session_parts
 
 LEAST_VISITS = 6
 
@@ -80,6 +80,8 @@ def characterize_files(
         check_writable(files.out, files.force, inputs=read, ours=looks_like_noise)
     chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
     opened = {path: open_session(path, files.allow_damaged) for path in paths}
+    for session in opened.values():
+        refuse_unfinished(session)
     rig = _rig(opened, files.rig)
     parts = [
         Part(_with_plan(one, files.plan), path.name, ident_of(one), labels_of(path)) for path, one in opened.items()

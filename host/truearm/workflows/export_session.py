@@ -23,6 +23,7 @@ from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.inspect import ident_of
 from truearm.workflows.session_observations import attached_rig, labels_of
+from truearm.workflows.session_parts import refuse_unfinished
 
 SAID = "session.json"
 
@@ -52,6 +53,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
     out = wanted.out
     _check_folder(out)
     opened = open_session(wanted.session, wanted.allow_damaged)
+    refuse_unfinished(opened)
     try:
         with working_folder(out.parent) as folder:
             whole = folder / "tables"

@@ -47,6 +47,8 @@ class Wanted(NamedTuple):
     bars: tuple[float, ...] = ()
     known: float | None = None
     zero_sigma: float = 1e-4
+    chucks: int = 3
+    spheres: int = 3
     minutes: float | None = PLAN_MINUTES  # of the first plan; None: no plan is made
     branch: Branch | None = None  # of the robot; None: the one of its file
 
@@ -169,7 +171,8 @@ def create(folder: Path, wanted: Wanted) -> Created:
     folder.mkdir(parents=True, exist_ok=True)
     written, plan = list[Path](), None
     if not paths["rig"].exists():
-        rig = _as_known(first_rig(replace(robot, branch=branch_of(robot, wanted.branch))), wanted)
+        bounded = replace(robot, branch=branch_of(robot, wanted.branch))
+        rig = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
         write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
         written.append(paths["rig"])
     read_rig(paths["rig"])

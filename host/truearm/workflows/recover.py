@@ -7,10 +7,10 @@ from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
 from truearm.files.disk import check_writable, sha256, working_folder
-from truearm.files.write_lock import is_held
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session, open_session
+from truearm.workflows.session_parts import refuse_unfinished
 
 
 def recovered_name(session: Path) -> Path:
@@ -24,8 +24,7 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
     Raises InputError, SessionError if nothing can be saved or the session is still being written, WriteError.
     """
     opened = open_session(session, allow_damaged=True)
-    if opened.truncated and is_held(session):
-        raise SessionError(f"{session}: is still being written; end the recording first")
+    refuse_unfinished(opened)
     if is_whole(opened):
         return None
     check_writable(out, force, inputs=[session])

@@ -17,12 +17,11 @@ from truearm.files.labels_file import Decision, no_labels, read_labels, with_dec
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.strict_json import number_or_null
-from truearm.files.write_lock import is_held
 from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import attached_rig
-from truearm.workflows.session_parts import session_parts
+from truearm.workflows.session_parts import refuse_unfinished, session_parts
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -148,8 +147,9 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
     rig = None if rig_file is None else read_rig(rig_file)
     for path in paths:
         session = open_session(path, allow_damaged=True)
+        refuse_unfinished(session)
         if session.truncated:
-            _refuse_unfinished(path)
+            raise SessionError(f"{path}: is incomplete; make a complete session of it with truearm recover {path}")
         session = open_session(path)
         rig = rig or attached_rig(session, path)
         if rig is None:
@@ -169,12 +169,6 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
             f"{paths[0]}: its parts are of robots with different numbers of joints; give parts of one robot"
         )
     return parts, rig, Readings(*map(np.concatenate, zip(*((r.q, r.extension, r.beyond) for r in some), strict=True)))
-
-
-def _refuse_unfinished(path: Path) -> None:
-    if is_held(path):
-        raise SessionError(f"{path}: is still being written; end the recording first")
-    raise SessionError(f"{path}: is incomplete; make a complete session of it with truearm recover {path}")
 
 
 def _of_survey(rig: Rig, found: Survey) -> tuple[tuple[int, ...], tuple[Said, ...], Readings]:

@@ -83,10 +83,12 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     from truearm.session.observations import observations
     from truearm.session.session_file import open_session, words_of
     from truearm.workflows.inspect import ident_of
+    from truearm.workflows.session_parts import refuse_unfinished
     from truearm.workflows.temperature_warning import temperature_warning
 
     options = options or SessionOptions()
     session = open_session(path, options.allow_damaged)
+    refuse_unfinished(session)
     if session.damage:
         said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
         more = f" and in {len(session.damage) - SAID} places more" if len(session.damage) > SAID else ""

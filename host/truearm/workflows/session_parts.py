@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import same_file
+from truearm.files.write_lock import is_held
 
 if TYPE_CHECKING:
     from truearm.live.progress import SessionProgress
@@ -140,6 +141,12 @@ def gone_on(progress: SessionProgress, before: Earlier) -> None:
     progress.next = max(
         [progress.next, *(row + 1 for row in before.lines if type(row) is int and row < len(progress.rows))]
     )
+
+
+def refuse_unfinished(session: Session) -> None:
+    """Raise SessionError for a session that a recorder still writes: it would be another one a moment later."""
+    if session.truncated and is_held(session.path):
+        raise SessionError(f"{session.path}: is still being written; end the recording first")
 
 
 def _first(path: Path) -> Path:
