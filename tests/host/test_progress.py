@@ -2,11 +2,16 @@
 
 import io
 import re
+import shutil
+from pathlib import Path
 
 import pytest
 
 from truearm.cli import progress as shown
+from truearm.cli.main import main
 from truearm.progress import listening, step, steps_of
+
+SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 
 
 class Heard(list):
@@ -89,3 +94,53 @@ def test_a_terminal_that_goes_away_stops_nothing():
         listener._steps[0].begun_s -= 10.0
         listener.show()
     listener.close()
+
+
+class Depth:
+    """A listener that keeps how many steps were open as each began."""
+
+    def __init__(self):
+        self.open, self.begun = 0, []
+
+    def begin(self, what):
+        self.begun.append((self.open, what))
+        self.open += 1
+        return self
+
+    def advance(self, share):
+        pass
+
+    def end(self):
+        self.open -= 1
+
+
+@pytest.fixture(scope="module")
+def session_folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("session")
+    shutil.copy(SESSION, folder / "s.mcap")
+    assert main(["identify", str(folder / "s.mcap"), "--model", "puma560", "--out", str(folder / "r.json")]) in (0, 3)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "first"),
+    [
+        ("identify s.mcap --model puma560 --report r.html", "identifying"),
+        ("report r.json s.mcap --out c.html", "repeating the identification"),
+        ("validate r.json s.mcap", "validating"),
+        ("inspect s.mcap", "inspecting the session"),
+        ("relabel s.mcap --trust plan", "reading the session"),
+        ("export-session s.mcap --out tables", "exporting the session"),
+        ("export r.json --format dh-hayati --out dh.csv", "exporting the robot"),
+        ("map r.json --out map.csv", "mapping the errors"),
+    ],
+)
+def test_no_long_work_lies_outside_a_step(session_folder, monkeypatch, command, first, tmp_path):
+    """Short steps one after the other lie within one that lasts: a terminal is never silent for long."""
+    shutil.copytree(session_folder, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    heard = Depth()
+    with listening(heard):
+        assert main(command.split()) in (0, 3)
+    assert heard.open == 0
+    assert next(what for depth, what in heard.begun if depth == 0) == first

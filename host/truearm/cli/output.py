@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import typer
 
+from truearm.cli.progress import CLEAR
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
 
@@ -36,8 +38,9 @@ def print_json(document: Any) -> None:
 
 
 def warn(text: str) -> None:
-    """Print a warning on standard error."""
-    typer.echo(f"warning: {text}", err=True)
+    """Print a warning on standard error, on a terminal in place of the step that is shown there."""
+    clear = CLEAR if sys.stderr.isatty() else ""
+    typer.echo(f"{clear}warning: {text}", err=True)
 
 
 def warn_of_further_parts(session: Path, what: str) -> None:

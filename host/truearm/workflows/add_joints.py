@@ -9,6 +9,7 @@ from pathlib import Path
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, sha256, working_folder
 from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.progress import step
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.session.session_file import open_session
@@ -31,6 +32,7 @@ class AddJoints:
     replace: bool = False
 
 
+@step("adding the readings")
 def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     """Write the session with the readings, completely or not at all; return their number. Raises InputError,
     SessionError.

@@ -29,6 +29,7 @@ from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.chain import Chain, along, trace_point
+from truearm.progress import step
 from truearm.session.box_ident import Ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
@@ -65,6 +66,7 @@ class Part(NamedTuple):
     labels: tuple[DwellLabel, ...] | None = None
 
 
+@step("characterizing")
 def characterize_files(
     files: CharacterizeFiles,
     bands: Sequence[float],

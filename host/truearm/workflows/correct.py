@@ -20,6 +20,7 @@ from truearm.files.robot_file import RobotChoice, is_urdf
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
 from truearm.model.poses import inverted, pose_of
+from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
 from truearm.text import one_line
@@ -127,6 +128,7 @@ class CorrectedFile:
     refused: tuple[Refused, ...] = ()
 
 
+@step("correcting")
 def correct_file(calibration: Calibration, files: CorrectFiles, options: CorrectOptions) -> CorrectedFile:
     """Correct a table or a program by the calibration of ``files.result`` and write it.
 

@@ -14,6 +14,7 @@ from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
+from truearm.progress import step
 from truearm.report.map_picture import map_picture
 from truearm.text import one_line
 from truearm.types import Floats
@@ -67,6 +68,7 @@ class Mapped(NamedTuple):
     region: Region | None
 
 
+@step("mapping the errors")
 def map_files(calibration: Calibration, files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
     """Make a map by the calibration of ``files.result`` and write the requested files.
 

@@ -17,6 +17,7 @@ from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import NO_PAYLOAD, Chain
+from truearm.progress import step
 from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, Payload, rms
 from truearm.units import MM
@@ -110,6 +111,7 @@ def _of(error: Floats) -> str:
     return f"{MM.text(rms(error), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"
 
 
+@step("exporting the robot")
 def export_file(
     result: Path,
     robot: RobotChoice,

@@ -15,6 +15,7 @@ from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.files.strict_json import strict_json
+from truearm.progress import step
 from truearm.record.session_writer import read_anchor
 from truearm.session.observations import Survey, observations, survey
 from truearm.session.session_file import Session, open_session
@@ -45,6 +46,7 @@ class ExportSession:
     rate_hz: float = 100.0
 
 
+@step("exporting the session")
 def export_session_files(wanted: ExportSession) -> dict[str, int]:
     """Write all tables, or none; return the number of rows by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)

@@ -182,6 +182,7 @@ class IdentifyFiles:
     force: bool = False
 
 
+@step("identifying")
 def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: IdentifyOptions) -> Identification:
     """Read everything, identify, and write result, table and report as requested.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
+from truearm.progress import step
 from truearm.session.joint_readings import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
@@ -87,6 +88,7 @@ class Contents:
             self.console += [data[:CONSOLE_BYTES] for data in said]
 
 
+@step("inspecting the session")
 def describe(session: Session) -> dict[str, Any]:
     """Return the contents of a session as a JSON-compatible document; unknown values are None.
 

@@ -37,6 +37,7 @@ from truearm.plan.region import Region
 from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
+from truearm.progress import step
 from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
@@ -179,6 +180,7 @@ class ApproachOptions:
     seed: int = option_defaults.SEED
 
 
+@step("planning")
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
@@ -274,6 +276,7 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> B
     return plan_ballbar(site, known, pairings, wanted, pace, options.region)
 
 
+@step("planning")
 def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
@@ -298,6 +301,7 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
     }
 
 
+@step("planning")
 def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
     _check(files)

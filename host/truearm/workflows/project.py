@@ -14,6 +14,7 @@ from truearm.errors import InputError, TruearmError
 from truearm.files.disk import write_atomic
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
+from truearm.progress import step
 from truearm.text import page
 from truearm.units import MM
 
@@ -149,6 +150,7 @@ def new_plan(path: Path) -> Path:
     return found
 
 
+@step("making the project")
 def create(folder: Path, wanted: Wanted) -> Created:
     """Write truearm.toml, rig.toml and a first plan into a folder.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
 from truearm.files.disk import check_writable, sha256, working_folder
+from truearm.progress import step
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
 from truearm.session.session_file import Session, open_session
@@ -18,6 +19,7 @@ def recovered_name(session: Path) -> Path:
     return session.parent / f"{session.stem}-recovered.mcap"
 
 
+@step("recovering the session")
 def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | None:
     """Write the intact parts of a session to ``out``; None if the session is intact, and then nothing is written.
 

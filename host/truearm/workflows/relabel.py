@@ -137,6 +137,7 @@ def undo(session: Path) -> dict[str, Any]:
     }
 
 
+@step("reading the session")
 def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig, Readings]:
     """Return the files, their common rig, and the readings of all good stops."""
     from truearm.session.observations import survey

@@ -15,6 +15,7 @@ from truearm.files.disk import sha256
 from truearm.files.project_file import Project
 from truearm.files.result_file import read_result
 from truearm.files.robot_file import load_robot
+from truearm.progress import step
 from truearm.report.certificate import Certificate, Recording
 from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration_report import write_page
@@ -36,6 +37,7 @@ class ReportFiles:
     project: Project = field(default_factory=lambda: Project(""))
 
 
+@step("repeating the identification")
 def report_files(files: ReportFiles) -> Identification:
     """Repeat the fit as recorded in the result, check that the outcome is the same, and write the page.
 
@@ -73,7 +75,8 @@ def report_files(files: ReportFiles) -> Identification:
         files=tuple((one.role, one.name, one.sha256) for one in inputs),
         method=_method(found, options),
     )
-    write_page(files.out, found, files.made_from.command, recordings, certificate)
+    with step("drawing the report"):
+        write_page(files.out, found, files.made_from.command, recordings, certificate)
     return found
 
 

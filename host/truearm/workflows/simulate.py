@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, assert_never
 from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, InputError, LinkError
 from truearm.files.robot_file import RobotChoice
+from truearm.progress import step
 from truearm.units import MM
 from truearm.workflows.demo_steps import record_virtually
 from truearm.workflows.session_observations import Say
@@ -272,6 +273,7 @@ def _visits_of(world: World) -> str:
     return f"{world.chain.name}: {what}, {world.duration / 60:.0f} minutes"
 
 
+@step("preparing the poses")
 def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, Rig]:
     """Return what the robot visits and its surroundings, from files if given, else drawn at random.
 

@@ -29,6 +29,7 @@ from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
+from truearm.progress import step
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.types import Effect, Figures, Floats, ObservationTable, rms
@@ -115,6 +116,7 @@ class Validation:
         return "\n".join(validation_lines(self.document))
 
 
+@step("validating")
 def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig: bool = False) -> Validation:
     """Read a result and the observations for judging it; ``keep_rig`` as in ``validated``.
 
