@@ -157,7 +157,9 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
 def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object], tmp_path: Path) -> None:
     page, diary = tmp_path / "r.html", tmp_path / "diary.html"
     diary.write_text("<!DOCTYPE html><p>Dear diary</p>")
-    assert run(*good, "--report", page).code == 0
+    code, out, _ = run(*good, "--report", page)
+    assert code == 0
+    assert out.splitlines()[-1].endswith("r.html")
     told(run(*good, "--report", page), "r.html: exists; choose another name or give --force")
     assert run(*good, "--report", page, "--force").code == 0
     told(run(*good, "--report", diary, "--force"), "was not written by truearm")

@@ -159,7 +159,7 @@ def identify(
     Example:
       truearm identify poses.csv --model puma560 --rig rig.toml --hold-out shell=s61
     """
-    from truearm.cli.identify_text import show_result
+    from truearm.cli.identify_text import ResultFiles, show_result
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
@@ -186,6 +186,7 @@ def identify(
     if as_json:
         typer.echo(format_document(document))
     else:
-        show_result(document, out)
+        others = [path for path in (save_table, report) if path is not None]
+        show_result(document, ResultFiles(inputs, out, others))
     if not document["usable"]:
         raise typer.Exit(ExitCode.UNUSABLE)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, assert_never
+from typing import Any, NamedTuple, assert_never
 
 from rich.console import Console
 from rich.table import Table
@@ -44,8 +45,16 @@ OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
-def show_result(document: Document, out: Path | None) -> None:
-    """Print the content of a result.json; ``out`` is where it was written, if it was."""
+class ResultFiles(NamedTuple):
+    """Files of an identification: those it read, where its result was written, and the others that were written."""
+
+    inputs: Sequence[Path]
+    out: Path | None
+    others: Sequence[Path] = ()
+
+
+def show_result(document: Document, files: ResultFiles) -> None:
+    """Print the content of a result.json, the session to relabel, and the files that were written."""
     # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
@@ -53,7 +62,7 @@ def show_result(document: Document, out: Path | None) -> None:
         console.print(line)
     for line in systematic_sentences(document, _option):
         console.print(line)
-    for line in dwell_lines(document):
+    for line in dwell_lines(document, files.inputs):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))
@@ -69,7 +78,7 @@ def show_result(document: Document, out: Path | None) -> None:
     notes = (law_sentences, raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
-    for line in advice(document, out):
+    for line in advice(document, files):
         console.print(line)
 
 
@@ -103,9 +112,9 @@ def _option(argument: str) -> str:
     return f"--{argument.replace('_', '-')}"
 
 
-def dwell_lines(document: Document) -> list[str]:
-    """Return a line per session: how its dwells were used."""
-    lines = []
+def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
+    """Return a line per session: how its dwells were used; a command names the session as it was given."""
+    lines, given = [], {path.name: str(path) for path in inputs}
     for count in document.get("sessions", ()):
         rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
@@ -113,7 +122,8 @@ def dwell_lines(document: Document) -> list[str]:
         line += f"; {counted(count['mountings'], 'stop')} for mounting" * bool(count["mountings"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_WORDS)
         if unsettled:
-            line += f"; {unsettled} need a decision: truearm relabel {one_line(count['session'])}"
+            session = one_line(given.get(count["session"], count["session"]))
+            line += f"; {unsettled} need a decision: truearm relabel {shlex.quote(session)}"
         lines.append(line + " (as relabelled)" * count["labels"])
     return lines
 
@@ -394,7 +404,7 @@ def _cell(value: float | None, decimals: int = UNITS["m"].decimals) -> str:
     return "-" if value is None else f"{value:.{decimals}f}"
 
 
-def advice(document: Document, out: Path | None) -> list[str]:
+def advice(document: Document, files: ResultFiles) -> list[str]:
     """Return what to do next, a line each."""
     lines = []
     solver = SOLVERS[document["solver"]]
@@ -414,11 +424,10 @@ def advice(document: Document, out: Path | None) -> list[str]:
     lines += further_measurements(document)
     if not document["held_out_by"]:
         lines.append(f"Next: judge the result by held-out rows{_proposal(document)}.")
-    if out is None:
+    if files.out is None:
         lines.append("Next: keep the result with --out result.json.")
-    else:
-        lines.append(f"Written: {one_line(str(out))}")
-    return lines
+    written = [*([files.out] if files.out else []), *files.others]
+    return [*lines, *(f"Written: {one_line(str(path))}" for path in written)]
 
 
 def _proposal(document: Document) -> str:
