@@ -2,9 +2,11 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -63,6 +65,26 @@ def test_nothing_is_lost_of_a_file_that_is_gone(lab, path, what):
     assert 10 * len(first) == summary.counters.samples
     assert is_head_whole(rescued)
     assert path.exists() == (what == "replaced")
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_nothing_is_lost_of_a_folder_that_is_removed(lab, tmp_path, monkeypatch, again):
+    """The folder is made again; where that is impossible, the rescued file is in the folder for temporary files."""
+    folder, other = tmp_path / "a" / "b", tmp_path / "temporary"
+    folder.mkdir(parents=True)
+    other.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(other))
+
+    def happens():
+        shutil.rmtree(folder.parent)
+        if not again:
+            folder.parent.write_text("a file where the folder was")
+
+    summary = lost(lab, folder / "s.mcap", happens)
+    rescued = (folder if again else other) / "s-rescued.mcap"
+    assert summary.file_losses == (f"{folder / 's.mcap'}: was deleted while it was written; all of it is in {rescued}",)
+    assert 10 * len(samples(rescued)) == summary.counters.samples
+    assert is_head_whole(rescued)
 
 
 def test_a_renamed_file_is_written_to_as_before(lab, path):

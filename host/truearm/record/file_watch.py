@@ -7,6 +7,7 @@ a truncation cannot be recovered.
 from __future__ import annotations
 
 import os
+import tempfile
 from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO
@@ -42,8 +43,17 @@ def new_file_beside(path: Path) -> tuple[Path, BinaryIO]:
     """Create a new file, open for reading and writing, named after ``path``: ``session-rescued.mcap``,
     ``session-rescued-2.mcap`` …
 
-    Raises WriteError if it cannot be created.
+    It is in the folder of ``path``, which is created again if it was removed. If that is impossible, it is in the
+    system's folder for temporary files. Raises WriteError if it cannot be created there either.
     """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return _new_file(path)
+    except (OSError, WriteError):
+        return _new_file(Path(tempfile.gettempdir()) / path.name)
+
+
+def _new_file(path: Path) -> tuple[Path, BinaryIO]:
     number = 1
     while True:
         out = path.with_name(f"{path.stem}-rescued{'' if number == 1 else f'-{number}'}{path.suffix}")
