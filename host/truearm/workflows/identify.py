@@ -235,7 +235,8 @@ def _check_rows(table: ObservationTable, selection: Selection) -> None:
         for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
             values = mine.column(quantity.field, np.nan).reshape(len(mine), -1)
             if not np.ptp(values, axis=0).any():
-                text = f"{quantity.words} is the same in all {len(mine)} {name} rows though the joints move"
+                are = "are" if " and " in quantity.words else "is"
+                text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"
                 raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
 
 
