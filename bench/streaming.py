@@ -76,7 +76,7 @@ def firmware() -> float:
     interpreter = micropython.find()
     with BoxProcess(interpreter, BoxSetup(), boot_id=1) as box:
         box.grant(Grant(0, rx=frame(encode_payload([50, 1]))))
-        records = struct.pack(">I4i", 0, 1, 2, 3, 4) * 100
+        records = bytes(4 * 100) + struct.pack("<4i", 1, 2, 3, 4) * 100
         n = 300
 
         def run() -> None:

@@ -64,10 +64,14 @@ class Arm:
 
         ``share`` is the share of the path covered.
         """
+        if not self.lag:
+            return np.zeros(since.shape)
         return np.asarray(-self.lag * np.where(since > 0.0, np.exp(-since / self.lag_s), share))
 
     def swinging(self, since: Floats) -> Floats:
         """Return how far the links (k,) are beyond their encoders, for motion by +1, ``since`` arrival [s], or 0."""
+        if not self.swing:
+            return np.zeros(since.shape)
         wave = np.exp(-since / self.swing_s) * np.sin(2.0 * np.pi * self.swing_hz * since)
         return np.asarray(self.swing * np.where(since > 0.0, wave, 0.0))
 

@@ -65,8 +65,8 @@ LATER_US = 1 << 29  # nothing is due
 class Grant:
     """The input of the box for one step, which lasts until ``now_us``.
 
-    ``samples`` (``mag``) are records of 20 (8) bytes, the first with index ``index`` since the start of sampling.
-    ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each
+    ``samples`` (``mag``) are n stamps of 4 bytes and n samples of 16 (4), the first with index ``index`` since the start of
+    sampling. ``fault`` refers to the last converter sample. ``thermometers`` are records of THERMOMETER, all of them in each
     grant.
     """
 

@@ -35,9 +35,9 @@ class Latency:
     stall_probability: float = 0.0
 
     def draw(self, rng: np.random.Generator) -> int:
-        extra = rng.exponential(self.mean_extra)
+        extra = self.mean_extra * rng.standard_exponential()
         if self.stall_probability and rng.random() < self.stall_probability:
-            extra += rng.exponential(self.stall)
+            extra += self.stall * rng.standard_exponential()
         return int(self.least + extra)
 
 
@@ -143,9 +143,9 @@ class Lab:
         since_ns = self._robot_until_ns
         self._robot_until_ns += ROBOT_AHEAD_NS
         times_ns, lines = self.world.robot_lines(since_ns, self._robot_until_ns, self.box.output_at)
-        for sent_ns, line in zip(times_ns, lines, strict=True):
-            at = self._in_order("robot", int(sent_ns) + FROM_ROBOT.draw(self._rng))
-            self._arrivals["robot"].append((at, int(sent_ns), line))
+        for sent_ns, line in zip(times_ns.tolist(), lines, strict=True):
+            at = self._in_order("robot", sent_ns + FROM_ROBOT.draw(self._rng))
+            self._arrivals["robot"].append((at, sent_ns, line))
 
     def _in_order(self, stream: str, t_ns: int) -> int:
         """Return the arrival in a byte stream, which keeps its order: nothing arrives before what was sent earlier."""

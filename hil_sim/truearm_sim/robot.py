@@ -39,6 +39,7 @@ RING_HZ = 9.0
 RING_DECAY = 0.05  # s
 RING_SHARE = 0.1  # of the deflection that the peak acceleration would cause: the quintic ends smoothly
 SETTLED = 10.0 * RING_DECAY  # s; the remaining ringing moves the endpoint by at most 30 nm
+BLOCK = 256  # lines made together
 
 
 Inputs = Callable[[Floats], NDArray[np.int64]]
@@ -82,6 +83,8 @@ class Controller:
     seed: int
     paths: Mapping[int, Path] = field(default_factory=dict)  # to the rows of the plan that are lines
     delay: float = 0.0
+    # The latest block of lines by its number, as true times and lines: callers request the next few of them.
+    _made: dict[int, tuple[Floats, list[bytes]]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def from_plan(
@@ -220,15 +223,22 @@ class Controller:
             out[at] = path.joints(way) + off[0] + (way / path.length)[:, None] * (off[1] - off[0])
         return out
 
-    def ticks(self, t0: float, t1: float) -> tuple[Floats, NDArray[np.int64]]:
-        """Return controller times [s] of the readings with t0 ≤ true time < t1, and their numbers since true time 0."""
-        numbers = [int(np.ceil(self.clock.reading(t) * self.rate)) for t in (0.0, t0, t1)]
-        ticks = np.arange(numbers[1], numbers[2])
-        return ticks / self.rate, ticks - numbers[0]
+    def numbers(self, t0: float, t1: float) -> tuple[int, int]:
+        """Return the numbers since true time 0 of the readings with t0 ≤ true time < t1: of the first, and after the last."""
+        start, first, last = (self._tick(t) for t in (0.0, t0, t1))
+        return first - start, last - start
+
+    def _tick(self, t: float) -> int:
+        return int(np.ceil(self.clock.reading(t) * self.rate))
+
+    def _t_robot(self, numbers: NDArray[np.int64]) -> Floats:
+        """Return the controller times (k,) [s] of the readings of these numbers (k,)."""
+        return np.asarray((self._tick(0.0) + numbers) / self.rate)
 
     def readings(self, t0: float, t1: float) -> tuple[Floats, Floats]:
         """Return controller times (k,) [s] and readings (k, j) [rad] with t0 ≤ true time < t1, same for any chunks."""
-        t_robot, numbers = self.ticks(t0, t1)
+        numbers = np.arange(*self.numbers(t0, t1))
+        t_robot = self._t_robot(numbers)
         return t_robot, self._read(self.clock.true(t_robot) - self.delay, numbers)
 
     def states(self, t0: float, t1: float, inputs: Inputs | None = None) -> States:
@@ -236,7 +246,8 @@ class Controller:
 
         ``inputs``: its digital inputs as bits (k,) at true times (k,), by default all 0.
         """
-        t_robot, numbers = self.ticks(t0, t1)
+        numbers = np.arange(*self.numbers(t0, t1))
+        t_robot = self._t_robot(numbers)
         t = self.clock.true(t_robot)
         late = t - self.delay
         after, before = late + VELOCITY_S / 2, late - VELOCITY_S / 2
@@ -257,7 +268,24 @@ class Controller:
         ``t`` is controller time [s], ``seq`` counts from the start, ``q`` is measured, ``q_cmd`` commanded [rad]. With
         ``inputs`` (see ``states``) the lines contain them too.
         """
-        t_robot, numbers = self.ticks(t0, t1)
+        first, last = self.numbers(t0, t1)
+        if inputs is not None:
+            return self._lines(first, last, inputs)
+        times, lines = [np.empty(0)], list[bytes]()
+        for block in range(first // BLOCK, (last - 1) // BLOCK + 1):
+            begin = BLOCK * block
+            if block not in self._made:
+                self._made.clear()
+                self._made[block] = self._lines(begin, begin + BLOCK)
+            t, made = self._made[block]
+            times.append(t[max(first - begin, 0) : last - begin])
+            lines += made[max(first - begin, 0) : last - begin]
+        return np.concatenate(times), lines
+
+    def _lines(self, first: int, last: int, inputs: Inputs | None = None) -> tuple[Floats, list[bytes]]:
+        """Return true times and lines of these numbers (see ``reading_lines``)."""
+        numbers = np.arange(first, last)
+        t_robot = self._t_robot(numbers)
         t = self.clock.true(t_robot)
         measured, commanded = self._read(t - self.delay, numbers), self.q_commanded(t - self.delay)
         j = measured.shape[1]

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import box
-from .box import MAG_RECORD, RECORD, RX_MAX, Answer, BoxProcess
+from .box import RX_MAX, Answer, BoxProcess
 from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
 from .micropython import Interpreter
 from .sensors import TICK_PS, period_ns
 
 BATCH = 100  # samples of a stream per grant, at most
+_STAMPS = 4096  # made at once
 
 
 @dataclass
@@ -24,6 +24,8 @@ class Feed:
     first_ns: int
     period_ns: int
     given: int = 0
+    _stamped: int = 0  # samples that have stamps
+    _stamps: bytes = b""  # the latest of them
 
     def take(self, device_ns: int) -> tuple[int, int]:
         """Return samples k0 ≤ k < k1 that were latched up to ``device_ns`` and not delivered yet, at most BATCH."""
@@ -32,10 +34,14 @@ class Feed:
         self.given = max(k0, min(due, k0 + BATCH))
         return k0, self.given
 
-    def stamps(self, k0: int, k1: int) -> NDArray[np.uint8]:
-        """Return the lower 32 bits of the hardware timer (n, 4), which counts whole microseconds since boot."""
-        stamps = (self.first_ns + np.arange(k0, k1, dtype=np.int64) * self.period_ns) // 1000
-        return (stamps & 0xFFFFFFFF).astype(">u4").view(np.uint8).reshape(-1, 4)
+    def stamps(self, k0: int, k1: int) -> bytes:
+        """Return the lower 32 bits of the hardware timer, in whole microseconds since boot, at the latest samples taken."""
+        if k1 > self._stamped:
+            self._stamped = k0 + _STAMPS
+            stamps = (self.first_ns + np.arange(k0, self._stamped, dtype=np.int64) * self.period_ns) // 1000
+            self._stamps = (stamps & 0xFFFFFFFF).astype(">u4").tobytes()
+        end = len(self._stamps) - 4 * (self._stamped - k1)
+        return self._stamps[end - 4 * (k1 - k0) : end]
 
 
 class VmBox:
@@ -95,20 +101,14 @@ class VmBox:
         self._process.close()
 
     def _adc_records(self, feed: Feed, k0: int, k1: int) -> bytes:
-        records = np.empty((k1 - k0, RECORD), np.uint8)
-        records[:, :4] = feed.stamps(k0, k1)
         counts = self._signals.counts(k0, k1, feed.first_ns, feed.period_ns)
-        records[:, 4:] = np.ascontiguousarray(counts, "<i4").view(np.uint8).reshape(-1, 16)
-        return records.tobytes()
+        return feed.stamps(k0, k1) + counts.astype("<i4", copy=False).tobytes()
 
     def _mag_records(self, feed: Feed, k0: int, k1: int) -> bytes:
-        records = np.empty((k1 - k0, MAG_RECORD), np.uint8)
-        records[:, :4] = feed.stamps(k0, k1)
         flights = self._signals.flight_times(k0, k1, feed.first_ns, feed.period_ns)
         # The start pulse begins in the middle of a tick, here as in the chip's model. 0 is below any blanking time.
         ticks = (np.maximum(flights, 0) + TICK_PS // 2) // TICK_PS
-        records[:, 4:] = ticks.astype("<i4").view(np.uint8).reshape(-1, 4)
-        return records.tobytes()
+        return feed.stamps(k0, k1) + ticks.astype("<i4").tobytes()
 
     def _judged(self, answer: Answer, device_us: int) -> Answer:
         """Apply the answer's state of the hardware; a watchdog that was not fed ends the box."""

@@ -235,16 +235,14 @@ class World:
 
     def counts(self, k0: int, k1: int, t_start_device_ns: int, period: int) -> NDArray[np.int32]:
         """Return counts (m, 4) of the same samples."""
-        return self._blocks(
-            self._counts, np.empty((0, len(sensors.CHANNELS)), np.int32), k0, k1, t_start_device_ns, period
-        )
+        return self._blocks(self._counts, k0, k1, t_start_device_ns, period)
 
     def flight_times(self, k0: int, k1: int, t_start_device_ns: int, period_ns: int) -> NDArray[np.int64]:
         """Return times of flight (m,) [ps] of the magnetostrictive head's shots k0 ≤ k < k1; −1 without a stop pulse.
 
         Shot k is at the device time ``t_start_device_ns + k·period_ns`` and shows the magnet's position at that time.
         """
-        return self._blocks(self._flights, np.empty(0, np.int64), k0, k1, t_start_device_ns, period_ns)
+        return self._blocks(self._flights, k0, k1, t_start_device_ns, period_ns)
 
     def magnet_position(self, t: Floats) -> Floats:
         """Return the position of the magnet on the magnetostrictive sensor (m,) [m] at true times t (m,).
@@ -264,28 +262,25 @@ class World:
     def _blocks(
         self,
         make: Callable[[NDArray[np.int64], int], NDArray[Any]],
-        empty: NDArray[Any],
         k0: int,
         k1: int,
         t_start_device_ns: int,
         period: int,
     ) -> NDArray[Any]:
-        """Return samples k0 ≤ k < k1 from whole blocks; ``make`` creates each from its device times [ns] and number.
+        """Return samples k0 ≤ k < k1, read only, from whole blocks; ``make`` creates each from its device times [ns] and number.
 
         The last block is kept: readers request the next few samples of it.
         """
-        parts = [empty]
-        k = k0
-        while k < k1:
-            block, first = divmod(k, sensors.BLOCK)
-            last = min(k1 - block * sensors.BLOCK, sensors.BLOCK)
-            key = (block, t_start_device_ns, period)
+        parts = []
+        for block in range(k0 // sensors.BLOCK, max(k0, k1 - 1) // sensors.BLOCK + 1):
+            key, begin = (block, t_start_device_ns, period), block * sensors.BLOCK
             if make.__name__ not in self._kept or self._kept[make.__name__][0] != key:
-                of_block = np.arange(block * sensors.BLOCK, (block + 1) * sensors.BLOCK, dtype=np.int64)
-                self._kept[make.__name__] = (key, make(t_start_device_ns + of_block * period, block))
-            parts.append(self._kept[make.__name__][1][first:last])
-            k += last - first
-        return np.concatenate(parts)
+                of_block = np.arange(begin, begin + sensors.BLOCK, dtype=np.int64)
+                made = make(t_start_device_ns + of_block * period, block)
+                made.flags.writeable = False
+                self._kept[make.__name__] = key, made
+            parts.append(self._kept[make.__name__][1][max(k0 - begin, 0) : k1 - begin])
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _counts(self, device_ns: NDArray[np.int64], block: int) -> NDArray[np.int32]:
         period = int(device_ns[1] - device_ns[0])

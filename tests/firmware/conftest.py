@@ -16,11 +16,13 @@ PERIOD_NS = 983040
 
 def records(index: int, n: int, t_start_us: int = 0) -> bytes:
     """Return n samples from `index` on whose counts identify them."""
-    return b"".join(
-        struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
-        + struct.pack("<4i", k % 2**23, -(k % 2**23), 2**23 - 1, -(2**23))
-        for k in range(index, index + n)
-    )
+    counts = [struct.pack("<4i", k % 2**23, -(k % 2**23), 2**23 - 1, -(2**23)) for k in range(index, index + n)]
+    return stamps(index, n, t_start_us) + b"".join(counts)
+
+
+def stamps(index: int, n: int, t_start_us: int) -> bytes:
+    """Return the stamps of n samples from `index` on."""
+    return b"".join(struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32) for k in range(index, index + n))
 
 
 def ticks(k: int) -> int:
@@ -30,11 +32,8 @@ def ticks(k: int) -> int:
 
 def shots(index: int, n: int, t_start_us: int = 0, missing: frozenset[int] = frozenset()) -> bytes:
     """Return n shots of the magnetostrictive head from `index` on."""
-    return b"".join(
-        struct.pack(">I", (t_start_us + k * PERIOD_NS // 1000) % 2**32)
-        + struct.pack("<i", 0 if k in missing else ticks(k))
-        for k in range(index, index + n)
-    )
+    flights = [struct.pack("<i", 0 if k in missing else ticks(k)) for k in range(index, index + n)]
+    return stamps(index, n, t_start_us) + b"".join(flights)
 
 
 class Bench:

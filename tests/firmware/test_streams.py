@@ -101,7 +101,7 @@ def test_times_outside_of_blanking_and_time_out_are_no_stops(bench):
     bench.put(config)
     bench.start()
     edge = [2499, 2500, 25_000, 25_001]
-    mag = b"".join(struct.pack(">I", k) + struct.pack("<i", n) for k, n in enumerate(edge))
+    mag = struct.pack(">4I", *range(4)) + struct.pack("<4i", *edge)
     bench.give(mag=mag, mag_index=0)
     found = bench.give(rx=command(51, 3))
     assert values(blocks(found, 1)[0]) == (0, 2500, 25_000, 0)

@@ -7,9 +7,9 @@ with grants timed by the wall clock. (The parent's half is truearm_sim/box.py.)
 
     grant   "G" flags  n_rx:u16  tx_room:u16  now:u64  temperature:i32  n_edges:u8  fault:u8
             n_adc:u16  index_adc:u64  n_mag:u16  index_mag:u64  n_thermometers:u8
-            then rx bytes, samples of the converter (stamp:u32, 4 x i32 little endian), of the magnetostrictive head (stamp:u32,
-            ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers (uid:8, temperature:i32, 0x7fffffff: it does not
-            answer); 4096 bytes at most
+            then rx bytes, stamps:u32 of the converter's samples and the samples (4 x i32 little endian), the same of the
+            magnetostrictive head (ticks:i32 little endian), edges (line, rising, stamp:u32), thermometers (uid:8,
+            temperature:i32, 0x7fffffff: it does not answer); 4096 bytes at most
     answer  "D" flags  led:u8  osr:u16  mag_period:u32  watchdog_ms:u16  rx_room:u16  starts:u8  n_tx:u16
             wake:u32, then tx bytes
 
@@ -73,6 +73,26 @@ def _u16(buf, at):
     return buf[at] << 8 | buf[at + 1]
 
 
+def _into_ring(ring, width, place, src, at, n):
+    """Copy n records of this width into a ring, from a place on."""
+    room = len(ring) // width - place
+    if n <= room:
+        copy(ring, place * width, src, at, n * width)
+    else:
+        copy(ring, place * width, src, at, room * width)
+        copy(ring, 0, src, at + room * width, (n - room) * width)
+
+
+def _out_of_ring(ring, width, place, dst, at, n):
+    """Copy n records of this width out of a ring, from a place on."""
+    room = len(ring) // width - place
+    if n <= room:
+        copy(dst, at, ring, place * width, n * width)
+    else:
+        copy(dst, at, ring, place * width, room * width)
+        copy(dst, at + room * width, ring, 0, (n - room) * width)
+
+
 class Source:
     """Samples of one kind that the parent latched, in a ring. `crash` makes the next take raise an exception."""
 
@@ -88,9 +108,10 @@ class Source:
         self.crash = False
         self.shortest = 0  # ticks that count as a stop, of the magnetostrictive head
         self.longest = 0
-        self._record = STAMP + self.sample
-        self._fifo = bytearray(FIFO * self._record)
+        self._stamps = bytearray(FIFO * STAMP)  # rings, as the next two
+        self._samples = bytearray(FIFO * self.sample)
         self._flags = bytearray(FIFO)
+        self._flagged = 0  # samples whose flags are not 0
         self._first = 0  # position of the oldest sample
         self._count = 0
         self._index = bytearray(8)  # of the oldest sample
@@ -101,8 +122,7 @@ class Source:
         self.rate = rate
         self.sampling = True
         self.starts = (self.starts + 1) & 255
-        self._count = 0
-        self._first = 0
+        self._forget()
         self._lost = 0
         self._fault = 0
 
@@ -121,15 +141,33 @@ class Source:
         if self.crash:
             self.crash = False
             raise RuntimeError("injected by the simulator")
-        copy(stamp, 0, self._fifo, self._first * self._record, STAMP)
+        first = self._first
+        copy(stamp, 0, self._stamps, first * STAMP, STAMP)
         copy(index, 0, self._index, 0, 8)
-        for i in range(n):
-            copy(dst, at + i * self.sample, self._fifo, self._first * self._record + STAMP, self.sample)
-            self._fault |= self._flags[self._first]
-            self._first = (self._first + 1) % FIFO
+        _out_of_ring(self._samples, self.sample, first, dst, at, n)
+        if self._flagged:
+            self._fault |= self._taken_flags(n)
+        self._first = (first + n) % FIFO
         self._count -= n
         add(self._index, 0, 8, n)
         return True
+
+    def _taken_flags(self, n):
+        """Return all flags of the oldest n samples and clear them."""
+        flags = 0
+        for i in range(n):
+            place = (self._first + i) % FIFO
+            if self._flags[place]:
+                flags |= self._flags[place]
+                self._flags[place] = 0
+                self._flagged -= 1
+        return flags
+
+    def _forget(self):
+        if self._flagged:
+            self._taken_flags(self._count)
+        self._count = 0
+        self._first = 0
 
     def lost(self):
         n = self._lost
@@ -145,29 +183,39 @@ class Source:
         """Put samples into the hardware buffer; if it is lapped it loses all its content, as a DMA ring does."""
         if self._count + n > FIFO:
             self._lost += self._count
-            self._count = 0
-            self._first = 0
+            self._forget()
         if self._count == 0 and n:
             copy(self._index, 0, head, index_at, 8)
-        for i in range(n):
-            place = (self._first + self._count) % FIFO
-            copy(self._fifo, place * self._record, body, at + i * self._record, self._record)
-            self._flags[place] = self._stop(place * self._record + STAMP) if self.longest else 0
-            if i == n - 1 and fault:
-                self._flags[place] |= FLAG_CONVERTER
-            self._count += 1
+        place = (self._first + self._count) % FIFO
+        _into_ring(self._stamps, STAMP, place, body, at, n)
+        _into_ring(self._samples, self.sample, place, body, at + n * STAMP, n)
+        self._count += n
+        if self.longest:
+            self._judge_stops(place, n)
+        if n and fault:
+            self._flag((place + n - 1) % FIFO, FLAG_CONVERTER)
         self.crc_errors = (self.crc_errors + (fault & 1)) & COUNTER
         self.resets = (self.resets + (fault >> 1)) & COUNTER
 
-    def _stop(self, at):
-        """Return the flags of a time of flight; one outside of blanking and time-out becomes 0."""
-        fifo = self._fifo
-        if fifo[at + 3] == 0 and self.shortest <= fifo[at] | fifo[at + 1] << 8 | fifo[at + 2] << 16 <= self.longest:
-            return 0
-        for i in range(4):
-            fifo[at + i] = 0
-        self.missing = (self.missing + 1) & COUNTER
-        return FLAG_MISSING_STOP
+    def _flag(self, place, flag):
+        if not self._flags[place]:
+            self._flagged += 1
+        self._flags[place] |= flag
+
+    def _judge_stops(self, place, n):
+        """Set times of flight outside of blanking and time-out to 0."""
+        ticks = self._samples
+        for i in range(n):
+            at = (place + i) % FIFO * 4
+            if (
+                ticks[at + 3] == 0
+                and self.shortest <= ticks[at] | ticks[at + 1] << 8 | ticks[at + 2] << 16 <= self.longest
+            ):
+                continue
+            for k in range(at, at + 4):
+                ticks[k] = 0
+            self.missing = (self.missing + 1) & COUNTER
+            self._flag(at // 4, FLAG_MISSING_STOP)
 
 
 class Thermometers:
@@ -324,9 +372,8 @@ class Board:
     def _take_rx(self, n):
         if self._rx_n + n > RX_MAX:
             raise OSError("more bytes than rx_room")
-        for i in range(n):
-            self._rx[(self._rx_first + self._rx_n) % RX_MAX] = self._body[i]
-            self._rx_n += 1
+        _into_ring(self._rx, 1, (self._rx_first + self._rx_n) % RX_MAX, self._body, 0, n)
+        self._rx_n += n
 
     def _keep_edge(self, buf, at):
         if self._edge_n == EDGES:
@@ -352,9 +399,8 @@ class Board:
         n = min(self._rx_n, len(buf))
         if n:
             self.now(stamp)
-        for i in range(n):
-            buf[i] = self._rx[self._rx_first]
-            self._rx_first = (self._rx_first + 1) % RX_MAX
+        _out_of_ring(self._rx, 1, self._rx_first, buf, 0, n)
+        self._rx_first = (self._rx_first + n) % RX_MAX
         self._rx_n -= n
         return n
 

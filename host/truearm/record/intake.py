@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from truearm.errors import ProtocolError
@@ -148,10 +149,10 @@ class Intake:
         """Store a block's last sample for viewers that cannot read frames."""
         stream = None if self.ident is None else self.ident.streams.get(data.stream)
         if stream is not None and data.samples and len(data.samples) % (_SAMPLE_BYTES * len(stream.channels)) == 0:
-            last = np.frombuffer(data.samples, "<i4")[-len(stream.channels) :].reshape(1, -1)
-            counts = with_ratios(last, stream.channels)[0].tolist()
+            last = np.frombuffer(data.samples[-_SAMPLE_BYTES * len(stream.channels) :], "<i4")
+            counts = with_ratios(last[None], stream.channels)[0].tolist()
             row = dict(shown(*pair) for pair in zip(stream.channels, counts, strict=True) if not pair[0].fault)
-            self.writer.add_json(PREVIEW + stream.name, t_host_ns, row)
+            self.writer.add(PREVIEW + stream.name, t_host_ns, msgspec.json.encode(row))
 
     def _count(self, t_host_ns: int, seq: int | None) -> None:
         self.counters.frames += 1

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
+
 from truearm.record.session_writer import SessionWriter
 
 SYNC_TIMEOUT_NS = 2_000_000_000
@@ -45,7 +47,7 @@ class Probes:
             return None
         del self._pending[probe]
         row = {"id": probe, "t0_ns": t0_ns, "t1_us": t1_us, "t2_us": t2_us, "t3_ns": t3_ns}
-        self.writer.add_json("/sync", t3_ns, row)
+        self.writer.add("/sync", t3_ns, msgspec.json.encode(row))
         rtt_us = max(0.0, away_us - (t2_us - t1_us))
         self.rtt_us = rtt_us if self.rtt_us is None else min(rtt_us, self.rtt_us)
         return t0_ns

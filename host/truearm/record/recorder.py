@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
@@ -431,7 +431,7 @@ class _Recorder:
             self._state,
             self._probes.rtt_us,
             None if robot is None else robot.end is None and robot.lost_ns is None,
-            replace(self._counters),  # a copy: it may be displayed later, next to the state of this moment
+            Counters(**vars(self._counters)),  # a copy: it may be displayed later, next to the state of this moment
             self._box.faults,
             self._state != "link lost" and not self._silent,
             None if robot is None else robot.age_s(now_ns),
