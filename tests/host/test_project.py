@@ -125,11 +125,23 @@ def test_init_takes_what_was_measured(tmp_path, run):
     assert rig.chucks["c1"].sigma == 2e-5
 
 
-def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
 
+
+def test_init_asks_for_the_links_and_the_branch_of_a_urdf(tmp_path, run, monkeypatch):
+    shutil.copy(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf", tmp_path / "arm.urdf")
+    bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+    answers = ["arm.urdf", "panda_link0", "panda_link8", bounds, *[""] * 10]
+    monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
+    monkeypatch.chdir(tmp_path)
+    assert run("init", "--minutes", 0).code == 0
+    said = read_project(tmp_path / FILE)
+    assert (said.model, said.base, said.tip, said.branch) == ("arm.urdf", "panda_link0", "panda_link8", bounds)
+
+
+def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
     monkeypatch.setattr(
         sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n4\n\n460,610\n0.02\n0.05\n")
     )

@@ -91,6 +91,7 @@ def init(
     """
     from truearm.cli.plan_text import visit_lines
     from truearm.files.project_file import Project
+    from truearm.files.robot_file import is_urdf
     from truearm.workflows.project import Wanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
@@ -103,6 +104,10 @@ def init(
         )
 
     model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", "ur5e")
+    if is_urdf(model):
+        base = ask(base or None, "First link of the arm in the URDF (Enter for its root)")
+        tip = ask(tip or None, "Last link of the arm in the URDF (Enter for its only leaf)")
+        branch = ask(branch, "Joint bounds of the arm configuration to stay in [deg], LOW:HIGH,… from the base on")
     project = Project(
         model=_from_folder(model, folder),
         base=base,
@@ -130,9 +135,8 @@ def init(
         if zero is not None
         else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
     )
-    wanted = Wanted(
-        project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, branch_given(branch)
-    )
+    bounds = branch_given(branch or None)
+    wanted = Wanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
     created = create(folder, wanted)
     print_lines(f"{path.name:<16}{path}" for path in created.written)
     if created.plan is not None:
