@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.host.mutations import is_clear
 
 from truearm.errors import ProgramError
+from truearm.files.programs.environment import Work
 from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import Surroundings, parse_program
 from truearm.files.programs.syntax import MAX_DEPTH
@@ -448,6 +449,72 @@ def test_routines_that_call_each_other_are_followed_within_a_bound():
         parsed("def prog():\n" + "\n".join(reversed(lines)) + "\nf0()\nend", "urscript")
 
 
+def counting_routines(n):
+    """A module as of welding cells: routines that count, choose and change targets item by item, called with values from many places in loops."""
+    data = "VAR robtarget z; PERS num a{3}:=[0,0,0]; VAR num total; VAR num index; VAR num other; VAR bool done;"
+    choices = [
+        f"IF index={k} THEN\n z.trans.x:=a{{{k % 3 + 1}}}+dx*{k}; a{{{k % 3 + 1}}}:=total;\nELSE\n z.trans.y:=other+dx;\nENDIF"
+        for k in range(20)
+    ]
+    body = ["total:=total+1;", "other:=other+total*dx;", f"z:={T2};", *choices, "MoveL z,v10,fine,tool0;"]
+    calls = [f"WHILE total<{k} DO\n index:=index+1;\n step {k}.5;\n step total+other;\nENDWHILE" for k in range(n)]
+    lines = [
+        data,
+        "PROC main()",
+        f"MoveL {T1},v10,fine,tool0;",
+        *calls,
+        "ENDPROC",
+        "PROC step(num dx)",
+        *body,
+        "ENDPROC",
+    ]
+    return "\n".join(["MODULE m", *lines, "ENDMODULE"])
+
+
+def test_routines_that_count_in_loops_are_followed():
+    """What is taught in such a module stays certain, and what is computed is refused where the robot moves there."""
+    text = counting_routines(10)
+    done, refused = split_up(text, "rapid")
+    assert done == [4]
+    assert refused
+    assert {text.splitlines()[line - 1] for line in refused} == {"MoveL z,v10,fine,tool0;"}
+
+
+def choosing(n):
+    """A module that changes a target, and a script that changes numbers, in one of n choices after the other."""
+    lines = ["IF c z.trans.x:=z.trans.y+1;", "IF c z.trans.y:=z.trans.x+2;"] * n
+    return "\n".join(
+        [
+            "MODULE m",
+            "VAR robtarget z;",
+            "PROC main()",
+            f"z:={T1};",
+            *lines,
+            "MoveL z,v10,fine,tool0;",
+            "ENDPROC ENDMODULE",
+        ]
+    )
+
+
+def many_routines(n):
+    """A module without a main routine, as a person calls each from the pendant."""
+    routines = [f"VAR num v{k};\nPROC r{k}()\nv{k}:=v{k}+1;\nMoveL {T1},v10,fine,tool0;\nENDPROC" for k in range(n)]
+    return "\n".join(["MODULE m", *routines, "ENDMODULE"])
+
+
+@pytest.mark.parametrize("program_of", [counting_routines, choosing, many_routines])
+def test_possibilities_do_not_multiply(program_of, monkeypatch):
+    """A program of twice the size takes less than the square of the work, however many ways lead through it."""
+    spend, spent = Work.spend, []
+    monkeypatch.setattr(Work, "spend", lambda work, units: (spent.append(units), spend(work, units))[1])
+    works = []
+    for n in (30, 60):
+        spent.clear()
+        targets_of(parsed(program_of(n), "rapid"), True, False)
+        works.append(sum(spent))
+    assert works[1] < 4 * works[0]
+
+
 def mutated(rng, text):
     """A few changes of a program: parts cut, doubled, moved, replaced by words of the language, brackets and bytes."""
     data = bytearray(text.encode("latin-1"))
@@ -569,6 +636,7 @@ def test_a_megabyte_takes_no_second_whatever_is_in_it(language):
 # one thing in a program that cannot be known: that move is refused by its line, and the others are corrected
 
 UNKNOWN_SCRIPT = [
+    'socket_send_line("movel(p[1,2,3,4,5,6])")', 'socket_send_string(str_cat(str_cat("servoj (", to_str(q)), ")"), "other")',
     "movel(get_actual_tcp_pose())", "movel(get_target_tcp_pose())", "movej(get_actual_joint_positions())", "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))",
     f"movel(pose_add(get_target_tcp_pose(), {P}))", "movel(pose_inv(get_actual_tcp_pose()))", f"movel(pose_trans({P}, p[0,0,read_input_float_register(0),0,0,0]))",
     f"movel(pose_trans({P}, p[0,0,d,0,0,0]))", "movel(Elsewhere)", "movej(Elsewhere_q)", f"movel(interpolate_pose({P}, {Q}, 0.5))", "speedl([0,0,0.1,0,0,0], 0.5, 1)",

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
+from math import prod
 from typing import Protocol, assert_never
 
-from truearm.errors import ProgramError
-from truearm.files.programs.environment import Environment, Key
+from truearm.files.programs.environment import SEVERAL, Environment, Key, Work
 from truearm.files.programs.motions import UNDECLARED, Motion, goal_of
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.syntax import (
@@ -42,18 +43,29 @@ from truearm.files.programs.syntax import (
 from truearm.files.programs.tree_walks import (
     assigns_parameters,
     calls_in,
-    reached_by,
     root_of,
     routines_in,
     statements_in,
+    touched_by,
 )
-from truearm.files.programs.values import Goal, Listed, Unknown, Value, Values, combined, joined
+from truearm.files.programs.values import (
+    MOST_LISTS,
+    Goal,
+    Listed,
+    Unknown,
+    Value,
+    Values,
+    combined,
+    counts,
+    distinct,
+    joined,
+    merged,
+    most_choices,
+)
 
 MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
-STEPS, STEPS_EACH = 200_000, 8  # maximum number of executed statements, and more per statement of the program
-CALL = 10  # cost of a call in statements
-
+CALL = 10  # cost of a call, in parts of an expression
 
 GLOBAL = 0
 TOOL = "tool in force"  # variable names contain no spaces
@@ -113,15 +125,21 @@ class Flow:
     def __init__(self, source: Source, language: Language, routines: Iterable[Routine]) -> None:
         self.source, self.language = source, language
         self.motions: dict[int, Motion] = {}
-        self.environment = Environment()
+        self.work = Work(source)
+        self.environment = Environment(self.work)
         self.parents: dict[str, str | None] = {}
         self.routines: dict[str, Routine] = {}
         self.called: set[str] = set()
         self.volatile: set[str] = set()
+        # of routines and conditions, once it was asked
+        self.assigning: dict[str, bool] = {}  # whether they assign to what is given to them
+        self.touched: dict[str, tuple[set[str], set[str], set[str]]] = {}  # what they themselves use, change and call
+        self.reached: dict[str, tuple[set[str], set[str]]] = {}  # what they and those that they call use and change
+        self.running_routines: dict[int, bool] = {}  # whether they run a routine, by their identity
+        self.first_jumps: dict[str, int] = {}  # the place of the first statement of a routine with a jump
         for routine in routines:
             self._declare(routine, None)
         self._find_volatile()
-        self.steps = STEPS + STEPS_EACH * sum(1 for one in self.routines.values() for _ in statements_in(one.body))
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
@@ -152,12 +170,17 @@ class Flow:
                 self.volatile |= {TOOL} if call.function == "set_tcp" else set()
                 if routine is None:
                     self.volatile |= {root_of(one) for one in self.language.changed_by(call)}
-                elif assigns_parameters(routine):
+                elif self._assigns_parameters(routine):
                     self.volatile |= {root_of(one) for one in call.arguments}
                 if routine is not None and routine.name not in seen:
                     seen.add(routine.name)
                     blocks.append(routine.body)
         self.volatile.discard("")
+
+    def _assigns_parameters(self, routine: Routine) -> bool:
+        if routine.name not in self.assigning:
+            self.assigning[routine.name] = assigns_parameters(routine)
+        return self.assigning[routine.name]
 
     # variables
 
@@ -203,9 +226,7 @@ class Flow:
         return all(self._step(statement) for statement in block)
 
     def _step(self, statement: Statement) -> bool:
-        self.steps -= 1
-        if self.steps < 0:
-            raise ProgramError(f"{self.source.name}: its routines and loops are too complex to follow; split it")
+        self.work.spend(1)
         match statement:
             case Do(what):
                 self.value(what)
@@ -241,8 +262,13 @@ class Flow:
         of = self.value(target.of)
         places = (target.at,) if isinstance(target.at, str) else self.value(target.at)
         changed: Values = ()
+        self.work.spend(len(of) * len(places))
         for place in places:
-            changed = joined(changed, tuple(self.language.changed(one, place, values, target.start) for one in of))
+            each = tuple(self.language.changed(one, place, values, target.start) for one in of)
+            self.work.spend(sum(len(one.items) for one in each if isinstance(one, Listed)) // SEVERAL)
+            changed = joined(changed, each)
+            if len(changed) > MOST_LISTS:
+                changed = merged(changed)
         if isinstance(target.of, Name | Element):
             self._assign(target.of, changed, scope)
 
@@ -258,7 +284,11 @@ class Flow:
 
     def _runs_routine(self, expression: Expression) -> bool:
         """Return whether the value of an expression calls a routine of the program, which may change variables."""
-        return any(call.function in self.routines for call in calls_in(expression))
+        found = self.running_routines.get(id(expression))
+        if found is None:
+            found = any(call.function in self.routines for call in calls_in(expression))
+            self.running_routines[id(expression)] = found
+        return found
 
     def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
         ways: list[Mapping[Key, Values]] = [] if whole else [{}]
@@ -286,12 +316,13 @@ class Flow:
             self.turns.pop()
             end = environment.layers.pop()
             before = {key: environment.get(key) for way in (end, *turn.continues) for key in way}
+            self.work.spend(len(before))
             environment.join([{}, *turn.continues, *([end] if reached else [])])
             grown = [key for key, values in before.items() if environment.get(key) != values]
             if not grown:
                 break
-            if turns >= MAX_TURNS:
-                for key in grown:
+            for key in grown:
+                if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
                     environment.set(key, (Unknown(f"{key[1]} changes from turn to turn of a loop", 0),))
         if loop.condition is not None and self._runs_routine(loop.condition):
             self.value(loop.condition)  # it is evaluated once more often than the body
@@ -301,6 +332,7 @@ class Flow:
 
     def value(self, expression: Expression) -> Values:
         """Return the possible values of an expression."""
+        self.work.spend(1)
         match expression:  # the most frequent first
             case Call():
                 return self._call(expression)
@@ -314,13 +346,19 @@ class Flow:
                 return (Listed(tuple(self.value(item) for item in items), pose),)
             case Element(of, at, start):
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
-                found = (value for one in lists for place in places for value in self.language.item(one, place, start))
+                found: list[Value] = []
+                for one, place in product(lists, places):
+                    reached = self.language.item(one, place, start)
+                    self.work.spend(len(reached) // SEVERAL)
+                    found += reached
                 # beyond the end of a list the program would stop, so such a path is not followed further
-                return tuple(dict.fromkeys(found)) or (Unknown("the list has no such element", start),)
+                return distinct(found) or (Unknown("the list has no such element", start),)
             case Operation(sign, operands, start):
                 if sign in ("and", "or") and self._runs_routine(operands[1]):
                     return self._either(expression)
-                return combined(start, operator_of(sign, start), [self.value(operand) for operand in operands])
+                given = [self.value(operand) for operand in operands]
+                self.work.spend(min(prod(map(len, given)), most_choices(given)) - 1)
+                return combined(start, operator_of(sign, start), given)
             case _:
                 assert_never(expression)
 
@@ -339,6 +377,8 @@ class Flow:
                 self.running[routine.name] = {}
                 self.environment.records.append(self.running[routine.name])
             return self.enter(routine, call, arguments, named)
+        if (choices := prod(map(len, (*arguments, *named.values())))) > 1:
+            self.work.spend(min(choices, most_choices((*arguments, *named.values()))))
         found = self.language.call(self, call, arguments, named)
         if found is None:
             why = f"{call.function} is not defined in this file; it may move the robot"
@@ -354,7 +394,7 @@ class Flow:
     ) -> Values:
         """Execute a routine with the possibilities of its arguments."""
         self.called.add(routine.name)
-        self.steps -= CALL
+        self.work.spend(CALL)
         if len(self.stack) > MAX_CALLS or any(one.routine is routine for one in self.stack):
             at = call or Call(routine.name, (), (), routine.start, routine.start)
             self.uncertain(
@@ -394,10 +434,7 @@ class Flow:
         if routine.handlers:
             self.environment.records.append(record)
         ordered = not self.loose
-        jumps = (
-            k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in statements_in((one,)))
-        )
-        first = next(jumps, len(routine.body))
+        first = self._first_jump(routine)
         reached = self.run(routine.body[:first])
         if reached and first < len(routine.body):
             self.loose = True
@@ -426,6 +463,15 @@ class Flow:
                         self._assign(place, joined(self.value(place), way[name]), "")
         return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
 
+    def _first_jump(self, routine: Routine) -> int:
+        """The place of the first statement of a routine with a jump in it, or behind the last."""
+        if routine.name not in self.first_jumps:
+            jumps = (
+                k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in statements_in((one,)))
+            )
+            self.first_jumps[routine.name] = next(jumps, len(routine.body))
+        return self.first_jumps[routine.name]
+
     def _doubled(self, routine: Routine, places: Mapping[str, Expression]) -> dict[str, str]:
         """Return parameters (and their variables) that the routine reaches by two names and changes by one of them."""
         roots = {
@@ -433,13 +479,30 @@ class Flow:
         }
         if not roots:
             return {}
-        used, changed = reached_by(routine, self.routines, self.language.changed_by)
+        if routine.name not in self.reached:
+            self.reached[routine.name] = self._reached_by(routine)
+        used, changed = self.reached[routine.name]
         given = list(roots.values())
         return {
             name: root
             for name, root in roots.items()
             if (root in used or given.count(root) > 1) and not changed.isdisjoint((name, *roots, root))
         }
+
+    def _reached_by(self, routine: Routine) -> tuple[set[str], set[str]]:
+        """The names that a routine and those that it calls use, and those that they change."""
+        used, changed, found, waiting = set[str](), set[str](), {routine.name}, [routine.name]
+        while waiting:
+            name = waiting.pop()
+            if name not in self.touched:
+                self.touched[name] = touched_by(self.routines[name], self.routines, self.language.changed_by)
+            own_used, own_changed, called = self.touched[name]
+            self.work.spend((len(own_used) + len(own_changed) + len(called)) // SEVERAL)
+            used |= own_used
+            changed |= own_changed
+            waiting += called - found
+            found |= called
+        return used, changed
 
     def end_threads(self, parent: str | None) -> None:
         """Execute the threads of a routine once more with everything that the routine assigned while they ran."""
@@ -481,6 +544,7 @@ class Flow:
         ``straight``: along a line from the robot's position.
         """
         motion = self.motion(call.function, call.start, call.end)
+        self.work.spend(len(tools) * len(frames) * sum(len(values) for values, _ in targets))
         ends: dict[Value, None] = {}
         for tool in tools:
             for frame in frames:
@@ -496,7 +560,10 @@ class Flow:
         several = Unknown("it may be at too many places to be distinguished", call.start)
         reached = tuple(ends) if len(ends) <= MOST_STARTS else (several,)
         motion.straight = straight
-        motion.legs.append((self.environment.get(_HERE) or _ANYWHERE, tuple(ends)))
+        leg = (self.environment.get(_HERE) or _ANYWHERE, tuple(ends))
+        if not motion.legs or motion.legs[-1] != leg:
+            self.work.spend(len(leg[0]) * len(ends) // SEVERAL)
+            motion.legs.append(leg)
         self.environment.set(_HERE, joined(self.environment.get(_HERE), reached) if self.loose else reached)
 
 

@@ -43,6 +43,7 @@ from truearm.files.programs.values import (
     Value,
     Values,
     combined,
+    counts,
     joined,
 )
 
@@ -240,29 +241,37 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     entries += [one for one in routines if one.name == "main" and one not in entries]
     record: dict[Key, dict[Value, None]] = {}
     flow.environment.records.append(record)
+    kept_keys = {(0, name) for name in kept}
     for turn in range(MAX_ROUNDS):
         grown = False
         for routine in entries:
+            own: dict[Key, dict[Value, None]] = {}
+            flow.environment.records.append(own)
             flow.environment.layers.append({})
             flow.enter(routine, None, (), {})
             flow.environment.layers.pop()
-            for name in kept:
+            flow.environment.records.pop()
+            for key in kept_keys.intersection(own):
                 # All values it ever had: the run may be stopped anywhere, or ended by ExitCycle.
-                before = flow.environment.get((0, name))
-                after = joined(before, tuple(record.get((0, name), ())))
+                before = flow.environment.get(key)
+                after = joined(before, tuple(own[key]))
+                if turn and counts(before, after):
+                    after = (Unknown(f"{key[1]} changes from run to run", 0),)
                 grown |= after != before
-                flow.environment.set((0, name), after)
+                flow.environment.set(key, after)
         if not grown:
             break
         if turn == MAX_ROUNDS - 2:
             for name in kept:
                 flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
     flow.environment.records.pop()
+    flow.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call
         if routine.name != "main" and (routine in entries or routine.name not in flow.called):
-            flow.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            flow.environment.layers.append({})
             flow.enter(routine, None, (), {})
             flow.environment.layers.pop()
+    flow.environment.layers.pop()
     return flow
 
 

@@ -76,26 +76,17 @@ def assigns_parameters(routine: Routine) -> bool:
     return bool(names & (assigned | given))
 
 
-def reached_by(
+def touched_by(
     routine: Routine, routines: Mapping[str, Routine], changed_by: Callable[[Call], Sequence[Expression]]
-) -> tuple[set[str], set[str]]:
-    """Return the names that a routine and those that it calls use, and those that they change."""
-    used, changed, found = set[str](), set[str](), {routine.name}
-    waiting = [routine]
-    while waiting:
-        one = waiting.pop()
-        used |= set(names_in((one.body, one.handlers)))
-        for block in (one.body, *one.handlers):
-            changed |= {
-                root_of(at.target) for at in statements_in(block) if isinstance(at, Assign) and at.scope != "local"
-            }
-        for call in calls_in((one.body, one.handlers)):
-            other = routines.get(call.function)
-            if other is None:
-                changed |= {root_of(argument) for argument in changed_by(call)}
-                continue
+) -> tuple[set[str], set[str], set[str]]:
+    """Return the names that a routine itself uses, those that it changes, and the routines that it calls."""
+    used, changed, called = set(names_in((routine.body, routine.handlers))), set[str](), set[str]()
+    for block in (routine.body, *routine.handlers):
+        changed |= {root_of(at.target) for at in statements_in(block) if isinstance(at, Assign) and at.scope != "local"}
+    for call in calls_in((routine.body, routine.handlers)):
+        if call.function in routines:
+            called.add(call.function)
             changed |= {root_of(argument) for argument in (*call.arguments, *(value for _, value in call.named))}
-            if other.name not in found:
-                found.add(other.name)
-                waiting.append(other)
-    return used, changed
+        else:
+            changed |= {root_of(argument) for argument in changed_by(call)}
+    return used, changed, called

@@ -8,9 +8,9 @@ target reached through names, features and offsets therefore leads back to the n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,8 @@ from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
 from truearm.types import Floats
 from truearm.units import DEG, MM
 
-MOST = 20_000  # possibilities of a function of several arguments
+MOST = 1_000  # possibilities of a function of several arguments
+MOST_LISTS = 16  # versions of a list or record, before the possibilities of its items are joined
 UNIT_QUATERNION = 1e-3  # tolerance of the norm of a quaternion about 1, if it was written with few digits
 
 
@@ -32,11 +33,20 @@ class Unknown(NamedTuple):
     remedy: str = ""
 
 
-class Listed(NamedTuple):
-    """A list or record, each item with its possibilities; ``pose`` if it is a p[…]."""
-
+class _Listed(NamedTuple):
     items: tuple[Values, ...]
     pose: bool = False
+
+
+class Listed(_Listed):
+    """A list or record, each item with its possibilities; ``pose`` where it is a p[…]. It may be large, so that its hash is kept."""
+
+    _hash: int | None = None
+
+    def __hash__(self) -> int:
+        if self._hash is None:
+            self._hash = super().__hash__()
+        return self._hash
 
 
 class Fields(NamedTuple):
@@ -100,16 +110,58 @@ def joined(a: Values | None, b: Values | None) -> Values:
         return b or ()
     if not b or a == b:
         return a
-    return tuple(dict.fromkeys(a + b))
+    return distinct(a + b)
+
+
+def distinct(values: Iterable[Value]) -> Values:
+    """Return each value once, in order.
+
+    If one is unknown, the first reason is kept and numbers are dropped: an unknown number may be any, and several would multiply with each operator.
+    """
+    found = dict.fromkeys(values)
+    if len(found) > 1 and (reason := next((one for one in found if isinstance(one, Unknown)), None)) is not None:
+        return tuple(one for one in found if one is reason or not isinstance(one, Unknown | Number))
+    return tuple(found)
+
+
+def merged(values: Values) -> Values:
+    """Return lists and records of one shape as one, with the possibilities of all of them item by item, and the others as they are.
+
+    What is lost is which items belong together.
+    """
+    shapes: dict[object, list[Listed | Fields]] = {}
+    others: list[Value] = []
+    for one in values:
+        if isinstance(one, Listed | Fields):
+            shape = (one.pose, len(one.items)) if isinstance(one, Listed) else one.names
+            shapes.setdefault(shape, []).append(one)
+        else:
+            others.append(one)
+    for same in shapes.values():
+        columns = zip(*(one.items for one in same), strict=True)
+        items = tuple(distinct(chain.from_iterable(column)) for column in columns)
+        others.append(same[0]._replace(items=tuple(merged(one) if len(one) > MOST_LISTS else one for one in items)))
+    return tuple(others)
 
 
 def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
     """Return the results of a function of single values for every combination of possibilities."""
     if len(arguments) == 1:
         return tuple(function(one) for one in arguments[0])
-    if math.prod(map(len, arguments)) > max(MOST, *map(len, arguments)):
+    if math.prod(map(len, arguments)) > most_choices(arguments):
         return (Unknown("it has too many possibilities to be followed", at),)
-    return tuple(dict.fromkeys(function(*choice) for choice in product(*arguments)))
+    return distinct(function(*choice) for choice in product(*arguments))
+
+
+def counts(before: Values | None, after: Values | None) -> bool:
+    """Return whether only numbers were added to the possibilities, as from turn to turn of a loop that counts."""
+    new = set(after or ()).difference(before or ())
+    return bool(new) and all(isinstance(one, Number) for one in new)
+
+
+def most_choices(arguments: Sequence[Values]) -> int:
+    """Return how many choices of possibilities ``combined`` follows at most."""
+    return max(MOST, *map(len, arguments))
 
 
 def first_unknown(values: Sequence[Value]) -> Unknown | None:
