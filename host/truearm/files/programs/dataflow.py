@@ -73,6 +73,8 @@ _HERE: Key = (GLOBAL, "where the robot is")
 _ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
 MOST_STARTS = 64  # of a straight move: maximum number that are distinguished
 
+Names = set[str]
+
 
 class Language(Protocol):
     """The functions and operators of a language.
@@ -489,7 +491,7 @@ class Flow:
             if (root in used or given.count(root) > 1) and not changed.isdisjoint((name, *roots, root))
         }
 
-    def _reached_by(self, routine: Routine) -> tuple[set[str], set[str]]:
+    def _reached_by(self, routine: Routine) -> tuple[Names, Names]:
         """The names that a routine and those that it calls use, and those that they change."""
         used, changed, found, waiting = set[str](), set[str](), {routine.name}, [routine.name]
         while waiting:
