@@ -10,14 +10,16 @@ import fault_worlds as worlds
 import numpy as np
 import pytest
 from puma_bench import SIGMA
+from ur10_bench import POSITION_SIGMA, tracked
 from ur10_bench import RIG as UR10_RIG
 from ur10_bench import ROBOT as UR10
-from ur10_bench import tracked
 
+import truearm
 from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, explanations_of
 from truearm.model.builtin import builtin_names
+from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.usability_words import usability_sentences
 from truearm.types import ObservationTable, Unusable, WrongInput
@@ -258,3 +260,26 @@ def test_real_tracker_data_with_a_mistake():
         explanations, _ = explanations_of(UR10.chain, UR10_RIG, wrong, every, UR10.free, ROBOTS)
         assert explanations
         assert explanations[0].text.startswith(text)
+
+
+def test_a_robot_with_links_of_another_is_named_though_it_fits():
+    """A UR5e's positions fit a UR10e as well, whose links are then 0.2 m shorter than described."""
+    rng = np.random.default_rng(5)
+    arm, other = builtin_robot("ur5e"), builtin_robot("ur10e")
+    q = rng.uniform(-1.3, 1.3, (120, 6))
+    truth = np.array([p.nominal for p in arm.chain.parameters])
+    xyz = point_forward(arm.chain, truth, q, np.tile([0.05, 0.0, 0.1], (120, 1))) + POSITION_SIGMA * rng.normal(
+        size=(120, 3)
+    )
+    rows = ObservationTable(
+        q=q,
+        kind=np.full(120, "position"),
+        xyz=xyz,
+        tracker=np.full(120, "tracker"),
+        target=np.full(120, "reflector"),
+        source=np.array([f"poses.csv row {i + 2}" for i in range(120)]),
+    )
+    result = truearm.identify(other, rows, UR10_RIG)
+    assert result.estimate.status == "converged"
+    assert [one.text for one in result.estimate.explanations] == ["the observations are of robot ur5e, not of ur10e"]
+    assert truearm.identify(arm, rows, UR10_RIG).estimate.explanations == ()

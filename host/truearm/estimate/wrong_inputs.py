@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.label_search import FAR, NEAR, Search, relabellings
+from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_test import log_chance
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS
@@ -118,8 +118,8 @@ def diagnosed(
     finished = _finished(chain, rig, table, estimate.fitted, free) if _unconverged(estimate) else None
     if absurd(estimate) and finished is None:
         explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual)
-    elif _elsewhere(estimate) or (finished is not None and max(finished.moved, finished.shifted) > FAR):
-        explanations, labels = _turned_about(chain, rig, table, estimate.fitted, free)
+    elif elsewhere(estimate) or (finished is not None and max(finished.moved, finished.shifted) > FAR):
+        explanations, labels = _as_described(chain, rig, table, estimate.fitted, free, robots or {})
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     return replace(estimate, unusable=_unusable(estimate))
 
@@ -174,12 +174,23 @@ def _finished(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free
     return fit if within else None
 
 
-def _turned_about(
-    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask
+def _as_described(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, robots: Mapping[str, Candidate]
 ) -> tuple[tuple[Explanation, ...], Search]:
-    """Return labels that place base and tool where they were described, for a fit without any other sign of error."""
+    """Return labels that place base and tool where they were described, and robots whose links are as described.
+
+    The fit has no other sign of error: another robot of the same arrangement of axes fits as well, with other links.
+    """
+    given = table.select(np.flatnonzero(rows)[_thin(int(rows.sum()))])
+    before = tried(chain, rig, given, free)
+    found: list[_Found] = []
+    if before is not None and before.shifted > FAR:
+        for one in _robots(chain, rig, given, robots):
+            after = tried(one.chain, one.rig, one.table, one.free)
+            if after is not None and after.shifted < NEAR and after.reduced <= AS_WELL * before.reduced:
+                found.append(_found(WrongInput.ROBOT, one.text, len(given), before, after, 1))
     labels = relabellings(chain, rig, table, rows, free)
-    return _ranked(list(_by_labels(labels, table, int(rows.sum())))), labels
+    return _ranked([*found, *_by_labels(labels, table, int(rows.sum()))]), labels
 
 
 def absurd(estimate: Estimate) -> bool:
@@ -187,7 +198,7 @@ def absurd(estimate: Estimate) -> bool:
     return _unconverged(estimate) or _beyond(estimate, "weak_sigma")
 
 
-def _elsewhere(estimate: Estimate) -> bool:
+def elsewhere(estimate: Estimate) -> bool:
     """Return whether a parameter moved far from its described value: wrong labels may rotate a fixture."""
     p = estimate.n_robot_parameters
     wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])

@@ -22,7 +22,7 @@ from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import free_without_gains, prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed
+from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_file import (
     Input,
@@ -315,7 +315,7 @@ def identified(
     )
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
-    others = _other_robots() if absurd(estimate) else {}
+    others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
     with step("trying other readings of the inputs"):
         estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
     with step("weighing joint laws"):
