@@ -99,7 +99,7 @@ def without_outliers(
             return None
     else:
         return None
-    if used.all() or not _single(~used):
+    if used.all() or not _single(~used) or (square > gate(width)).sum() > MOST * n:
         return None
     information = here.information._replace(residual=observe(problem, here.x, columns).residual)
     return here._replace(
