@@ -178,7 +178,7 @@ def test_a_drift_is_named_by_what_it_is_linear_in(name):
         found = the_one(before)
         assert str(found.effect) == name
         assert abs(found.size - 200e-6) < 4.0 * found.sigma < 150e-6
-        said, applied = systematic_sentences(systematic_entries(before.systematic, rows))
+        said, applied = systematic_sentences(systematic_entries(before.systematic, rows), str)
         assert DRIFTS[name] in said
         assert f"allow {name}." in applied
         after = worlds.identified(rows, [parse_effect(name)])

@@ -51,7 +51,7 @@ class SimulateCommand(ProjectCommand):
         other = any(typed(ctx, name) is not None for name in ("poses", "lines", "model", "stage"))
         if other:
             ctx.params["plan"] = typed(ctx, "plan")
-        if other or ctx.params["plan"] is None:
+        if other or ctx.params.get("plan") is None:
             ctx.params["rig"] = typed(ctx, "rig")
         return super().invoke(ctx)
 
