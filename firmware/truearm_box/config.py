@@ -14,6 +14,7 @@ PERIOD_MAX_NS = 1000000000
 TRIGGER_MIN_MS = 10
 TRIGGER_MAX_MS = 16000  # a 65536th of it, times 65535, is a small integer
 THERMOMETERS = 4  # maximum number in a configuration
+NO_TRIGGER = [0, 0]  # also where an older host or file leaves it out
 REARM_NS = 10000  # between the time-out and the next interrogation
 DEFAULT = {
     "version": VERSION,
@@ -34,7 +35,7 @@ DEFAULT = {
         "date": "",
     },
     "debounce_us": [0, 0],
-    "trigger_ms": [0, 0],
+    "trigger_ms": [50, 150],
     "watchdog_ms": 2000,
 }
 
@@ -46,6 +47,7 @@ def completed(config):
     new = dict(DEFAULT)
     new["magnetostrictive"] = dict(DEFAULT["magnetostrictive"])
     new["magnetostrictive"]["period_ns"] = 0
+    new["trigger_ms"] = NO_TRIGGER
     new.update(config)
     return new
 
@@ -67,7 +69,7 @@ def check(config):
     debounce = config.get("debounce_us")
     if not isinstance(debounce, list) or len(debounce) != 2 or not all(_within(us, 0, 1000000) for us in debounce):
         raise ValueError("debounce_us is two times of 0 to 1000000")
-    _check_trigger(config.get("trigger_ms", DEFAULT["trigger_ms"]))
+    _check_trigger(config.get("trigger_ms", NO_TRIGGER))
     _check_thermometers(config.get("thermometers", {}))
     if config.get("watchdog_ms") != 0 and not _within(config.get("watchdog_ms"), 100, 8000):
         raise ValueError("watchdog_ms is 0 or 100 to 8000")

@@ -26,7 +26,7 @@ class Settings:
     def _use(self):
         self.osr = self.config["osr"]
         self.mag_period_ns = self.config["magnetostrictive"]["period_ns"]
-        self.trigger_ms = self.config.get("trigger_ms", config.DEFAULT["trigger_ms"])  # a host of 1.1 omits it
+        self.trigger_ms = self.config.get("trigger_ms", config.NO_TRIGGER)  # a host of 1.1 omits it
         self._board.configure(self.config)
         self._temperatures.configure(self.config)
 

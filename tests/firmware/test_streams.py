@@ -181,6 +181,7 @@ def test_edges_that_nobody_had_room_for_are_counted(bench):
 
 def test_a_minute_without_a_host(chip):
     """The box keeps time, counts what it drops, shows it on its LED, and resumes: a jump of n0 of both streams, none of seq."""
+    chip.put(chip.document(messages.GET_CONFIG) | {"trigger_ms": [0, 0]})  # all edges are the test's own
     chip.start()
     found = chip.sample(52, both=True)
     assert chip.answer.led == LED["streaming"]

@@ -71,9 +71,16 @@ def test_it_toggles_while_streaming_alone_and_ends_at_zero(bench):
     assert [edge for _, _, edge in edges(bench, 2)] == [1, 0]
 
 
-def test_off_is_the_default_and_what_a_host_of_1_1_leaves_out(bench):
+def test_a_new_box_toggles_every_50_to_150_ms(bench):
+    assert bench.document(messages.GET_CONFIG)["trigger_ms"] == [50, 150]
+    bench.start()
+    waits = np.diff([t for _, t, _ in edges(bench, 40)])
+    assert waits.min() >= 50_000
+    assert waits.max() < 150_000
+
+
+def test_what_a_host_of_1_1_leaves_out_is_off(bench):
     config = bench.document(messages.GET_CONFIG)
-    assert config["trigger_ms"] == [0, 0]
     del config["trigger_ms"]
     assert messages.REPLY in {f[0] for f in bench.put(config)}
     bench.start()
