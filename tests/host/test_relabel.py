@@ -15,7 +15,7 @@ from truearm.files.labels_file import labels_path, read_labels
 from truearm.files.robot_file import RobotChoice
 from truearm.files.write_lock import hold
 from truearm.model.robot import builtin_robot
-from truearm.session.dwells import NEED_WORDS
+from truearm.session.dwells import NEED_DECISION
 from truearm.types import BAR_MOUNTED
 from truearm.workflows.inputs import Sources, read_sources
 from truearm.workflows.record import unsettled
@@ -121,7 +121,7 @@ class TestOneMissedEnter:
 
     def test_the_recording_says_so_at_its_end(self, path):
         found = recorded_dwells(path)
-        assert re.fullmatch(r"40 dwells: \d+ usable, 29 need your word(, 1 rail)?", found.sentence)
+        assert re.fullmatch(r"40 dwells: \d+ usable, 29 need a decision(, 1 rail)?", found.sentence)
         assert "truearm relabel" in unsettled(found, path)
 
     def test_trusting_the_plan(self, path, capsys, plan):
@@ -132,7 +132,7 @@ class TestOneMissedEnter:
         assert used(path) == {k: pairing_at(plan, k) for k in used(path)}
         assert len(used(path)) == document["usable"]
         assert path.read_bytes() == data
-        assert recorded_dwells(path).need_words == 0
+        assert recorded_dwells(path).need_decision == 0
         assert main(["inspect", str(path), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["dwells"]["observations"] == document["usable"]
 
@@ -236,11 +236,11 @@ def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
     (count,) = read_sources(Sources((path,)), ROBOT.chain.joint_units, ROBOT).counts
     assert not set(run) & set(used(path))
     assert count.rejected["doubtful"] == len(run)
-    assert count.need_words == len(run)
+    assert count.need_decision == len(run)
     assert len(used(path)) == np.isfinite(extension).sum() - len(run)
 
 
 def test_reasons_that_need_a_word_are_reasons():
     from truearm.session.dwells import REASONS
 
-    assert set(NEED_WORDS) <= set(REASONS)
+    assert set(NEED_DECISION) <= set(REASONS)

@@ -29,7 +29,7 @@ from truearm.report.result_words import (
 )
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
-from truearm.session.dwells import NEED_WORDS
+from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line
 from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
@@ -120,7 +120,7 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
         line += f"; rejected: {rejected}" * bool(rejected)
         line += f"; {counted(count['mountings'], 'stop')} for mounting" * bool(count["mountings"])
-        unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_WORDS)
+        unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_DECISION)
         if unsettled:
             session = one_line(given.get(count["session"], count["session"]))
             line += f"; {unsettled} need a decision: truearm relabel {shlex.quote(session)}"

@@ -33,7 +33,7 @@ SHORTEST_S = 0.25  # shorter pauses (a change of direction) are not attempts at 
 
 MOUNTING = "mounting"  # a stop outside the plan for changing the mounting: not a dwell, nothing lost
 DOUBTFUL = "doubtful"  # plan and operator agree on the mounting, but the readings do not support it
-NEED_WORDS = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm relabel
+NEED_DECISION = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm relabel
 REASONS = (
     "too short",
     "still moving",  # the joints

@@ -20,7 +20,7 @@ from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.model.robot import Robot
 from truearm.progress import step
-from truearm.session.dwells import DOUBTFUL, NEED_WORDS
+from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.types import ObservationTable, Rig
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
@@ -96,9 +96,9 @@ class DwellCount(NamedTuple):
     mountings: int
 
     @property
-    def need_words(self) -> int:
+    def need_decision(self) -> int:
         """Number of dwells for which it is not known what was mounted."""
-        return sum(n for reason, n in self.rejected.items() if reason in NEED_WORDS)
+        return sum(n for reason, n in self.rejected.items() if reason in NEED_DECISION)
 
 
 class Observed(NamedTuple):

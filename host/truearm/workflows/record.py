@@ -102,10 +102,10 @@ def record_request(request: Request, output: TextIO) -> Recorded:
 
 def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
     """Return which dwells of a recording give no observation, and what to do; "" if every pose gave one."""
-    if dwells is None or not (dwells.need_words or dwells.lost):
+    if dwells is None or not (dwells.need_decision or dwells.lost):
         return ""
     text = dwells.sentence
-    if dwells.need_words:
+    if dwells.need_decision:
         return f"{text}: settle what was mounted with truearm relabel {session}"
     return f"{text}; truearm inspect {session} says why"
 

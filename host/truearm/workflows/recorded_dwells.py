@@ -25,16 +25,16 @@ class RecordedDwells:
 
     dwells: int
     usable: int
-    need_words: int
+    need_decision: int
     unusable: dict[str, int]
     lost: int
 
     @property
     def sentence(self) -> str:
-        """Return ``39 dwells: 31 usable, 8 need your word``."""
+        """Return ``39 dwells: 31 usable, 8 need a decision``."""
         parts = [f"{self.usable} usable"]
-        if self.need_words:
-            parts.append(f"{self.need_words} {'needs' if self.need_words == 1 else 'need'} your word")
+        if self.need_decision:
+            parts.append(f"{self.need_decision} {'needs' if self.need_decision == 1 else 'need'} a decision")
         parts += [f"{n} {reason}" for reason, n in self.unusable.items()]
         return f"{counted(self.dwells, 'dwell')}: {', '.join(parts)}"
 
@@ -55,10 +55,10 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
 
 def counted_dwells(result: SyncResult) -> RecordedDwells:
     """Return the account of a session's dwells."""
-    from truearm.session.dwells import NEED_WORDS, DwellRules
+    from truearm.session.dwells import NEED_DECISION, DwellRules
 
     plan = result.survey.marks.plan()
-    need_words = NEED_WORDS if plan is not None else (*NEED_WORDS, "no plan match")
+    need_decision = NEED_DECISION if plan is not None else (*NEED_DECISION, "no plan match")
     counts: dict[str, int] = {}
     visited, measured = set[int](), set[int]()
     total = 0
@@ -76,5 +76,5 @@ def counted_dwells(result: SyncResult) -> RecordedDwells:
         total += 1
         counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
     usable = counts.pop("", 0)
-    words = sum(counts.pop(reason, 0) for reason in need_words)
+    words = sum(counts.pop(reason, 0) for reason in need_decision)
     return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))
