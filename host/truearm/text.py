@@ -6,27 +6,27 @@ from collections.abc import Sequence
 
 
 def one_line(text: str) -> str:
-    """``text`` on one line, with control characters (of strangers' names, say) made visible."""
+    """Return ``text`` on one line, with control characters (for example in file names) escaped."""
     # file names that the locale could not decode come as surrogates; most are UTF-8 anyway
     text = text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
 
 
 def page(title: str) -> str:
-    """Name a page of the documentation in a message: by title, because an installed truearm has no docs folder."""
+    """Return a reference to a page of the documentation, by title, because an installed truearm has no docs folder."""
     return f'see "{title}" in the documentation'
 
 
 def counted(count: int, one: str, many: str = "") -> str:
-    """A number with its noun: "1 row", "7 rows"."""
+    """Return a number with its noun: "1 row", "7 rows"."""
     return f"{count} {one if count == 1 else many or one + 's'}"
 
 
 def listed(names: Sequence[str], most: int = 12) -> str:
-    """Names between commas, cut short with their number where they are many."""
+    """Return names between commas; more than ``most`` are cut short, with their number."""
     return ", ".join(names[:most]) + (f", … ({len(names)} in all)" if len(names) > most else "")
 
 
 def with_article(noun: str) -> str:
-    """A noun with its indefinite article: "a seat", "an inclinometer"."""
+    """Return a noun with its indefinite article: "a seat", "an inclinometer"."""
     return f"{'an' if noun[:1] in 'aeiouAEIOU' else 'a'} {noun}"

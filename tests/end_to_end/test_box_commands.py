@@ -71,7 +71,7 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     ]
     path.write_text(path.read_text().replace("osr = 4096", "osr = 2048"))
     assert box("config", "set", path, "channel.lvdt.gain=2", "--box", device) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"{device}: stored and in force"
+    assert capsys.readouterr().out.splitlines()[-1] == f"{device}: stored; the box uses it from now on"
     assert box("config", "get", "--box", device) == 0
     assert "osr = 2048  # 2034.51 samples a second" in capsys.readouterr().out
 

@@ -43,7 +43,7 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         assert "'seven' is not a reading of a reference; type a number of mm" in said
         assert "order 2:" in said.split("← taken")[0].splitlines()[-1]
         assert "12 places, sigma" in said
-        assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored and in force"
+        assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored; the box uses it from now on"
         assert box("info", "--box", device, "--json") == 0
         entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]
     calibration = entry["calibration"]
@@ -118,7 +118,7 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
         assert box("gauge", "magnetostrictive", "--box", device, "--seconds", "0.2") == 2
         said = capsys.readouterr()
         assert "stop pulses are missing; is the magnet on the rod?" in said.out
-        assert "places taken: 0; a calibration needs 5 or more" in said.err
+        assert "places measured: 0; a calibration needs 5 or more" in said.err
         world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
         monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
         assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2") == 2
@@ -187,11 +187,11 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
         assert box(*command) == 2
         said = capsys.readouterr()
-        assert "places taken: 4, some of them more than once (5 readings); a calibration needs 5 or more" in said.err
+        assert "places measured: 4, some of them more than once (5 readings); a calibration needs 5 or more" in said.err
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [(40, False), *((mm, True) for mm in places), ""]))
         assert box(*command) == 0
         said = capsys.readouterr().out
-        assert re.search(r"not taken: the sensor moved by [-+][\d.e-]+ V while it was sampled; leave it alone", said)
+        assert re.search(r"rejected: the sensor moved by [-+][\d.e-]+ V while it was sampled; do not touch it", said)
         assert "5 places, sigma" in said
         assert box("info", "--box", device, "--json") == 0
         entry = json.loads(capsys.readouterr().out)["streams"][0]["channels"][0]

@@ -351,7 +351,7 @@ def test_a_plan_serves_where_the_session_has_none(tmp_path, run):
     write_plan(plan, world(1).controller.plan)
     code, _, err = run("characterize", path, "--model", "puma560")
     assert (code, err.count("\n")) == (2, 1)
-    assert "0 dwells are usable" in err
+    assert "only 0 dwells can be used" in err
     code, text, _ = run("characterize", path, "--model", "puma560", "--plan", plan, "--json")
     assert (code, json.loads(text)["poses"]) == (0, 4)
 

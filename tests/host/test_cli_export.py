@@ -169,7 +169,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     cases = [
         ((*good, "--adjust", "nothing*"), "matches no parameter"),
         ((*good, "--adjust", "*.gain"), "leaves no parameter that urdf can hold"),
-        ((*good, "--over", tmp_path / "short.csv"), "1 joint columns"),
+        ((*good, "--over", tmp_path / "short.csv"), "1 joint column, the robot"),
         ((*good, "--over", tmp_path / "none.csv"), "no such file"),
         (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),
         (("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"), "exists and was not written"),

@@ -48,7 +48,7 @@ BAD_ARGUMENTS = {
     "no such robot": (["--model", "puma561"], "puma560, ulb"),
     "no such robot file": (["--model", "none.urdf"], "none.urdf: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
-    "no such group": (["--hold-out", "shell=s99"], "there is inner, outer"),
+    "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
     "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing would be left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
     "no such folder": (["--out", "/none/result.json"], "does not exist"),

@@ -145,7 +145,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     (tmp_path / "bad.json").write_text(json.dumps(document))
     (tmp_path / "mine.svg").write_text("<svg>precious</svg>")
     cases = [
-        (("map", result, "--vary", "2"), "--vary 2: needs two joints, as 2,3"),
+        (("map", result, "--vary", "2"), "--vary 2: needs two joints, such as 2,3"),
         (("map", result, "--vary", "2,9"), "must be two joints between 1 and 6"),
         (("map", result, "--vary", "1,2"), "do not turn about parallel axes"),
         (("map", result, "--at", "1,2"), "needs 6 numbers"),

@@ -65,7 +65,7 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
     if (distinct := distinct_places(x)) < FEWEST_PLACES:
         again = f", some of them more than once ({len(places)} readings)" if len(places) > distinct else ""
         raise InputError(
-            f"places taken: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
+            f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
     tried = fits(x, y, 1 if linear else MAX_ORDER)
     if order is not None and not linear and order > tried[-1].order:

@@ -103,7 +103,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
             say("the box has this calibration already")
         elif options.agreed or _agreed(operator):
             box.put_config(new)
-            say(f"{device}: stored and in force")
+            say(f"{device}: stored; the box uses it from now on")
         else:
             say(f"{device}: unchanged")
 
@@ -184,12 +184,14 @@ def _measured_places(
         counts = sample(box, stream, options.seconds)
         problem = trouble(counts[:, index], stream)
         if problem:
-            operator.say(f"  not taken: {problem}")
+            operator.say(f"  rejected: {problem}")
             continue
         read = _readings(counts[:, index], stream, stream.channels[index])
         moved = motion(read)
         if moved:
-            operator.say(f"  not taken: {_moved(moved, stream.channels[index])}; leave it alone and take it again")
+            operator.say(
+                f"  rejected: {_moved(moved, stream.channels[index])}; do not touch it, and measure this place again"
+            )
             continue
         place = _place(reference, read, box)
         places.append(place)

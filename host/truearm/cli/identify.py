@@ -127,7 +127,7 @@ def identify(
     ] = None,
     leave_out: Annotated[
         list[str] | None,
-        typer.Option(metavar="FIRST:LAST", help="Rows that are neither fitted nor judged, as 120:140 (repeatable)."),
+        typer.Option(metavar="FIRST:LAST", help="Rows to leave out completely, such as 120:140 (repeatable)."),
     ] = None,
     max_iterations: Annotated[
         int, typer.Option(metavar="N", help="Stop after N iterations, converged or not.", **bounded(ITERATIONS))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -68,6 +69,17 @@ COMMANDS = (
 # typer, which exports only its subclass BadParameter.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__mro__[1])
 
+# The parser's words for a wrong command line, and plainer ones. Versions of typer differ: some have others.
+_PLAINER = (
+    (r"Value error, ", ""),
+    (r"Input should be greater than or equal to (\S+)", r"must be \1 or more"),
+    (r"Input should be less than or equal to (\S+)", r"must be \1 or less"),
+    (r"Input should be a valid integer.*", "is not a whole number"),
+    (r"Input should be a valid number.*", "is not a number"),
+    (r"Got unexpected extra argument(?:\(s\)|s)? \((.*)\)", r"Too many arguments: \1"),
+    (r"requires an argument", "needs a value"),
+    (r"\.$", ""),
+)
 _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
 
 app = typer.Typer(
@@ -125,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(exc.text(_option_of(arguments)))
         return exc.exit_code
     except _UsageError as exc:
-        message = _renamed(exc) or exc.format_message().replace("Value error, ", "")  # added by the parser
+        message = _renamed(exc) or _plain(exc.format_message())
         _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
@@ -159,6 +171,13 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
         command = command.commands[word]
     options = {one.name: one.opts[0] for one in command.params if one.opts[0].startswith("-")}
     return lambda name: options.get(name, f"--{name.replace('_', '-')}")
+
+
+def _plain(message: str) -> str:
+    """Return the parser's message on a wrong command line in plainer words."""
+    for theirs, ours in _PLAINER:
+        message = re.sub(theirs, ours, message)
+    return message
 
 
 def _renamed(exc: typer.BadParameter) -> str | None:

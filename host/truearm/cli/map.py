@@ -109,7 +109,7 @@ def _is_up(elbow: Elbow) -> bool:
 def _joints_of(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
     if match is None:
-        raise InputError(f"--vary {text[:40]}: needs two joints, as 2,3")
+        raise InputError(f"--vary {text[:40]}: needs two joints, such as 2,3")
     return int(match[1]), int(match[2])
 
 
@@ -120,7 +120,7 @@ def _span_of(text: str) -> tuple[float, float, float, float]:
     u0, u1, v0, v1 = (MM.to_si(float(part)) for part in match.groups()) if match else (0.0,) * 4
     if u0 >= u1 or v0 >= v1:
         raise InputError(
-            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, as 300:900,0:800"
+            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, such as 300:900,0:800"
         )
     return u0, u1, v0, v1
 
@@ -128,7 +128,7 @@ def _span_of(text: str) -> tuple[float, float, float, float]:
 def _size_of(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
     if match is None or min(float(match[1]), float(match[2])) <= 0.0:
-        raise InputError(f"--task {text[:40]}: needs width and height in mm, as 300x200")
+        raise InputError(f"--task {text[:40]}: needs width and height in mm, such as 300x200")
     return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 

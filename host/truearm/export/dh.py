@@ -126,7 +126,7 @@ def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tupl
         d = float(z @ (foot - frame[:3, 3]))
         raise RobotError(
             f"the axes of joints {i + 1} and {i + 2} are {DEG.of(math.asin(sine)):.4f}° from parallel: d would be "
-            f"{d:.3f} m and meaningless; use dh-hayati or another format"
+            f"{d:.3f} m, which has no meaning; use dh-hayati or another format"
         )
     if near:
         return _hayati_row(frame, axis, way)

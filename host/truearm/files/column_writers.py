@@ -219,7 +219,7 @@ FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
 def check_format(name: str) -> None:
     """Raise InputError for an unknown format, or one whose library is missing."""
     if name not in FORMATS:
-        raise InputError(Argument("format"), f" {name[:40]!r} is none of {', '.join(FORMATS)}")
+        raise InputError(Argument("format"), f" {name[:40]!r} is not one of {', '.join(FORMATS)}")
     if name == "parquet":
         try:
             import pyarrow.parquet  # noqa: F401

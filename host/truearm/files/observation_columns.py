@@ -10,6 +10,7 @@ from typing import NamedTuple
 from truearm.errors import TableError
 from truearm.kinds import registry
 from truearm.schema import quoted
+from truearm.text import counted
 from truearm.units import SUFFIXES, suffixes
 
 JOINTS = {"q": ("rad", "deg", "m", "mm"), "qd": ("rad_s", "deg_s", "m_s", "mm_s")}
@@ -96,7 +97,10 @@ def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None,
     if joint_units is None:
         return joints
     if len(joints) != len(joint_units):
-        raise TableError(f"{name}: has {len(joints)} joint columns, the robot has {len(joint_units)} joints")
+        raise TableError(
+            f"{name}: has {counted(len(joints), 'joint column')}, the robot has {len(joint_units)} joints; "
+            "give the robot that was measured"
+        )
     for joint, unit in zip(joints, joint_units, strict=True):
         if base_unit(joint.unit) != unit:
             allowed = "rad or deg (it turns)" if unit == "rad" else "m or mm (it slides)"

@@ -11,7 +11,7 @@ from truearm.text import one_line
 NONE = (
     "no box is plugged in: no serial port has a Pico's USB identity. Plug it in (a new Pico: truearm box flash), name its port with ",
     Argument("box"),
-    ", or try all with truearm box list --all; truearm simulate is a box without hardware",
+    ", or try all with truearm box list --all; without hardware, truearm simulate simulates a box",
 )
 
 

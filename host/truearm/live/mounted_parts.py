@@ -18,7 +18,9 @@ def parse_mounted(text: str) -> dict[str, str]:
     for entry in text.split(","):
         key, separator, name = (part.strip() for part in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
-            raise InputError(f"mounted: {entry[:40]!r} is not KEY=NAME with a key of {', '.join(MOUNTABLE)}")
+            raise InputError(
+                f"mounted: {entry[:40]!r} is not KEY=NAME; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"
+            )
         if key in mounting:
             raise InputError(f"mounted: {key} is named twice")
         mounting[key] = name

@@ -35,7 +35,7 @@ from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.observations import SyncResult, Visits, joined, observations, visits
 from truearm.session.session_file import Session, open_session
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.inspect import ident_of
 from truearm.workflows.session_observations import attached_rig, labels_of
@@ -143,7 +143,8 @@ def characterized(
         rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
         reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(
-            f"{parts[0].name}: {len(found.dwells)} dwells are usable ({reasons or 'no other was found'}); see truearm inspect {parts[0].name}"
+            f"{parts[0].name}: only {counted(len(found.dwells), 'dwell')} can be used, {LEAST_VISITS} are needed "
+            f"({reasons or 'there are no others'}); see truearm inspect {parts[0].name}"
         )
     for part, one in zip(parts, of_parts, strict=True):
         if one.rests and one.period_s != found.period_s:

@@ -137,7 +137,7 @@ def correct_program(
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
         raise ProgramError(
-            f"{path} line {lines[0]}: goes to joint readings, as do {counted(len(lines), 'line')} of this program in all; keep or correct them with ",
+            f"{path} line {lines[0]}: moves to joint readings, in {counted(len(lines), 'line')} of this program; keep or correct them with ",
             Argument("joint_moves"),
         )
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
@@ -301,7 +301,7 @@ def _placed(language: ProgramLanguage, names: CalibrationFrames, options: Progra
     for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
         if found is None:
             raise ProgramError(
-                f"the calibration is of frame {frame[:60]}, and where the controller's {what} is lies in it is not known; give it as ",
+                f"the calibration uses frame {frame[:60]}; the pose of the controller's {what} in this frame is not known; give it as ",
                 Argument(argument),
                 " (all 0 for the same frame), or use the robot's own frames with ",
                 Argument("own_frames"),

@@ -431,8 +431,8 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
         left = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
         if left < LEFT:
             raise InputError(
-                f"bar {bar.name}: of {MM.text(0.5 * bar.travel)} travel either way {MM.text(reserve)} are reserve and "
-                f"{MM.text(spread)} spread; {MM.text(LEFT)} must remain, so lower ",
+                f"bar {bar.name}: its travel is ±{MM.text(0.5 * bar.travel)}; less {MM.text(reserve)} of reserve and "
+                f"{MM.text(spread)} of spread, at least {MM.text(LEFT)} must remain; lower ",
                 *(Argument("reserve"), " or ", Argument("spread")),
             )
 

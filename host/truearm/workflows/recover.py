@@ -43,5 +43,5 @@ def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Reco
                 raise SessionError(f"{path}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
-        raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is as it was", exc.strerror or "") from exc
+        raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is unchanged", exc.strerror or "") from exc
     return found

@@ -75,7 +75,7 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
     rows: Mask = table.column(column) == identifier
     if not identifier or not rows.any():
         known = [name for name in np.unique(table.column(column)) if name]
-        raise InputError(argument, f" {group}: no row has that {column}; {_listed(column, known)}")
+        raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, known)}")
     return rows
 
 
@@ -87,7 +87,7 @@ def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argumen
         )
     if not found and _is_number(identifier) and argument is HOLD_OUT:
         raise InputError(
-            argument, f" {identifier}: a fraction lies between 0 and 1, as 0.2; a group is written shell=NAME"
+            argument, f" {identifier}: a fraction lies between 0 and 1, such as 0.2; a group is written shell=NAME"
         )
     if not found:
         known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
@@ -104,7 +104,7 @@ def _is_number(text: str) -> bool:
 
 
 def _listed(what: str, known: Sequence[str]) -> str:
-    return f"there is {listed(known)}" if known else f"the observations have no {what} column"
+    return f"it has {listed(known)}" if known else f"the observations have no {what} column"
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:

@@ -120,7 +120,7 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
         if message.topic == TOPIC and not replace:
             raise SessionError(
                 f"{session.path}: has joint readings already; give ",
-                *(Argument("replace"), " to leave them out of the new file"),
+                *(Argument("replace"), " to replace them in the new file"),
             )
         begin_ns, end_ns = min(begin_ns, message.t_host_ns), max(end_ns, message.t_host_ns)
     if end_ns < 0:

@@ -79,7 +79,7 @@ def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
     for ours, theirs in pairs:
         if not theirs or not ours or (NUMBERED in ours) != (NUMBERED in theirs) or theirs.count(NUMBERED) > 1:
             raise InputError(
-                f"{quoted(f'{ours}={theirs}')}: write OURS=THEIRS, as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
+                f"{quoted(f'{ours}={theirs}')}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
                 f"with {NUMBERED} for a joint's number on both sides or none"
             )
     return pairs
