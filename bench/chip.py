@@ -1,4 +1,4 @@
-"""What the firmware costs on the chip: MicroPython's RP2040 image in the emulator (hil_sim/chip), both sources, at rising rates.
+"""Measure the load of the firmware on the chip: MicroPython's RP2040 image in the emulator (hil_sim/chip), both sources, at rising rates.
 
     .venv/bin/python bench/chip.py [--seconds 10]
 
@@ -46,7 +46,7 @@ PARTS = {
 
 
 class Level:
-    """Signals that do not matter."""
+    """Inputs with arbitrary signals."""
 
     def counts(self, k0: int, k1: int, start_ns: int, period_ns: int) -> np.ndarray[Any, Any]:
         return np.arange(4 * k0, 4 * k1, dtype=np.int64).reshape(-1, 4).astype(np.int32) & 0x3FFFFF
@@ -60,7 +60,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Run:
-    """One rate: what came, and where the time went."""
+    """The results at one rate: what was received, and how long each part took."""
 
     osr: int
     start: dict[str, Any]  # profile of configuring and starting
@@ -79,7 +79,7 @@ class Run:
         return samples * self.profile["every_ns"] / 1000 / self.blocks
 
     def parts(self) -> dict[str, float]:
-        """µs a block by part; the rest of the load is the loop."""
+        """Return the µs per block of each part; the rest of the load is the loop."""
         of = dict.fromkeys([*PARTS, "the loop and everything else"], 0)
         for path, n in self.profile["paths"].items():
             of[part_of(path.split(">"))] += n
@@ -122,7 +122,7 @@ def _stream(hardware: ChipBox, folder: Path, osr: int, seconds: float) -> Run:
 
 
 def _profile(hardware: ChipBox, folder: Path, now_us: int) -> dict[str, Any]:
-    """What the profiler found since it was started; it ends."""
+    """Stop the profiler and return what it measured since its start."""
     file = folder / "profile.json"
     hardware.control({"pico": "profiled", "file": str(file)})
     _give(hardware, now_us)  # answered when the file is written
@@ -158,7 +158,7 @@ def _judge(osr: int, start: dict[str, Any], profile: dict[str, Any], found: list
 
 
 def longest(profile: dict[str, Any], n: int) -> list[tuple[float, str]]:
-    """The longest stays in one function of the loop's step, ms, and its name; not its callers', if they stay hardly longer."""
+    """Return the longest calls of functions in the loop's step: ms and name. Callers that take hardly longer are left out."""
     stays = {p: ns for p, ns in profile["longest_ns"].items() if STEP + ">" in p}
     leaves = {p: ns for p, ns in stays.items() if not any(q.startswith(p + ">") and stays[q] > 0.6 * ns for q in stays)}
     found = sorted(((ns / 1e6, path.rpartition(">")[2]) for path, ns in leaves.items()), reverse=True)
@@ -166,7 +166,7 @@ def longest(profile: dict[str, Any], n: int) -> list[tuple[float, str]]:
 
 
 def viper_names() -> dict[str, str]:
-    """Frozen native code is named by its file and a number: here by its function."""
+    """Name frozen native code by its function; the image names it by its file and a number."""
     names = {}
     for folder in ("firmware/truearm_box", "firmware/drivers", "protocol/truearm_wire"):
         for path in (ROOT / folder).glob("*.py"):
@@ -177,7 +177,7 @@ def viper_names() -> dict[str, str]:
 
 
 def detail(of: Run) -> None:
-    """Where the time went, function by function: own and with all that is called."""
+    """Print the time in each function, alone and with the functions that it calls."""
     own: dict[str, int] = {}
     whole: dict[str, int] = {}
     viper = viper_names()

@@ -1,4 +1,4 @@
-"""How fast recorded samples are read back: from the wire's bytes and from a session file, beside the floor of the C libraries alone.
+"""Measure how fast recorded samples are read, from the wire's bytes and from a session file, compared with the C libraries alone.
 
     .venv/bin/python bench/decoding.py
 
@@ -51,7 +51,7 @@ IDENT = {
 
 
 def payloads() -> list[bytes]:
-    """Data frames as the box sends them, noise in 16 of the 24 bits."""
+    """Return data frames as the box sends them, with noise in 16 of the 24 bits."""
     counts = np.random.default_rng(1).integers(-(2**15), 2**15, (FRAMES, SAMPLES, CHANNELS), dtype="<i4")
     return [
         bytes(encode_payload([16, k, 0, SAMPLES * k, 12780 * k, PERIOD_NS, Tag(78, block.tobytes()), 0]))
@@ -86,7 +86,7 @@ def n_samples(reader: BoxReader, batches: Iterable[Messages]) -> int:
 
 
 def best_of(runs: int, job: Callable[[], int]) -> float:
-    """Least seconds of some runs: what else the machine does only ever adds."""
+    """Return the shortest time of several runs in seconds, because other load only adds time."""
     seconds = []
     for _ in range(runs):
         started = time.process_time()

@@ -1,4 +1,4 @@
-"""How fast a robot is identified, side by side with others on the same data: time, memory, error, growth, floor.
+"""Measure how fast a robot is identified, compared with other programs on the same data: time, memory, error, growth, lower bound.
 
     .venv/bin/python bench/identification.py            # everything, some minutes
     .venv/bin/python bench/identification.py --quick    # 100 and 800 poses
@@ -36,7 +36,7 @@ COLOURS = ("#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73", "#cc79a7")
 
 
 class Case(NamedTuple):
-    """One worker on one problem: who, with which file of bench/workers, told what, at which sizes."""
+    """One program on one problem: its name, its file in bench/workers, its arguments and the sizes."""
 
     problem: str
     program: str
@@ -74,7 +74,7 @@ def main(quick: bool) -> None:
 
 
 def compared(n: int) -> list[dict]:
-    """All programs at n poses, in turn, several rounds; of each the round that took least."""
+    """Run all programs at n poses in turn, several rounds; return the shortest round of each."""
     best: dict[Case, dict] = {}
     rounds, runs = (2, 2) if n <= 800 else (1, 1)  # the same for all
     for _ in range(rounds):
@@ -93,7 +93,7 @@ def row_of(case: Case, n: int, found: dict) -> dict:
 
 
 def run(venv: str, worker: str, what: str, kind: str, source: object, runs: int) -> dict:
-    """What a worker tells; seconds inf where its venv is missing, it fails or it takes too long."""
+    """Return what a worker reports; seconds are inf if its venv is missing, it fails or it takes too long."""
     python = ROOT / venv / "bin" / "python"
     if not python.exists():
         return {"seconds": float("inf"), "status": "not installed"}
@@ -132,7 +132,7 @@ def table(rows: list[dict]) -> str:
 
 
 def ratios(rows: list[dict]) -> list[str]:
-    """Times of the others over that of ``truearm lm``, and the growth of our own time and memory with n."""
+    """Return the times of the other programs divided by that of ``truearm lm``, and the growth of truearm's time and memory with n."""
     lines = ["", "| problem | poses | against | times as long | held out, theirs/ours |", "|---|--:|---|--:|--:|"]
     ours = {(r["problem"], r["poses"]): r for r in rows if r["program"] == "truearm lm"}
     for r in rows:
@@ -160,7 +160,7 @@ def single(n: int, floor: dict, recursive: dict) -> list[str]:
 
 
 def commands() -> list[str]:
-    """Whole processes, the interpreter's start included: CPU seconds, the least of ten."""
+    """Return the CPU seconds of complete processes, including the interpreter's start: the shortest of ten."""
     truearm = str(ROOT / ".venv/bin/truearm")
     with tempfile.TemporaryDirectory() as folder:
         files = [str(Path(folder) / name) for name in ("poses.csv", "rig.toml")]
@@ -181,7 +181,7 @@ def least(command: list[str], runs: int = 10) -> float:
 
 
 def write_inputs(table_csv: str, rig_toml: str) -> None:
-    """The ball-bar problem of 800 poses as an operator would have it."""
+    """Write the ball-bar problem of 800 poses as the files that an operator has."""
     sys.path.insert(0, str(WORKERS))
     from data import CHUCKS, SIGMA, SPHERES
 
@@ -199,7 +199,7 @@ def write_inputs(table_csv: str, rig_toml: str) -> None:
 
 
 def picture(rows: list[dict]) -> str:
-    """CPU time over poses, one drawing a problem, one below the other."""
+    """Return drawings of CPU time over poses, one per problem, one below the other."""
     drawings = []
     for k, kind in enumerate(("position", "ball_bar")):
         mine = [r for r in rows if r["problem"] == kind and np.isfinite(r["seconds"])]

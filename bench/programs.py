@@ -1,4 +1,4 @@
-"""What it costs to correct large programs and tables: CPU seconds on one core and the peak of memory, with joints given and without.
+"""Measure the cost of correcting large programs and tables: CPU seconds on one core and peak memory, with and without given joints.
 
     .venv/bin/python bench/programs.py             # 100,000 targets: a table, a URScript with qnear; a RAPID module read alone
     .venv/bin/python bench/programs.py --quick     # 10,000

@@ -53,7 +53,7 @@ TRACKER = Rig(
 
 @dataclass(frozen=True)
 class Case:
-    """A set of rows and how it is split; ``held`` (n,) judge. ``points``: tracked rows that judge a robot found by lengths."""
+    """A data set and its split: the rows in ``held`` (n,) are not fitted. ``points``: tracked rows for judging a robot identified from lengths."""
 
     name: str
     split: str
@@ -68,7 +68,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Errors of the held-out rows [mm] without and with laws, the laws kept and the seconds of both fits."""
+    """Errors of the held-out rows [mm] without and with joint laws, the laws kept, and the seconds of both fits."""
 
     case: Case
     before: Floats
@@ -99,28 +99,28 @@ def ur10(series: str) -> tuple[Robot, ObservationTable]:
 
 
 def some(n: int, part: float, seed: int) -> np.ndarray:
-    """(n,) a random part."""
+    """Return a mask (n,) of a random part of the rows."""
     held = np.zeros(n, dtype=bool)
     held[np.random.default_rng(seed).permutation(n)[: int(part * n)]] = True
     return held
 
 
 def blocks_of_joint_space(q: Floats, seed: int) -> np.ndarray:
-    """(n,) 4 of 22 blocks: clusters of all joint readings, each joint scaled to its standard deviation."""
+    """Return a mask (n,) of 4 of 22 clusters of the joint readings, each joint scaled to its standard deviation."""
     scaled = q / np.maximum(q.std(axis=0), 1e-3)
     _, block = kmeans2(scaled, 22, seed=seed, minit="++")
     return np.isin(block, np.random.default_rng(seed).permutation(22)[:4])
 
 
 def base_points(robot: Robot, table: ObservationTable) -> Floats:
-    """(n, 3) the measured points in the base frame as the nominal robot places it."""
+    """Return the measured points (n, 3) in the base frame, placed by the nominal robot."""
     nominal = point_forward(robot.chain, robot.chain.params_nominal, table.q, np.array([0.0, 0.0, 0.093]))
     rotation = nearest_rotation((nominal - nominal.mean(0)).T @ (table.xyz - table.xyz.mean(0)), np.eye(3))
     return (table.xyz - table.xyz.mean(0)) @ rotation.T + nominal.mean(0)
 
 
 def lengths(robot: Robot, table: ObservationTable, seed: int) -> tuple[Rig, ObservationTable]:
-    """Lengths of two bars between three chucks and the measured points that lie within their travel."""
+    """Return the lengths of two bars between three chucks and the measured points within their travel."""
     rng = np.random.default_rng(seed)
     points = base_points(robot, table)
     chucks = chuck_places(points, rng)
@@ -151,7 +151,7 @@ def lengths(robot: Robot, table: ObservationTable, seed: int) -> tuple[Rig, Obse
 
 
 def chuck_places(points: Floats, rng: np.random.Generator) -> Floats:
-    """(3, 3) of 400 random triples of places at measured points' heights, that with the most rows within the bars' travel."""
+    """Return chuck positions (3, 3): of 400 random triples at the points' heights, the one with the most rows within the bars' travel."""
     tries = points[rng.integers(len(points), size=(400, 3))] + rng.uniform(-0.3, 0.3, (400, 3, 3))
 
     def rows(triple: Floats) -> int:
@@ -162,7 +162,7 @@ def chuck_places(points: Floats, rng: np.random.Generator) -> Floats:
 
 
 def cases() -> Iterator[tuple[str, Callable[[], Case]]]:
-    """Names and what makes the cases."""
+    """Return the name of each case and the function that makes it."""
     for seed in (0, 1, 2):
 
         def random_fifth(series: str, most: float, seed: int = seed) -> Case:
@@ -236,7 +236,7 @@ def cases() -> Iterator[tuple[str, Callable[[], Case]]]:
 
 
 def errors(case: Case, chain: Chain, names: tuple[str, ...], value: Floats) -> Floats:
-    """Errors [mm] of the rows that judge, the robot fixed, their own unknowns settled on them."""
+    """Return the errors [mm] of the held-out rows: the robot is fixed, and unknowns that only these rows have are fitted to them."""
     table, rig, known = case.table.select(case.held), case.rig, dict(zip(names, value, strict=True))
     if case.points is not None:  # the base is placed on them; the target is where the sphere was
         at = tuple(known[f"sphere.s1.{k}"] for k in "xyz")
@@ -274,7 +274,7 @@ def run(case: Case) -> Outcome:
 
 
 def by_pybotics(case: Case) -> str:
-    """Held-out mean of pybotics on a tracked arm with Denavit-Hartenberg rows [mm]; "-" where it is not that, or not installed."""
+    """Return the held-out mean of pybotics [mm] for a tracked arm with Denavit-Hartenberg rows; "-" for others, or if it is not installed."""
     python = ROOT / "build/bench-venv/pybotics/bin/python"
     if case.points is not None or case.robot.is_urdf or not python.exists():
         return "-"
@@ -297,7 +297,7 @@ def by_pybotics(case: Case) -> str:
 
 
 def row(out: Outcome, peer: str) -> str:
-    """A row of the page's table."""
+    """Return a row of the page's table."""
     case, fitted = out.case, int((~out.case.held).sum())
     goal = f"{case.most:.3f}" if np.isfinite(case.most) else "-"
     cells = (
@@ -319,13 +319,13 @@ def row(out: Outcome, peer: str) -> str:
 
 PAGE = """# Real arms
 
-How far truearm's model is from real arms, on public data that it was not fitted to. For engineers who want to know what to expect.
-`make benchmark` writes this page and its picture (`bench/real_arms.py`).
+This page shows how accurate truearm's results are on public data of real arms, for engineers who want to know what to expect. The errors
+are those of rows that were not fitted. `make benchmark` writes this page and its picture (`bench/real_arms.py`).
 
-Figures are mean / largest errors of the rows held out, in mm: 3-D errors of a tracked point, for MUKCa the distance of the ball from its
-socket. "Before" is the robot as described with the rig as the identification found it. One setting for all: `truearm identify` with
-`--joint-laws none`, then with its defaults. Seconds are of the processor, of both fits. pybotics fits 25 geometric parameters, as its example does; figaroh is not run:
-its calibration wants a URDF and a configuration file for each arm, and its geometry was compared on simulated data (benchmarks.md).
+Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for MUKCa they are the distance of the ball from its
+socket. "Before" is the nominal robot, with the rig that the identification found. All data sets are fitted with the same options: `truearm identify` with
+`--joint-laws none`, then with its defaults. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. pybotics fits 25 geometric parameters, as its example does. figaroh is not
+run, because its calibration needs a URDF and a configuration file for each arm; [Benchmarks](benchmarks.md) compares its geometry on simulated data.
 
 | data | split | fitted | judged | published | before | geometry | with joint laws | to reach | pybotics | laws kept | s |
 |---|---|---|---|---|---|---|---|---|---|---|---|
@@ -335,22 +335,22 @@ its calibration wants a URDF and a configuration file for each arm, and its geom
 
 ## Splits and constants
 
-- **UR10** (Fraunhofer IPA, laser tracker): a random fifth of the rows of series C and A. A is a grid, so a random split interpolates; its other split holds out 4 of 22 clusters of
+- **UR10** (Fraunhofer IPA, laser tracker): a random fifth of the rows of series C and A is held out. Series A is a grid, so a random split only tests interpolation. Its other split holds out 4 of 22 clusters of
   joint space (k-means of all joint readings, scaled to their standard deviations).
-- **The largest error of UR10 C** depends on whether its first row is held out. That is the home position, straight up: beyond all other rows by 32° in joint 2, 7° in joint 1 and
-  3° in joint 3, where no curve was learned. `truearm identify --hold-out 0.2` with seed 0 holds it out, and it has the largest error of that row of the table. The next row has the same split with
-  the home position neither fitted nor judged: its largest error, 0.365 mm, is of row 291, 2° beyond all fitted rows in joint 3; within the readings that were fitted the largest is 0.314 mm.
-- **UR10 C by bars**: lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks stand where the
-  seed 0 places them (`chuck_places()`), the identification knows them to 10 mm and places them itself. Judged by the tracked points of a fifth of the poses, the base placed on them.
-- **UR5** (Tsinghua, laser tracker): the author's 20 random poses.
-- **MUKCa** (ball in sockets): whole places are held out, named in the table.
-- **Constants.** The knots' spacing, the octaves and the hyperpriors were chosen on UR10 series C and on an IRB 120 that is not here; how a variance that fell to nothing is begun again, on
-  simulated arms. Nothing was chosen on the other sets. In no case does `auto` use what judges.
+- **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
+  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 holds it out, and it has the largest error in that row of the table. In the next row of the table, the split is the same, but
+  the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
+- **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks are where
+  `chuck_places()` puts them with seed 0. The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
+- **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
+- **MUKCa** (ball in sockets): complete places are held out, which the table names.
+- **Constants.** The spacing of the curves' knots, the octaves and the hyperpriors were chosen on UR10 series C and on an IRB 120 that is not in this table. How a variance that fell to zero is restarted was chosen on
+  simulated arms. Nothing was chosen on the other data sets. `auto` never uses held-out rows.
 """
 
 
 def picture(outcomes: Sequence[Outcome]) -> str:
-    """Bars of the mean held-out errors, geometry and with laws, as SVG."""
+    """Return a bar chart of the mean held-out errors, with geometry alone and with joint laws, as SVG."""
     left, step, width = 330, 34, 420
     most = max(float(out.geometry.mean()) for out in outcomes)
     parts = []

@@ -1,4 +1,4 @@
-"""What it costs to read a session, stage by stage: beside unpacking alone, and beside the reader of single messages that the tests keep.
+"""Measure the cost of reading a session, stage by stage, compared with unpacking alone and with the tests' reader of single messages.
 
     .venv/bin/python bench/session.py             # 73 and 292 minutes, two seeds, and one with faults
     .venv/bin/python bench/session.py --quick     # 10 minutes
@@ -81,7 +81,7 @@ def write(path: Path, minutes: float, seed: int, faulty: bool) -> None:
 
 
 def write_long(path: Path, hours: float, faster: int = 4) -> None:
-    """A session of a box that samples ``faster`` times as often as otherwise, made second by second: it does not fit into memory."""
+    """Write the session of a box that samples ``faster`` times as often as usual, second by second, because it does not fit into memory."""
     rng = np.random.default_rng(1)
     q = rng.uniform(-1.5, 1.5, (round(3600 * hours / DWELL_S), 6))
     length = 0.46 + rng.uniform(-0.03, 0.03, len(q))
@@ -123,7 +123,7 @@ def write_long(path: Path, hours: float, faster: int = 4) -> None:
 
 @dataclass
 class Life:
-    """A box from one boot to the next: what its frames count from, as numbers of the first life."""
+    """A box between two boots: the first values of its counters, in numbers of the first boot."""
 
     boot_id: int = session_stream.Box.boot_id
     us: int = 0
@@ -131,7 +131,7 @@ class Life:
     seq: int = 0
 
     def frame(self, message: Message) -> Message:
-        """What this life's box sends instead."""
+        """Return what the box sends instead after this boot."""
         kind, seq, *rest = cbor2.loads(message.data)
         if kind == wire.DATA:
             stream, n0, t0_us, period_ns, samples, flags = rest
@@ -144,14 +144,14 @@ class Life:
         return message._replace(data=bytes(wire.encode_payload([kind, seq - self.seq, *rest])))
 
     def exchange(self, message: Message) -> Message:
-        """The same of what the recorder says of a clock exchange."""
+        """Do the same for the recorder's message about a clock exchange."""
         said = json.loads(message.data)
         said |= {key: said[key] - self.us for key in ("t1_us", "t2_us")}
         return message._replace(data=json.dumps(said).encode())
 
 
 def with_faults(rng: np.random.Generator, messages: list[Message]) -> list[Message]:
-    """One frame in a hundred lost, doubled, flipped (its CRC does not hold: bytes of no frame) or swapped with the next, and ten restarts.
+    """Lose, double, flip (its CRC fails, so it is stored as console bytes) or swap one frame in a hundred, with ten restarts.
 
     A box that restarts has another boot id, tells what it is, and counts frames, samples and time from 0.
     """
@@ -243,7 +243,7 @@ def oracle_samples(session: Session) -> int:
 
 
 def oracle_readings(session: Session) -> None:
-    """What was done with single messages: everything once, and the box's messages a second time for the samples."""
+    """Read single messages as earlier versions did: everything once, and the box's messages a second time for the samples."""
     box, robot, marks, lines = oracle.BoxReader(), JointReader(), Marks(), list[Message]()
     for message in session.messages():
         if message.topic == "/robot/joints":
@@ -262,7 +262,7 @@ def oracle_readings(session: Session) -> None:
 
 
 def shared_reading(session: Session) -> float:
-    """CPU seconds of the part of ``observations`` that takes the place of the oracle's two readings."""
+    """Return the CPU seconds of the part of ``observations`` that replaces the oracle's two passes."""
     times = []
     for _ in range(RUNS):
         begin = time.process_time()
@@ -278,7 +278,7 @@ def shared_reading(session: Session) -> float:
 
 
 def peak_mb(path: Path) -> float:
-    """Peak memory of a process that makes observations of a session."""
+    """Return the peak memory of a process that makes observations from a session."""
     done = subprocess.run([sys.executable, __file__, "--memory", str(path)], check=True, capture_output=True, text=True)
     return float(done.stdout)
 

@@ -1,4 +1,4 @@
-"""How fast frames are made, split and stored, side by side with the floor and with the link.
+"""Measure how fast frames are made, split and stored, compared with a lower bound and with the link.
 
     .venv/bin/python bench/streaming.py
 
@@ -34,14 +34,14 @@ USB_BYTES_S = 19 * 64 * 1000
 
 
 def stream() -> bytes:
-    """FRAMES data frames as the box sends them."""
+    """Return FRAMES data frames as the box sends them."""
     block = struct.pack("<52i", *range(0, 52_000, 1000))
     frames = (frame(encode_payload([16, i, 0, 13 * i, 12780 * i, 983040, Tag(78, block), 0])) for i in range(FRAMES))
     return b"".join(frames)
 
 
 def best_of(runs: int, job: Callable[[], object]) -> float:
-    """Least seconds of some runs: what else the machine does only ever adds."""
+    """Return the shortest time of several runs in seconds, because other load only adds time."""
     times = []
     for _ in range(runs):
         started = time.perf_counter()
@@ -72,7 +72,7 @@ def store(payloads: list[bytes]) -> None:
 
 
 def firmware() -> float:
-    """Samples a second that the firmware in the simulated box frames, grants of 100 samples."""
+    """Return the samples per second that the firmware in the simulated box frames, in grants of 100 samples."""
     interpreter = micropython.find()
     with BoxProcess(interpreter, BoxSetup(), boot_id=1) as box:
         box.grant(Grant(0, rx=frame(encode_payload([50, 1]))))

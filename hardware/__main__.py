@@ -1,4 +1,4 @@
-"""python -m hardware make | check | get: make what is committed, check it, fetch KiCad and ngspice."""
+"""python -m hardware make | check | get: generate the committed files, check the circuit, download KiCad and ngspice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Write truearm_wire/layout.py, the elements of every frame, from frames.cddl. The test suite compares the two.
+"""Write truearm_wire/layout.py, which lists the elements of every frame, from frames.cddl. A test compares the two.
 
 python protocol/make_layout.py
 """
@@ -8,7 +8,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 GRAMMAR, LAYOUT = FOLDER / "frames.cddl", FOLDER / "truearm_wire" / "layout.py"
-# types that a reader must know: fixed widths, and how an element is accumulated over the heartbeats of a session
+# types that readers need: fixed widths, and how to combine an element over the heartbeats of a session
 KEPT = ("u32", "u64", "counter", "largest", "smallest")
 HEAD = '''"""The elements of every frame after its type. Written by protocol/make_layout.py from frames.cddl: do not edit.
 
@@ -20,7 +20,7 @@ HEAD = '''"""The elements of every frame after its type. Written by protocol/mak
 
 
 def frames(grammar: str) -> dict[int, tuple[list[str], int]]:
-    """Return, by frame type, the elements after the type and how many at the end were appended by minor versions."""
+    """Return for each frame type the elements after the type, and how many of the last ones minor versions appended."""
     found = {}
     text = re.sub(r";.*", "", grammar)
     for kind, body in re.findall(r"^[\w-]+ = \[(\d+), (.*?)\]$", text, re.MULTILINE | re.DOTALL):
