@@ -76,7 +76,7 @@ def put(
             typer.echo(f"{device}: unchanged (--dry-run)")
         else:
             box.put_config(after)
-            typer.echo(f"{device}: stored and in force")
+            typer.echo(f"{device}: stored; the box uses it from now on")
 
 
 def _read(changes: list[str]) -> list[tuple[str, str | None]]:
