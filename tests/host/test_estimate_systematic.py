@@ -1,5 +1,6 @@
 """The check for systematic errors after a fit: what it names, by how much, and that clean data give nothing."""
 
+import tracemalloc
 from dataclasses import replace
 
 import fault_worlds as worlds
@@ -11,8 +12,10 @@ import truearm
 from truearm.errors import ProblemError
 from truearm.estimate.effects import error_columns
 from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.information import observe
+from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
-from truearm.estimate.systematic import FOLDS, STRETCHES
+from truearm.estimate.systematic import FOLDS, STRETCHES, FitChi2, Fitted, systematic_errors
 from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.result_file import systematic_entries
 from truearm.model.chain import point_forward
@@ -411,3 +414,21 @@ def test_the_held_out_error_of_a_suggestion_is_that_of_refits():
     # To first order, and but for the effect's prior, as the drop of χ².
     assert found.held_out_ratio == pytest.approx(np.sqrt(square[1] / square[0]), rel=0.02)
     assert found.held_out_ratio < 0.95
+
+
+def test_memory_is_that_of_the_rows_derivatives_and_of_few_copies():
+    """12,000 poses of three points each have 108,000 residuals: every copy of the derivatives would be tens of megabytes."""
+    rng = np.random.default_rng(5)
+    rows = random_table(16_000, rng)
+    problem = build_problem(CHAIN, RIG, rows)
+    columns = np.append(FREE, np.ones(len(problem.names) - FREE.size, dtype=bool))
+    fit = Fitted.of(observe(problem, problem.start, columns))
+    how = measured_order(rows, np.ones(len(rows), dtype=bool))
+    needed = 8 * len(rows) * (fit.root.shape[1] + len(problem.errors.names))
+    tracemalloc.start()
+    try:
+        systematic_errors(problem, problem.start, columns, fit, FitChi2(len(rows), len(rows) - 36.0, True), how)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 3.0 * needed, most / needed

@@ -161,7 +161,7 @@ def systematic_errors(
     The module docstring describes the tests. None if nothing is found, and for a fit without degrees of freedom or with
     residuals that are not finite.
     """
-    rows = _whitened(problem, x, columns, fit)
+    rows = first = _whitened(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
         return None
     gross = goodness.chi2 > GROSS**2 * goodness.freedom
@@ -189,7 +189,6 @@ def systematic_errors(
         rows, state = more, state.less(best.drop, best.freedom)
     if not found:
         return None
-    first = _whitened(problem, x, columns, fit)
     described, part = _described(found, rivals, problem.errors, first, how, state, families)
     shift = np.zeros(x.size)
     shift[columns] = -fit.root @ part
@@ -200,49 +199,45 @@ def systematic_errors(
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
     """Return the whitened rows at x, in order."""
-    parts: list[tuple[Indices, Floats, Floats]] = []
-    k = int(columns.sum())
-    for block in blocks(problem):
-        if block.row is None:
-            continue
-        lin = block.opened(problem.chain, x)
-        p, size = problem.n_robot, x.size
-        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.jac_rig[:, :, : size - p]], axis=2)
-        stacked = (
-            np.concatenate(
-                [
-                    by_x[:, :, columns],
-                    error_columns(lin, problem.errors.tool),
-                    lin.residual.reshape(len(block.row), -1).T[:, :, None],
-                ],
-                axis=2,
-            )
-            .transpose(2, 0, 1)
-            .copy()
-        )
-        whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
-        whole = stacked.transpose(2, 1, 0)
-        parts.append((block.row, whole[:, :, :k], whole[:, :, k:]))
-    row = np.concatenate([np.repeat(of, jac.shape[1]) for of, jac, _ in parts]) if parts else np.zeros(0, dtype=np.intp)
-    if not row.size:
+    some = [block for block in blocks(problem) if block.row is not None]
+    of_rows = [np.repeat(block.row, block.sensor_cov.shape[1]) for block in some if block.row is not None]
+    row = np.concatenate([np.zeros(0, dtype=np.intp), *of_rows])
+    m, r, c, p = row.size, fit.root.shape[1], len(problem.errors.names), problem.n_robot
+    if not m:
         return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     order = np.argsort(row, kind="stable")
-    jac, errors = (np.concatenate([np.concatenate(list(part[i])) for part in parts])[order] for i in (1, 2))
-    basis = jac @ fit.root
-    residual = errors[:, -1] - basis @ fit.left
-    if not np.isfinite(residual).all() or not np.isfinite(basis).all():
-        return _Whitened(row[order], basis, np.full(residual.size, np.nan), errors[:, :-1])
-    known, off = _knowledge(basis, residual)
+    place = np.empty_like(order)
+    place[order] = np.arange(m)
+    # Block by block into arrays with room for knowledge: with many rows, each copy of one would be tens of megabytes.
+    basis, errors, residual = np.empty((m + r, r)), np.zeros((m + r, c)), np.empty(m + r)
+    at = 0
+    for block in some:
+        lin = block.opened(problem.chain, x)
+        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.jac_rig[:, :, : x.size - p]], axis=2)[:, :, columns]
+        parts = [
+            by_x,
+            error_columns(lin, problem.errors.tool),
+            lin.residual.reshape(len(lin.wrenches[0]), -1).T[:, :, None],
+        ]
+        stacked = np.concatenate(parts, axis=2).transpose(2, 0, 1).copy()
+        whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
+        whole = stacked.transpose(2, 1, 0).reshape(-1, len(stacked))
+        k, mine = by_x.shape[2], place[at : at + len(whole)]
+        basis[mine], errors[mine], residual[mine] = whole[:, :k] @ fit.root, whole[:, k:-1], whole[:, -1]
+        at += len(whole)
+    residual[:m] -= basis[:m] @ fit.left
+    if not np.isfinite(residual[:m]).all() or not np.isfinite(basis[:m]).all():
+        return _Whitened(row[order], basis[:m], np.full(m, np.nan), errors[:m])
+    known, off = _knowledge(basis[:m], residual[:m])
+    end = m + off.size
     # Where the data hardly determine a direction, S has lost digits; a row that alone determines it must have no
     # residual.
-    whole, residual = np.concatenate([basis, known]), np.concatenate([residual, off])
-    whole = scipy.linalg.solve_triangular(np.linalg.cholesky(whole.T @ whole), whole.T, lower=True).T
-    return _Whitened(
-        np.concatenate([row[order], np.full(off.size, problem.n_rows)]),
-        whole,
-        residual - whole @ (whole.T @ residual),
-        np.concatenate([errors[:, :-1], np.zeros((off.size, errors.shape[1] - 1))]),
-    )
+    basis[m:end], residual[m:end] = known, off
+    basis, residual = basis[:end], residual[:end]
+    lower = np.linalg.cholesky(basis.T @ basis)
+    basis = scipy.linalg.solve_triangular(lower, basis.T, lower=True, overwrite_b=True).T
+    row = np.concatenate([row[order], np.full(off.size, problem.n_rows)])
+    return _Whitened(row, basis, residual - basis @ (basis.T @ residual), errors[:end])
 
 
 def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
@@ -339,11 +334,13 @@ def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indice
     """
     edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
     cuts = np.searchsorted(rows.row, edges)
-    beside = np.concatenate([by, rows.basis, rows.residual[:, None]], axis=1)
-    sums = np.zeros((edges.size, by.shape[1], beside.shape[1]))
+    w, d, r = family.first.size, by.shape[1], rows.basis.shape[1]
+    sums = np.zeros((edges.size, d, d + r + 1))
     for i, (a, b) in enumerate(pairwise(cuts)):
-        sums[i + 1] = sums[i] + by[a:b].T @ beside[a:b]
-    w, d = family.first.size, by.shape[1]
+        across = by[a:b].T
+        sums[i + 1, :, :d] = sums[i, :, :d] + across @ by[a:b]
+        sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.basis[a:b]
+        sums[i + 1, :, -1] = sums[i, :, -1] + across @ rows.residual[a:b]
     of = sums[at[w:]] - sums[at[:w]]
     values, vectors, seen = _left(of[:, :, :d], of[:, :, d:-1])
     along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
@@ -470,7 +467,7 @@ def _stretches(how: Measured) -> Indices:
 
 def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
     """Return a mask (m,) of all residuals except knowledge and those of blocks, which were left out."""
-    return np.asarray(((rows.basis**2).sum(axis=1) < 1.0 - SEEN) & (rows.row < how.row.size))
+    return np.asarray((np.einsum("ij,ij->i", rows.basis, rows.basis) < 1.0 - SEEN) & (rows.row < how.row.size))
 
 
 def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
