@@ -2,19 +2,20 @@
 
 The program is executed with *possibilities* in place of values. Where it branches, every block is executed and the
 results are joined. A loop is repeated until its variables have no new possibilities; values that keep changing become
-unknown. A routine is executed for each call. Every target found is therefore one to which the move can go. If a target
-may be computed at run time, the move records this. A ``Language`` defines the meaning of the language's own functions.
+unknown. A routine is executed for each call, unless everything that it reads is as it was in an earlier call. Every
+target found is therefore one to which the move can go. If a target may be computed at run time, the move records this.
+A ``Language`` defines the meaning of the language's own functions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 from math import prod
-from typing import Protocol, assert_never
+from typing import NamedTuple, Protocol, assert_never
 
-from truearm.files.programs.environment import SEVERAL, Environment, Key, Work
+from truearm.files.programs.environment import GLOBAL, HERE, SEVERAL, Environment, Key, Trace, Work, few
 from truearm.files.programs.motions import UNDECLARED, Motion, goal_of
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.syntax import (
@@ -50,6 +51,7 @@ from truearm.files.programs.tree_walks import (
 )
 from truearm.files.programs.values import (
     MOST_LISTS,
+    Begin,
     Goal,
     Listed,
     Unknown,
@@ -67,11 +69,9 @@ MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
 CALL = 10  # cost of a call, in parts of an expression
 
-GLOBAL = 0
 TOOL = "tool in force"  # variable names contain no spaces
-_HERE: Key = (GLOBAL, "where the robot is")
 _ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
-MOST_STARTS = 64  # of a straight move: maximum number that are distinguished
+MOST_EFFECTS = 8  # of a routine with the same arguments: maximum number that are remembered
 
 Names = set[str]
 
@@ -112,6 +112,25 @@ class _Activation:
     returns: list[tuple[Values, dict[Key, Values]]] = field(default_factory=list)
 
 
+class _Effect(NamedTuple):
+    """What a routine does: what it returns, what it assigns on each way through it, to its own names, and its trace."""
+
+    results: Values
+    ways: Sequence[Mapping[Key, Values]]
+    after: Sequence[Mapping[str, Values]]
+    trace: Trace
+
+
+class _Entry(NamedTuple):
+    """What a routine is entered with. ``called``: by a statement of the program."""
+
+    routine: Routine
+    called: bool
+    given: Mapping[str, Values]
+    doubled: Mapping[str, str]
+    parent: _Activation | None
+
+
 @dataclass
 class _Turn:
     """A loop that is being executed."""
@@ -145,6 +164,8 @@ class Flow:
         self.scopes = GLOBAL
         self.stack = [_Activation(None, GLOBAL, None, 0)]
         self.turns: list[_Turn] = []
+        self.effects: dict[object, list[_Effect]] = {}  # of routines by their arguments
+        self.begins: dict[int, Values] = {}  # where the robot was when a routine began, by its scope
         self.loose = False  # jumps: statements may be executed in any order
         self.running: dict[
             str, dict[Key, dict[Value, None]]
@@ -203,9 +224,13 @@ class Flow:
         if self.loose:
             values = joined(self.get(name), values)
         if scope == "global" or (not scope and name == TOOL):
-            for one in self.stack:  # the global one, or that of an enclosing routine that has its own
+            for trace in self.environment.traces[-1:]:
+                trace.swept.add(name)
+            for one in self.stack[1:]:  # or the variable of a caller that has its own
                 if (before := self.environment.get((one.scope, name))) is not None:
                     self.environment.set((one.scope, name), joined(before, values))
+                    for trace in self.environment.traces:
+                        trace.repeatable &= one.scope >= trace.scope
             self.environment.set((GLOBAL, name), values)
             return
         if not scope and self.environment.get(own) is None:
@@ -295,9 +320,9 @@ class Flow:
     def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
         ways: list[Mapping[Key, Values]] = [] if whole else [{}]
         for block in blocks:
-            self.environment.layers.append({})
+            self.environment.begin({})
             reached = self.run(block)
-            way = self.environment.layers.pop()
+            way = self.environment.end()
             if reached:
                 ways.append(way)
         if ways:
@@ -307,8 +332,8 @@ class Flow:
     def _loop(self, loop: Loop) -> None:
         environment = self.environment
         for turns in range(MAX_TURNS + 2):
-            turn = _Turn(len(environment.layers))
-            environment.layers.append({})
+            turn = _Turn(environment.depth)
+            environment.begin({})
             self.turns.append(turn)
             if loop.counter:
                 self.set(loop.counter, (Unknown(f"{loop.counter} counts", 0),), "local")
@@ -316,7 +341,7 @@ class Flow:
                 self.value(loop.condition)
             reached = self.run(loop.body)
             self.turns.pop()
-            end = environment.layers.pop()
+            end = environment.end()
             before = {key: environment.get(key) for way in (end, *turn.continues) for key in way}
             self.work.spend(len(before))
             environment.join([{}, *turn.continues, *([end] if reached else [])])
@@ -376,7 +401,7 @@ class Flow:
         named = {name: self.value(argument) for name, argument in call.named}
         if (routine := self.routines.get(call.function)) is not None:
             if routine.kind == "beside" and routine.name not in self.running:
-                self.running[routine.name] = {}
+                self.running[routine.name] = {HERE: dict.fromkeys(self.environment.get(HERE) or ())}
                 self.environment.records.append(self.running[routine.name])
             return self.enter(routine, call, arguments, named)
         if (choices := prod(map(len, (*arguments, *named.values())))) > 1:
@@ -402,6 +427,7 @@ class Flow:
             self.uncertain(
                 at.function, at.start, at.end, f"{routine.name} calls itself, or too deeply; that is not followed"
             )
+            self._unrepeatable()
             return (Unknown(f"{routine.name} calls itself", at.start),)
         parent = next(
             (one for one in reversed(self.stack) if one.routine and one.routine.name == self.parents[routine.name]),
@@ -414,21 +440,96 @@ class Flow:
         doubled = self._doubled(routine, places)
         for name, root in doubled.items():
             self.set(root, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),))
-        self.scopes += 1
-        here = _Activation(routine, self.scopes, parent, len(self.environment.layers))
-        record: dict[Key, dict[Value, None]] = {}
-        self.environment.layers.append({})
-        self.stack.append(here)
         given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
+        effect = self._effect(_Entry(routine, call is not None, given, doubled, parent))
+        here = self.environment.get(HERE) or _ANYWHERE
+        self.environment.join([{**way, HERE: _from(way[HERE], here)} for way in effect.ways])
+        shared = {one.name for one in routine.parameters if one.shared}
+        if call is not None:  # an argument passed by reference may have changed
+            for name, place in places.items():
+                if name not in shared:
+                    continue
+                for way in effect.after:
+                    if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
+                        self._assign(place, joined(self.value(place), way[name]), "")
+        return effect.results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    def _effect(self, entry: _Entry) -> _Effect:
+        """Execute a routine, unless it was executed with the same arguments where all that it reads was the same."""
+        environment = self.environment
+        known = self.effects.setdefault(self._inputs(entry), [])
+        effect = next((one for one in reversed(known) if self._repeats(one.trace)), None)
+        repeated = effect is not None
+        if effect is None:
+            self.scopes += 1
+            self.begins[self.scopes] = self._places(environment.get(HERE) or _ANYWHERE)
+            trace = Trace(environment.depth, self.scopes, len(environment.records))
+            environment.traces.append(trace)
+            effect = self._executed(entry, trace)
+            environment.traces.pop()
+            if trace.repeatable:
+                known.append(effect)
+                del known[:-MOST_EFFECTS]
+            else:
+                self._unrepeatable()
+        self._inherit(effect.trace, repeated)
+        return effect
+
+    def _inputs(self, entry: _Entry) -> object:
+        """Return what decides, besides what a routine reads, what it does."""
+        beside = any(one.routine and one.routine.kind == "beside" for one in self.stack)
+        scope = GLOBAL if entry.parent is None else entry.parent.scope
+        given = (tuple(entry.given.items()), tuple(entry.doubled.items()))
+        return entry.routine.name, entry.called, given, scope, beside, self.loose
+
+    def _repeats(self, trace: Trace) -> bool:
+        """Return whether all that a routine read is the same here."""
+        environment = self.environment
+        self.work.spend(1)
+        for key, values in trace.read.items():
+            found, _ = environment.find(key)
+            if not (found is values or found == values):
+                return False
+        self.work.spend(len(trace.read) // SEVERAL + len(trace.written))
+        return all(environment.find((one.scope, name))[0] is None for one in self.stack[1:] for name in trace.swept)
+
+    def _inherit(self, trace: Trace, repeated: bool) -> None:
+        """Note what a routine does as done by its caller, and if it was not executed again, in the records and moves too."""
+        environment = self.environment
+        here = environment.get(HERE) or _ANYWHERE
+        for start, starts, ends in trace.legs:
+            self._leg(self.motions[start], _from(starts, here), ends)
+        for key, values in trace.written.items():
+            environment.trace(key, values)
+            if repeated:
+                environment.record(key, values)
+        for outer in environment.traces[-1:]:
+            for key in trace.read:
+                outer.reads(key, *environment.find(key))
+            outer.swept |= trace.swept
+
+    def _unrepeatable(self) -> None:
+        """Note that what is executed now depends on more than what it reads."""
+        for trace in self.environment.traces:
+            trace.repeatable = False
+
+    def _executed(self, entry: _Entry, trace: Trace) -> _Effect:
+        routine = entry.routine
+        trace.repeatable = routine.kind != "beside"
+        here = _Activation(routine, trace.scope, entry.parent, trace.depth)
+        begin: Values = (Begin(routine.name, trace.scope),)
+        record: dict[Key, dict[Value, None]] = {HERE: dict.fromkeys(begin)}
+        self.environment.begin({HERE: begin})
+        self.stack.append(here)
         for parameter in routine.parameters:
-            value = given.get(parameter.name)
+            value = entry.given.get(parameter.name)
             if value is None and parameter.default is not None:
                 value = self.value(parameter.default)
-            if value is None and parameter.optional and call is not None:
+            if value is None and parameter.optional and entry.called:
                 value = (Truth(False),)
             why = f"{parameter.name} is an argument of {routine.name} that nothing in this file gives"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
-        for name, root in doubled.items():
+        for name, root in entry.doubled.items():
             self.set(
                 name, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),), "local"
             )
@@ -448,22 +549,14 @@ class Flow:
         self.end_threads(routine.name)
         self.turns = outer
         self.stack.pop()
-        end = self.environment.layers.pop()
+        end = self.environment.end()
         ways = [*(way for _, way in here.returns), *([end] if reached else [])]
         results: Values = ()
         for values, _ in here.returns:
             results = joined(results, values)
         after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
-        self.environment.join([{key: v for key, v in way.items() if key[0] != here.scope} for way in ways])
-        shared = {one.name for one in routine.parameters if one.shared}
-        if call is not None:  # an argument passed by reference may have changed
-            for name, place in places.items():
-                if name not in shared:
-                    continue
-                for way in after:
-                    if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
-                        self._assign(place, joined(self.value(place), way[name]), "")
-        return results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+        ways = [{key: v for key, v in way.items() if key[0] != here.scope} for way in ways]
+        return _Effect(results, ways, after, trace)
 
     def _first_jump(self, routine: Routine) -> int:
         """The place of the first statement of a routine with a jump in it, or behind the last."""
@@ -511,16 +604,16 @@ class Flow:
         for name in [name for name in self.running if self.parents[name] == parent]:
             record = self.running.pop(name)
             self.environment.records = [one for one in self.environment.records if one is not record]
-            self.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            self.environment.begin_any_time(record)
             self.enter(self.routines[name], None, (), {})
-            self.environment.layers.pop()
+            self.environment.end()
 
     def _any_time(self, record: Mapping[Key, Mapping[Value, None]], blocks: Sequence[Block]) -> None:
         """Execute blocks with everything in a record. Their assignments are volatile, so none of them is kept."""
         for block in blocks:
-            self.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+            self.environment.begin_any_time(record)
             self.run(block)
-            self.environment.layers.pop()
+            self.environment.end()
 
     # moves
 
@@ -531,7 +624,7 @@ class Flow:
     def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
         """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument to resolve it."""
         self.motion(name, start, end).problems[why, remedy] = None
-        self.environment.set(_HERE, (Unknown(why, start),))
+        self.environment.set(HERE, (Unknown(why, start),))
 
     def goes_to(
         self,
@@ -559,14 +652,31 @@ class Flow:
                             motion.problems[found] = None
                         if k == len(targets):
                             ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
-        several = Unknown("it may be at too many places to be distinguished", call.start)
-        reached = tuple(ends) if len(ends) <= MOST_STARTS else (several,)
+        reached = few(tuple(ends))
         motion.straight = straight
-        leg = (self.environment.get(_HERE) or _ANYWHERE, tuple(ends))
+        self._leg(motion, self.environment.get(HERE) or _ANYWHERE, tuple(ends))
+        self.environment.set(HERE, joined(self.environment.get(HERE), reached) if self.loose else reached)
+
+    def _leg(self, motion: Motion, starts: Values, ends: Values) -> None:
+        """Record from where and to where a move is made. What begins where a routine does is made for each of its calls."""
+        if any(isinstance(one, Begin) for one in starts):
+            self.environment.traces[-1].legs[motion.start, starts, ends] = None
+        leg = (self._places(starts), ends)
         if not motion.legs or motion.legs[-1] != leg:
             self.work.spend(len(leg[0]) * len(ends) // SEVERAL)
             motion.legs.append(leg)
-        self.environment.set(_HERE, joined(self.environment.get(_HERE), reached) if self.loose else reached)
+
+    def _places(self, values: Values) -> Values:
+        """Return where the robot is, with the places themselves for those where routines begin."""
+        known = chain.from_iterable(self.begins[one.scope] if isinstance(one, Begin) else (one,) for one in values)
+        return distinct(known) if any(isinstance(one, Begin) for one in values) else values
+
+
+def _from(values: Values, here: Values) -> Values:
+    """Return where the robot is after a routine that was called ``here``."""
+    if not any(isinstance(one, Begin) for one in values):
+        return values
+    return distinct(chain.from_iterable(here if isinstance(one, Begin) else (one,) for one in values))
 
 
 def _upward(at: _Activation | None) -> Iterator[_Activation]:

@@ -247,9 +247,9 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
         for routine in entries:
             own: dict[Key, dict[Value, None]] = {}
             flow.environment.records.append(own)
-            flow.environment.layers.append({})
+            flow.environment.begin({})
             flow.enter(routine, None, (), {})
-            flow.environment.layers.pop()
+            flow.environment.end()
             flow.environment.records.pop()
             for key in kept_keys.intersection(own):
                 # All values it ever had: the run may be stopped anywhere, or ended by ExitCycle.
@@ -265,13 +265,13 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
             for name in kept:
                 flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
     flow.environment.records.pop()
-    flow.environment.layers.append({key: tuple(seen) for key, seen in record.items()})
+    flow.environment.begin_any_time(record)
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call
         if routine.name != "main" and (routine in entries or routine.name not in flow.called):
-            flow.environment.layers.append({})
+            flow.environment.begin({})
             flow.enter(routine, None, (), {})
-            flow.environment.layers.pop()
-    flow.environment.layers.pop()
+            flow.environment.end()
+    flow.environment.end()
     return flow
 
 

@@ -47,6 +47,7 @@ class Truth(NamedTuple):
     """True or False."""
 
     truth: bool
+    type: str = "bool"  # without it, True would equal the number 1
 
 
 class Name(NamedTuple):

@@ -143,9 +143,9 @@ def analyse(source: Source, block: Block, tool: Values, harmless: frozenset[str]
     flow.end_threads(None)
     for routine in routines:
         if routine.name not in flow.called:
-            flow.environment.layers.append({})
+            flow.environment.begin({})
             flow.enter(routine, None, (), {})
-            flow.environment.layers.pop()
+            flow.environment.end()
     return flow
 
 

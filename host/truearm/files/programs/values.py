@@ -96,7 +96,14 @@ class Goal(NamedTuple):
     end: int
 
 
-Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Goal | Unknown
+class Begin(NamedTuple):
+    """Where the robot is when a routine begins, for each of its calls another place; ``scope``: of its names."""
+
+    routine: str
+    scope: int
+
+
+Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Goal | Unknown | Begin
 Values = tuple[Value, ...]
 
 NOWHERE = Pose(())  # the identity
