@@ -32,6 +32,8 @@ CHANGES = {
     "wrong part": 0.08,  # another bar, chuck or sphere is mounted; the requested one is typed
     "forgotten": 0.04,  # nothing is changed, but Enter is pressed
 }
+# the same of an operator who forgets: nothing is typed until a later change is confirmed
+FORGETS = {"right": 0.5, "not typed": 0.2, "not mounted": 0.3}
 SKIPPED, REPEATED, BACK = 0.05, 0.05, 0.02
 NOTICED = (1, 4)  # visits after which a wrong part is noticed and corrected
 
@@ -81,6 +83,28 @@ def script(seed: int, plan: Plan, rig: Rig) -> list[Visit]:
                 typed += [wanted] * (1 + (how == "doubled"))
         typed = [words for due, words in later if due == len(visits)] + typed
         visits.append(Visit(row, on, tuple(typed)))
+    return visits
+
+
+def forgetful(seed: int, plan: Plan, types: bool) -> list[Visit]:
+    """Return the actions of an operator who at half of the changes types nothing, and at some leaves the bar where it is.
+
+    ``types``: False for one who does not confirm the other changes either.
+    """
+    rng = np.random.default_rng([seed, 0xF06E])
+    on = asked = pairing_at(plan, 0)
+    visits = [Visit(0, on, (on,) * types)]
+    for row in _rows(rng, len(plan)):
+        typed: tuple[Pairing, ...] = ()
+        wanted = pairing_at(plan, row)
+        if wanted != asked and row >= visits[-1].planned:
+            asked = wanted
+            how = str(rng.choice(list(FORGETS), p=list(FORGETS.values())))
+            if how != "not mounted":
+                on = wanted
+            if how == "right" and types:
+                typed = (wanted,)
+        visits.append(Visit(row, on, typed))
     return visits
 
 

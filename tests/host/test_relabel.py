@@ -1,4 +1,4 @@
-"""`truearm relabel`: what was mounted, settled afterwards; operators who err lose no observation, and nothing wrong is used."""
+"""`truearm relabel`: what was mounted is settled afterwards; operators who err lose no observation, and no wrong label is used."""
 
 import itertools
 import json
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from operator_scripts import Visit, lengths, pairing_at, script, write_session
+from operator_scripts import Visit, forgetful, lengths, pairing_at, script, write_session
 
 from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
@@ -34,35 +34,35 @@ def plan():
 
 
 def recorded(path, plan, visits, seed=0):
-    """A session of these visits; what the sensor shows at each."""
+    """Write a session of these visits; return what the sensor shows at each."""
     extension = lengths(visits, plan, RIG, ROBOT.chain, ROBOT.parameter_sets["optimised"], seed)
     write_session(path, visits, plan, RIG, extension, seed)
     return extension
 
 
 def right(plan):
-    """An operator who does everything as planned and confirms it."""
+    """Return the visits of an operator who does everything as planned and confirms it."""
     pairings = [pairing_at(plan, row) for row in range(len(plan))]
     new = [True, *(a != b for a, b in itertools.pairwise(pairings))]
     return [Visit(row, p, (p,) * asked) for row, (p, asked) in enumerate(zip(pairings, new, strict=True))]
 
 
 def used(path):
-    """(bar, chuck, sphere) of the observations that ``identify`` would use, by the number of their dwell."""
+    """Return (bar, chuck, sphere) of the observations that ``identify`` would use, by the number of their dwell."""
     table = read_sources(Sources((path,)), ROBOT.chain.joint_units, ROBOT).table
     names = zip(*(getattr(table, key).tolist() for key in BAR_MOUNTED), strict=True)
     return {int(source.rpartition(" ")[2]) - 1: name for source, name in zip(table.source.tolist(), names, strict=True)}
 
 
 class Account:
-    """Over several operators: dwells with a reading, those used, those used wrongly."""
+    """Counts over several operators: dwells with a reading, dwells used, dwells used with a wrong label."""
 
     def __init__(self):
         self.read = self.usable = self.wrong = self.wrong_before = self.before = 0
 
-    def add(self, tmp_path, plan, seed):
+    def add(self, tmp_path, plan, seed, visits=None):
         path = tmp_path / f"{seed}.mcap"
-        visits = script(seed, plan, RIG)
+        visits = visits or script(seed, plan, RIG)
         extension = recorded(path, plan, visits, seed)
         before = used(path)
         relabel(path, EVIDENCE)
@@ -87,7 +87,7 @@ def test_operators_who_err(tmp_path, plan):
 
 @pytest.mark.soak
 def test_two_hundred_operators(tmp_path, plan, capsys):
-    """The least that is asked for: 97 % usable, of 2000 labels one wrong; without it nothing wrong is used."""
+    """The requirement: 97 % usable, at most one of 2000 labels wrong; without relabel, no wrong label is used."""
     account = Account()
     for seed in range(200):
         account.add(tmp_path, plan, seed)
@@ -98,8 +98,32 @@ def test_two_hundred_operators(tmp_path, plan, capsys):
     assert account.wrong_before == 0
 
 
+@pytest.mark.parametrize("types", [True, False], ids=["some typed", "none typed"])
+def test_a_forgotten_mount(tmp_path, plan, types):
+    """Whole runs without a word, with the bar where it was or where it should be: their dwells are right or left out."""
+    account = Account()
+    for seed in (3, 16):
+        account.add(tmp_path, plan, seed, forgetful(seed, plan, types))
+    assert account.wrong_before == account.wrong == 0
+    assert account.usable >= 0.8 * account.read
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("types", [True, False], ids=["some typed", "none typed"])
+def test_a_hundred_forgetful_operators(tmp_path, plan, types, capsys):
+    """Without the evidence of runs, a single dwell with another pairing than planned may fit the plan by chance."""
+    account = Account()
+    for seed in range(100):
+        account.add(tmp_path, plan, seed, forgetful(seed, plan, types))
+    with capsys.disabled():
+        print(vars(account))
+    assert account.wrong == 0
+    assert account.wrong_before <= (0 if types else account.before / 1000)
+    assert account.usable >= 0.9 * account.read
+
+
 class TestOneMissedEnter:
-    """Everything is mounted as planned; of one change nobody says so, and nothing more is confirmed."""
+    """All is mounted as planned; one change is not confirmed, and nothing after it."""
 
     @pytest.fixture
     def path(self, tmp_path, plan):
@@ -217,7 +241,7 @@ class TestOneMissedEnter:
 
 
 def within_the_stroke(plan):
-    """Runs of the plan with another pairing mounted, where the sensor stays within its stroke anyway."""
+    """Yield runs of the plan with another pairing mounted for which the sensor stays within its stroke."""
     visits = right(plan)
     for of_run in dict.fromkeys(visit.mounted for visit in visits):
         run = [k for k, visit in enumerate(visits) if visit.mounted == of_run]
@@ -229,7 +253,7 @@ def within_the_stroke(plan):
 
 
 def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
-    """Plan and operator agree, the bar hangs between others; only the readings say so. Everything else is used."""
+    """Plan and operator agree, but another pairing is mounted; only the readings show it. Everything else is used."""
     run, wrong, extension = next(within_the_stroke(plan))
     path = tmp_path / "s.mcap"
     recorded(path, plan, wrong)
@@ -240,7 +264,7 @@ def test_a_wrong_part_that_was_confirmed_is_not_used(tmp_path, plan):
     assert len(used(path)) == np.isfinite(extension).sum() - len(run)
 
 
-def test_reasons_that_need_a_word_are_reasons():
+def test_reasons_that_need_a_decision_are_reasons():
     from truearm.session.dwells import REASONS
 
     assert set(NEED_DECISION) <= set(REASONS)
