@@ -138,7 +138,7 @@ class TestThePlan:
     def test_that_all_of_it_is_taken_is_said_once_while_the_robot_stands(self):
         session = Session(plan(*PAIRS[:2]))
         session.run(2.5)
-        said = "all of the plan is taken; q and Enter end the recording"
+        said = "the plan is complete; type q and Enter to end the recording"
         assert said not in session.said
         session.dwell()
         assert session.said[-1] == said
@@ -173,7 +173,7 @@ class TestThePlan:
         for _ in range(2):
             session.dwell()
         (warning,) = (text for text in session.said if text.startswith("contradiction"))
-        assert warning == "contradiction: pose 2 is planned with bar b61; confirmed is bar b46, chuck c1, sphere s1"
+        assert warning == "contradiction: pose 2 needs bar b61, but bar b46, chuck c1, sphere s1 was confirmed"
 
     def test_where_nobody_confirms_anything_nothing_is_contradicted(self):
         """The plan alone says what is mounted, and ``identify`` takes it; the view goes on asking."""

@@ -88,7 +88,7 @@ class TestTravel:
         session = Session()
         counts = np.full((13, 4), 2**23 - 1, "<i4")
         session.state.block(session.t, Data(0, 0, 0, 0, 983_040, b"", counts.tobytes(), 0))
-        assert "rail" in session.row("lvdt").text
+        assert "saturated" in session.row("lvdt").text
 
     def test_a_stream_that_has_run_dry(self):
         """The converter has died, the box's heartbeats go on."""
@@ -114,8 +114,8 @@ class TestTravel:
         session.run(2.0)
         text = session.state.line(session.status(), None)
         assert text.startswith("lvdt ")
-        assert "; samples adc 1017.3 Hz; 0 samples, 0 frames lost; clock round trip 312 µs at best; robot 78." in text
-        assert re.search(r"last 0\.0 s ago; dwells 1 of 4, standing for (1\.9|2\.0) s, enough$", text)
+        assert "; samples adc 1017.3 Hz; 0 samples, 0 frames lost; clock shortest round trip 312 µs; robot 78." in text
+        assert re.search(r"last 0\.0 s ago; dwells 1 of 4, standing for (1\.9|2\.0) s, long enough$", text)
 
 
 class TestCheck:
@@ -165,7 +165,7 @@ class TestView:
             said += view.take()[0]
         assert said == [
             "warning: the robot has been silent for 3 s",
-            "the robot is heard again",
+            "the robot sends again",
             "warning: the robot has been silent for 3 s",
             "warning: the robot was lost; trying to reach it again",
             "the robot is back",
@@ -210,4 +210,4 @@ class TestView:
         view = View(LiveState(SessionProgress(), None, False), Purpose())
         for _ in range(WAITING + 5):
             view.reading(1, JointLine(0.0, [0.0]))
-        assert view.trouble == "the view stood still and missed 5 pieces; the recording did not"
+        assert view.trouble == "the live view stalled and missed 5 updates; the recording was not affected"

@@ -211,7 +211,7 @@ def clock_words(watch: Watch) -> str:
         return "not known yet"
     return (
         f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, host {now.rate_ppm:+.1f} ppm faster, "
-        f"round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')} at best"
+        f"shortest round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')}"
     )
 
 

@@ -129,4 +129,4 @@ def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:
 
 def words_of(pairing: Mapping[str, str]) -> str:
     """Format a pairing on one line."""
-    return ", ".join(f"{key} {name}" for key, name in pairing.items()) or "nothing said"
+    return ", ".join(f"{key} {name}" for key, name in pairing.items()) or "nothing confirmed"

@@ -185,7 +185,7 @@ class LiveState:
             planned = ", ".join(f"{key} {row[key]}" for key in other)
             self.contradictions += 1
             self.said.append(
-                f"{CONTRADICTION}: pose {pose} is planned with {planned}; confirmed is {words_of(session_progress.mounted)}"
+                f"{CONTRADICTION}: pose {pose} needs {planned}, but {words_of(session_progress.mounted)} was confirmed"
             )
         self._say_complete()
 
@@ -226,7 +226,7 @@ class LiveState:
     def _say_complete(self) -> None:
         if self.session_progress.complete and not self._complete:
             self._complete = True
-            self.said.append("all of the plan is taken; q and Enter end the recording")
+            self.said.append("the plan is complete; type q and Enter to end the recording")
 
     def _lines_alone(self) -> bool:
         """Whether the plan has no dwells: a stop then is not a dwell."""
@@ -245,7 +245,7 @@ class LiveState:
             return None, ""
         counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
         if railed(counts).any():
-            return None, "at the converter's rail: the bar is off, or a wire is"
+            return None, "saturated: the bar is detached or a wire is broken"
         return float(extension(counts, channel).mean()), ""
 
     def _position(self) -> tuple[float | None, float | None, str]:
@@ -352,7 +352,7 @@ class LiveState:
         more = (
             (lost[1], "samples lost in the box"),
             (counters.restarts, "restarts"),
-            (counters.link_losses, "times unplugged"),
+            (counters.link_losses, "lost connections"),
         )
         text += "".join(f", {n} {what}" for n, what in more if n)
         alarm, self._lost = lost != self._lost, lost
@@ -371,7 +371,7 @@ class LiveState:
         if not status.robot_ok:
             return ViewLine("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
         if status.robot_waits and age is not None and age > LATE_S:
-            return ViewLine("robot", f"sends more than can be stored; what is stored now came {_age(age)}", True)
+            return ViewLine("robot", f"sends more than can be stored; the reading stored last came {_age(age)}", True)
         times = self._readings
         rate = (
             f"{NS.factor * (len(times) - 1) / (times[-1] - times[0]):.1f} readings/s"
@@ -400,7 +400,7 @@ class LiveState:
             )
         standing = self._dwells.standing_ns
         if standing is not None and self._is_heard(status):
-            parts.append(f"standing for {NS.to_si(standing):.1f} s" + (", enough" if self._counted else ""))
+            parts.append(f"standing for {NS.to_si(standing):.1f} s" + (", long enough" if self._counted else ""))
         return ViewLine("dwells", ", ".join(parts))
 
     def _is_heard(self, status: Status) -> bool:
@@ -410,16 +410,14 @@ class LiveState:
         return bool(status.robot_ok) and (status.robot_age_s or 0.0) <= LATE_S
 
 
-HELP = " · Enter: mounted as asked · NUMBER or bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: mounted · note TEXT · q: end"
+HELP = " · Enter: mounted as asked · NUMBER, bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME: this is mounted · note TEXT · q: end"
 
 
 def clock_words(status: Status, clock: OnlineEstimate | None) -> str:
     """Describe how well the host knows the box's clock."""
     if clock is None:
-        return "not known yet" if status.rtt_us is None else f"round trip {status.rtt_us:.0f} µs at best"
-    return (
-        f"± {US.text(NS.to_si(clock.bound_ns), '.0f')}, round trip {US.text(NS.to_si(clock.rtt_min_ns), '.0f')} at best"
-    )
+        return "not known yet" if status.rtt_us is None else f"shortest round trip {status.rtt_us:.0f} µs"
+    return f"± {US.text(NS.to_si(clock.bound_ns), '.0f')}, shortest round trip {US.text(NS.to_si(clock.rtt_min_ns), '.0f')}"
 
 
 def _age(age_s: float | None) -> str:

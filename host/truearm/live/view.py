@@ -120,8 +120,12 @@ class View(Operator):
     def trouble(self) -> str:
         """Return what the view missed, "" if nothing. Missed dwells are not in the file's events either."""
         if self._failure:
-            return f"the view failed ({self._failure}); the recording did not"
-        return f"the view stood still and missed {self._missed} pieces; the recording did not" if self._missed else ""
+            return f"the live view failed ({self._failure}); the recording was not affected"
+        return (
+            f"the live view stalled and missed {self._missed} updates; the recording was not affected"
+            if self._missed
+            else ""
+        )
 
     def take(self) -> tuple[list[str], Status | None]:
         """Process what waits; return the lines to print now, and the newest status."""
@@ -206,7 +210,7 @@ class _Watch:
         silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S and not status.robot_waits
         if silent != self._robot_silent and status.robot_ok:
             messages.append(
-                f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot is heard again"
+                f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot sends again"
             )
         self._robot_silent = silent
         if status.counters.robot_held_up and not self._robot_floods:
