@@ -1,4 +1,4 @@
-"""A conversation with the box, in virtual time: every command, pages, refusals, lost answers, a hostile other side."""
+"""A conversation with the box in virtual time: every command, pages, refusals, lost answers, a hostile peer."""
 
 import cbor2
 import pytest
@@ -8,6 +8,7 @@ from truearm.box.control import MAX_WAITING, BoxControl, NoAnswer
 from truearm.box.gauge_run import sample
 from truearm.box.selftest import FAIL, PASS, WARN, findings
 from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.progress import listening
 from truearm_sim.sensors import calibration
 from truearm_wire import messages as wire
 from truearm_wire.frame import frame
@@ -216,6 +217,24 @@ def test_a_document_that_is_none(document, says):
 def test_answers_to_others_are_not_ours():
     with pytest.raises(NoAnswer):
         talk(lambda request: reply(request[1] + 1, b"")).command(wire.STOP)
+
+
+def test_waiting_for_an_answer_is_a_step_that_a_terminal_shows():
+    class Heard(list):
+        def begin(self, what):
+            self.append(what)
+            return self
+
+        def advance(self, share):
+            raise AssertionError
+
+        def end(self):
+            self.append("end")
+
+    heard = Heard()
+    with listening(heard), pytest.raises(NoAnswer):
+        talk(lambda request: b"").command(wire.STOP)
+    assert heard == ["waiting for the box to answer 'stop'", "end"]
 
 
 def test_an_answer_that_came_while_the_machine_was_busy_is_taken():

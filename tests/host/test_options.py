@@ -1,4 +1,4 @@
-"""The words of options: docs/reference/options.md says what each means, every command follows it, and earlier words are refused."""
+"""Options: docs/reference/options.md says what each means, every command follows it, and earlier names are refused."""
 
 import re
 import subprocess
@@ -50,6 +50,34 @@ def test_an_option_of_several_commands_has_one_kind_of_value():
 
 def test_every_word_of_the_page_is_an_option():
     assert set(ROWS) <= {word for _, word, _ in options()}
+
+
+def test_every_command_has_json_except_those_that_the_page_names():
+    without = {name for name, command in commands().items() if "as_json" not in {one.name for one in command.params}}
+    box = {f"truearm box {word}" for word in ("reset", "flash", "gauge", "monitor", "config get", "config set")}
+    assert without == {"truearm init", "truearm demo", "truearm simulate", "truearm reproduce"} | box
+    (paragraph,) = re.findall(r"^Every command that prints results has `--json`.*?\n\n", PAGE, re.MULTILINE | re.DOTALL)
+    for name in without:
+        assert name.removeprefix("truearm ").removeprefix("box ").split()[0] in paragraph
+
+
+def test_every_command_that_writes_a_file_has_force():
+    """Except those that write a folder, or never replace a file."""
+    files = {
+        "--out",
+        "--report",
+        "--picture",
+        "--save-table",
+        "--program",
+        "--curves",
+        "--residuals",
+        "--rig-out",
+        "--truth-out",
+    }
+    for name, command in commands().items():
+        words = {word for one in command.params for word in one.opts}
+        if words & files and name not in ("truearm export-session", "truearm reproduce"):
+            assert "--force" in words, name
 
 
 @pytest.mark.parametrize(

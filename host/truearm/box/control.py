@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import cbor2
 
 from truearm.errors import LinkError, ProtocolError, RefusedError
+from truearm.progress import step
 from truearm.record.fields import fields_of
 from truearm.record.frames import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
@@ -169,17 +170,18 @@ class BoxControl:
     ) -> None:
         self._awaited, data = self._requests.make(kind, *arguments)
         self._reply = self._error = None
-        for _ in range(retries):
-            self._link.write(data)
-            left_ns = retry_ns
-            deadline_ns = self._clock.now_ns() + retry_ns
-            while left_ns > 0:
-                # on a busy machine the time may already be over although the answer has arrived
-                left_ns = deadline_ns - self._clock.now_ns()
-                self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
-                self._check_refused(NAMES[kind])
-                if answered():
-                    return
+        with step(f"waiting for the box to answer {NAMES[kind]!r}"):
+            for _ in range(retries):
+                self._link.write(data)
+                left_ns = retry_ns
+                deadline_ns = self._clock.now_ns() + retry_ns
+                while left_ns > 0:
+                    # on a busy machine the time may already be over although the answer has arrived
+                    left_ns = deadline_ns - self._clock.now_ns()
+                    self._pump(min(max(left_ns, 0) / SECOND, _READ_S))
+                    self._check_refused(NAMES[kind])
+                    if answered():
+                        return
         raise NoAnswer(
             f"{self._link.name}: no answer to {NAMES[kind]!r} in {retries * retry_ns / SECOND:g} s; "
             "is this a truearm box, and is its firmware running?"

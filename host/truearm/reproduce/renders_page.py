@@ -43,7 +43,7 @@ def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
         yield _identified(chain, "E", sets, seed)
     with step(f"III-F: offsets and lengths, {sets} sets of lines"):
         yield _identified(chain, "F", sets, seed)
-    with step(f"III-G: offsets alone beside offsets and lengths, {sets} sets of lines"):
+    with step(f"III-G: offsets alone, and offsets and lengths, {sets} sets of lines"):
         yield _comments(chain, sets, seed)
     runs = 6 if quick else 60
     with step(f"II-G: is the covariance true? {runs} experiments a solver"):

@@ -316,9 +316,9 @@ def identified(
     request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
-    with step("trying other readings of the inputs"):
+    with step("trying other interpretations of the inputs"):
         estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
-    with step("weighing joint laws"):
+    with step("fitting joint laws"):
         chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(

@@ -182,7 +182,7 @@ def _read_input(
     labels = labels_of(path) is not None
     rejected = Counter(result.reasons)
     if robot is not None and not labels:
-        with step("holding labels against the readings"):
+        with step("comparing labels with the readings"):
             borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
         rejected += Counter({DOUBTFUL: int((~borne_out).sum())})

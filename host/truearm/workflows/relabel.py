@@ -94,7 +94,7 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
     robot = (
         None if options.robot.robot is None else load_robot(options.robot.robot, options.robot.base, options.robot.tip)
     )
-    with step(f"weighing what was mounted at {len(said)} dwells"):
+    with step(f"estimating what was mounted at {len(said)} dwells"):
         found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:
         raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
