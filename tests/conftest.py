@@ -1,4 +1,4 @@
-"""How the suite runs: the number of workers, the order of files, and what is skipped where no image can be built."""
+"""How the test suite runs: the number of workers, the order of files, and which tests are skipped if no image can be built."""
 
 import gc
 import os

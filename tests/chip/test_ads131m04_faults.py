@@ -1,4 +1,4 @@
-"""The converter's driver on the emulated chip when converter, line or loop fail: nothing wrong is handed out, all is counted."""
+"""The converter's driver on the emulated chip when converter, line or loop fail: no wrong sample is output, and all faults are counted."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""CRC and survey of the converter's driver, and the model's answers, by what others saw of real parts."""
+"""CRC and survey of the converter's driver, and the model's answers, compared with published observations of real parts."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""The box's firmware on its chip: boot, time, flash, ways out, a host that goes away."""
+"""The firmware on the emulated chip: boot, time, flash, exits, a host that disappears."""
 
 import itertools
 import random

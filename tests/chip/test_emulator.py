@@ -1,4 +1,4 @@
-"""The emulator itself: its processor against rp2040js's, and the image's file."""
+"""The emulator itself: its processor compared with rp2040js's, and the image file."""
 
 import json
 import struct

@@ -1,4 +1,4 @@
-"""The LVDT's excitation and its demodulators' clocks on the emulated chip's pins: frequency, duty and phases."""
+"""The LVDT's excitation and its demodulators' clocks at the emulated chip's pins: frequency, duty cycle and phases."""
 
 import cmath
 import math

@@ -1,4 +1,4 @@
-"""The magnetostrictive driver on the emulated chip, against the head's own account of every shot."""
+"""The magnetostrictive driver on the emulated chip, compared with the model head's record of every shot."""
 
 import random
 

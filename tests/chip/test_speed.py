@@ -1,4 +1,4 @@
-"""The box's firmware on its chip at the highest rate that the documents promise. bench/chip.py measures; this holds it."""
+"""The firmware on the emulated chip at the highest documented rate. bench/chip.py measures it; this test checks it."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""Thermometers on the emulated chip: found, read to the sixteenth of a degree, and everything that can go wrong with the wire."""
+"""Thermometers on the emulated chip: detection, readings to a sixteenth of a degree, and every fault of the wire."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The trigger driver on the emulated chip: every edge once, in order, with its stamp, whatever the burst."""
+"""The trigger driver on the emulated chip: every edge once, in order, with its stamp, for any burst."""
 
 import random
 

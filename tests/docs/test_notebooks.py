@@ -1,4 +1,4 @@
-"""The notebooks run from their first cell to their last, each in a process of its own, and hold what they printed."""
+"""Each notebook runs from its first cell to its last in its own process, and prints what is committed."""
 
 import json
 import os

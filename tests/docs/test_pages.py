@@ -1,4 +1,4 @@
-"""Every command and every block of Python in the documentation runs as it stands there, page by page."""
+"""All commands and Python blocks in the documentation run as written, page by page."""
 
 import ast
 import shlex

@@ -1,4 +1,4 @@
-"""The levels at which a simulated box runs: its hardware differs, the tests that use this do not."""
+"""The levels at which a simulated box runs. The hardware differs; tests that use these levels do not."""
 
 from collections.abc import Sequence
 from contextlib import contextmanager

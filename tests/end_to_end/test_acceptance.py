@@ -1,4 +1,4 @@
-"""The box's acceptance, the same at every level: every sample is the world's, every stamp is right, every fault is counted."""
+"""Acceptance of the box, with the same tests at every level: each sample matches the world, each stamp is right, and each fault is counted."""
 
 import functools
 import itertools

@@ -1,4 +1,4 @@
-"""Joint readings that were recorded elsewhere give the same dwells and lengths as those that the recorder saw arrive."""
+"""Joint readings recorded by another program give the same dwells and lengths as readings that the recorder received."""
 
 import hashlib
 import json

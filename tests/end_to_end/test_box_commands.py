@@ -1,4 +1,4 @@
-"""``truearm box`` against a box in real time: over a socket and a pseudo-terminal, as an operator types it."""
+"""``truearm box`` with a box in real time, over a socket and a pseudo-terminal, as an operator uses it."""
 
 import contextlib
 import json

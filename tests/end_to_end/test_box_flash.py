@@ -1,4 +1,4 @@
-"""``truearm box flash`` against a box in real time, a boot drive, and a stock MicroPython."""
+"""``truearm box flash`` with a box in real time, a boot drive, and a stock MicroPython."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""``truearm box gauge`` against a box whose operator moves the sensors."""
+"""``truearm box gauge`` with a box and an operator who moves the sensors."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""The recorder's reader keeps up while Python is busy, and whatever happens to the view the recording goes on."""
+"""The recorder's reader keeps up while Python is busy, and the recording continues whatever happens to the live view."""
 
 import os
 import re

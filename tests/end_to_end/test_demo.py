@@ -1,4 +1,4 @@
-"""The demo's claims, each against its theory. One run of the real thing with 800 poses a bar, as `make demo` does it."""
+"""The claims of the demo, each compared with theory, on one run with 800 poses per bar, as in `make demo`."""
 
 import json
 import math

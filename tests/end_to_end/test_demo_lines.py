@@ -1,4 +1,4 @@
-"""The line demo's claims, each against its theory: Renders' experiment from the firmware to the report."""
+"""The claims of the line demo, each compared with theory: Renders' experiment from the firmware to the report."""
 
 import json
 import math

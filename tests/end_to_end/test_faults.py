@@ -1,4 +1,4 @@
-"""What goes wrong in the box or on the link is in the file, is counted exactly, and no sample across a gap is used."""
+"""Faults of the box or the link are in the file and counted exactly, and no sample across a gap is used."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A robot identified from the sensor box at every level: one shell, recorded by each, gives the same parameters."""
+"""A robot identified from box data at every level: the same shell gives the same parameters."""
 
 import json
 from dataclasses import replace

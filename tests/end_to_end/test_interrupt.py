@@ -1,4 +1,4 @@
-"""Ctrl-C as a terminal sends it, to the whole process group, at every stage of the demo; and outputs that cannot be written."""
+"""Ctrl-C, sent to the complete process group as a terminal does, at every stage of the demo; outputs that cannot be written."""
 
 import os
 import signal

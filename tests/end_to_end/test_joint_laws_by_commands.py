@@ -1,4 +1,4 @@
-"""The full way with an arm that has error curves and sag: plan, record, identify, correct, by commands alone, judged by the hidden truth."""
+"""Plan, record, identify and correct an arm with error curves and sag by commands alone; the hidden truth is the judge."""
 
 import csv
 import json

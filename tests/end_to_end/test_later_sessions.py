@@ -1,4 +1,4 @@
-"""What later sessions say of a calibration, and what a plan counts of them: `truearm validate` and `plan --measured` on sessions."""
+"""Later sessions: `truearm validate` judges a calibration by them, and `plan --measured` counts their rows."""
 
 import json
 

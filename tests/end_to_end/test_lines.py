@@ -1,4 +1,4 @@
-"""Lines from the firmware to τ: the World's device, the box in its MicroPython, the recorder, sync, identify."""
+"""Lines, from the firmware to τ: the world's device, the box in MicroPython, recorder, synchronisation, identification."""
 
 from dataclasses import replace
 

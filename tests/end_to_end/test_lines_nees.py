@@ -1,4 +1,4 @@
-"""Is what `map` says of its errors true, and does it notice a device that is not what it says? Robots drawn from the prior."""
+"""Whether the errors that `map` claims are true, and whether it detects a device with undeclared errors. Robots are drawn from the prior."""
 
 from dataclasses import replace
 

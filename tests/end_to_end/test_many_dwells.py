@@ -1,4 +1,4 @@
-"""A day of dwells in virtual time, each step a process of its own: nothing lost, and memory that does not follow the length."""
+"""A day of dwells in virtual time, each step in its own process: nothing is lost, and memory does not grow with the length."""
 
 import json
 import os

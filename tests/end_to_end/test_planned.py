@@ -1,4 +1,4 @@
-"""A planned session: what `truearm plan ballbar` wrote is driven, recorded, synced and identified, and keeps what it promised."""
+"""A planned session: the plan of `truearm plan ballbar` is driven, recorded and identified, and its forecast holds."""
 
 import json
 

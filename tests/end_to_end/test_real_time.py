@@ -1,4 +1,4 @@
-"""Box and robot in real time, in a process of their own; the recorder in another, over pyserial and TCP; then the whole way."""
+"""Box and robot in real time in one process, the recorder in another, over pyserial and TCP; then all further commands."""
 
 import re
 import signal

@@ -1,4 +1,4 @@
-"""Long recordings in real time over a pseudo-terminal while other processes load the machine: nothing lost, or lost and counted."""
+"""Long recordings in real time over a pseudo-terminal on a loaded machine: nothing is lost, or the loss is counted."""
 
 import subprocess
 import sys

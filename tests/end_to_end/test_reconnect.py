@@ -1,4 +1,4 @@
-"""The VM box's cable is pulled and plugged in again, the robot's network drops, and the session goes on after a break."""
+"""The box is unplugged and plugged in again, the robot's network fails, and the session continues afterwards."""
 
 import json
 import socket

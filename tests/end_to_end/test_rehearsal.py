@@ -1,4 +1,4 @@
-"""The way from an empty folder to a validated calibration by commands alone, for the arms that people have (docs/how-to/rehearsal.md)."""
+"""From an empty folder to a validated calibration by commands alone, for several arms (docs/how-to/rehearsal.md)."""
 
 import json
 import re

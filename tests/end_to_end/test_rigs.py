@@ -1,4 +1,4 @@
-"""Sessions of one robot with rigs of their own, recorded by the simulated lab and identified together."""
+"""Sessions of one robot with different rigs, recorded by the simulated lab and identified together."""
 
 import functools
 import json

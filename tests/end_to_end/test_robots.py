@@ -1,4 +1,4 @@
-"""``truearm simulate --protocol rtde`` and ``truearm record --address rtde://``: a Universal Robots arm without one."""
+"""``truearm simulate --protocol rtde`` and ``truearm record --address rtde://``: a simulated Universal Robots arm."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A slow, limber arm: what joint angles read too early cost, and that dwells found by robot and sensor do not pay it."""
+"""A slow, flexible arm: the error caused by joint angles that are read too early, which dwells found by robot and sensor avoid."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""`truearm simulate` with a plan of one's own, with lines, and with what cannot be."""
+"""`truearm simulate` with the user's plan, with lines, and with impossible requests."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A session while bar and sensor warm up, from the simulated box to lengths: corrected with thermometers, warned of without."""
+"""A session during which bar and sensor warm up: lengths are corrected with thermometers, and a warning is printed without."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The box's output at a robot's input, from the firmware's random times to the robot's clock: against the simulator's truth."""
+"""The box's trigger output at a robot's input, from the random times to the robot's clock, compared with the simulator's truth."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""`truearm validate` by sessions of the line device: calibrations of the ball-bar and of other lines, robots that changed since."""
+"""`truearm validate` with sessions of the line device: calibrations by ball-bar and by other lines, and robots that changed."""
 
 import json
 

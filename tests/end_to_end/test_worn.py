@@ -1,4 +1,4 @@
-"""A worn arm without hardware, by command line alone: how well does it repeat, and a calibration that knows it."""
+"""A worn arm, by commands alone: its repeatability, and a calibration that takes it into account."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Boxes for the tests: the firmware in a real MicroPython, and in CPython where that should make no difference."""
+"""Boxes for the tests: the firmware in a real MicroPython, and in CPython where the result must be the same."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""Power cuts and a full flash while a configuration is stored, on a real littlefs (power_cuts.py says how)."""
+"""Power cuts and a full flash while a configuration is stored, on a real littlefs (power_cuts.py describes them)."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""A request's t1: as early as the box can know it, never before the request arrived, however requests and stray bytes lie."""
+"""A request's t1 is as early as the box can know it and never before the request's arrival, however requests and stray bytes are mixed."""
 
 import gc
 import sys

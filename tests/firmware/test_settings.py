@@ -1,4 +1,4 @@
-"""The configuration: put and got by command, kept on flash, old and damaged ones; self-test, reset, the last traceback."""
+"""The configuration: read and written by command, kept on flash, old and damaged files; self-test, reset, the last traceback."""
 
 import json
 

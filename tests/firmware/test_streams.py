@@ -1,4 +1,4 @@
-"""Two sources in one ring, the box's output and its inputs, and a host that is gone, grant by grant."""
+"""Two sources in one ring, the box's output and inputs, and a host that is gone, grant by grant."""
 
 import itertools
 import struct

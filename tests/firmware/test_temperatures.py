@@ -1,4 +1,4 @@
-"""Thermometers on the box: what is read, told and counted, and that nothing else suffers from one that fails."""
+"""Thermometers on the box: reading, reporting and counting, and that a failing thermometer affects nothing else."""
 
 from functools import cache
 

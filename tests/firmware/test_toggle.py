@@ -1,4 +1,4 @@
-"""The trigger output by itself: random intervals within their limits, while streaming alone, without allocation."""
+"""The trigger output: random intervals within their limits, only while streaming, without allocation."""
 
 import numpy as np
 import pytest

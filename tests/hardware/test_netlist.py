@@ -1,5 +1,4 @@
-"""The box's netlist against data sheets and board_pico.py, by checks that do not know how it was made; and those checks against
-faults put into it."""
+"""The box's netlist compared with data sheets and board_pico.py, independently of its generator; and these checks with injected faults."""
 
 import random
 

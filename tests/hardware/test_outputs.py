@@ -1,4 +1,4 @@
-"""What is committed of the hardware is what its sources make, and its numbers follow from them."""
+"""The committed hardware files are what the sources generate, and their numbers follow from the sources."""
 
 import math
 import re

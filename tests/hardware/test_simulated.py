@@ -1,4 +1,4 @@
-"""KiCad's electrical rules check, its own reading of the netlist, and the simulations. Skipped where there is no KiCad or ngspice."""
+"""KiCad's electrical rules check, its own netlist, and the simulations. Skipped without KiCad or ngspice."""
 
 import pytest
 

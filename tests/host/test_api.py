@@ -1,4 +1,4 @@
-"""The public Python interface: every name has a doctest that runs, wrong arguments are named, types are real."""
+"""The public Python interface: every name has a doctest that runs, errors name the wrong argument, and types are exact."""
 
 import doctest
 import inspect

@@ -1,4 +1,4 @@
-"""A box's configuration as a file: nothing is lost either way, mistakes are named, and the rules are the firmware's own."""
+"""A box's configuration as a file: nothing is lost in either direction, mistakes are named, and the rules are those of the firmware."""
 
 import copy
 import importlib.util

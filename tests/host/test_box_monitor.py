@@ -1,4 +1,4 @@
-"""What ``truearm box monitor`` shows of temperatures: thermometers by their names, and how far the calibration's is."""
+"""Temperatures in ``truearm box monitor``: thermometers by name, and the difference from the calibration's temperature."""
 
 import dataclasses
 from types import SimpleNamespace

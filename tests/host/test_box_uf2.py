@@ -1,4 +1,4 @@
-"""UF2 images: what is taken, and everything else refused with one line."""
+"""UF2 images: valid ones are accepted, all others are refused with one line."""
 
 import struct
 import zlib

@@ -1,4 +1,4 @@
-"""What ``truearm characterize`` says of a simulated robot, against the simulator's truth; and what identify does with it."""
+"""``truearm characterize`` on a simulated robot, compared with the simulator's truth; and identify with its noise file."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""``truearm correct`` from a noisy calibration to where the true robot ends; and what it says of bad input."""
+"""``truearm correct``, from a noisy calibration to the position that the true robot reaches; bad input."""
 
 import csv
 import json

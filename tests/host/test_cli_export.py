@@ -1,4 +1,4 @@
-"""``truearm export``: through an exported file the true robot lands where it should; real data; bad input."""
+"""``truearm export``: with the exported file the true robot reaches its targets; real data; bad input."""
 
 import json
 from pathlib import Path

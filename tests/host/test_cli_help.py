@@ -1,4 +1,4 @@
-"""--help of every command: an example, and words for what is wanted."""
+"""--help of every command has an example and describes every value."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The worst that strangers gave to plan, correct, map, export and validate: one clear line, exit code 2, nothing written or changed."""
+"""Hostile input to plan, correct, map, export and validate: one clear line, exit code 2, nothing written or changed."""
 
 import json
 import shutil

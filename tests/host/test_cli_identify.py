@@ -1,4 +1,4 @@
-"""``truearm identify`` as a user meets it: what it finds and says."""
+"""``truearm identify`` from the user's point of view: results and messages."""
 
 import json
 import math

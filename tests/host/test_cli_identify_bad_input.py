@@ -1,4 +1,4 @@
-"""What ``truearm identify`` says of bad input, and of --help."""
+"""Messages of ``truearm identify`` on bad input, and --help."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What --hold-out, --free and --freeze choose."""
+"""The rows and parameters that --hold-out, --free and --freeze choose."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What ``truearm identify`` writes: the result file, its schema, the page; and what it does not write over."""
+"""The files of ``truearm identify``: result, schema, report; and files that it does not overwrite."""
 
 import json
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A session of the line device on the command line: inspect says what was driven, identify what it tells."""
+"""A session of the line device on the command line: inspect and identify."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Every command with odd input: one line that says what is wrong, exit code 1 or 2, no traceback, nothing overwritten."""
+"""Odd input to every command: one line that names the problem, exit code 1 or 2, no traceback, nothing overwritten."""
 
 import os
 from collections.abc import Callable

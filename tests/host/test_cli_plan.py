@@ -1,4 +1,4 @@
-"""``truearm plan`` from the command line: what is written, and that what is wrong is said in one line."""
+"""``truearm plan`` on the command line: its files, and one-line errors."""
 
 import json
 from dataclasses import replace

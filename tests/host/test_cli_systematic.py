@@ -1,4 +1,4 @@
-"""``truearm identify`` on data in which something is off: what it prints and stores, and that its advice helps."""
+"""``truearm identify`` on data with a systematic error: what it prints and stores, and that its advice helps."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""``truearm validate``: verdicts on robots that are known to hold, to have changed, and to be others."""
+"""``truearm validate``: verdicts on robots that are unchanged, that changed, and that are different robots."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Where a controller's base and flange are, by the names that ROS's descriptions and truearm's robots have for frames."""
+"""A controller's base and flange, by the frame names of ROS's descriptions and of truearm's robots."""
 
 import numpy as np
 import pytest

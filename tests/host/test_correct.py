@@ -1,4 +1,4 @@
-"""Corrections of a robot that is known: order of convergence, exactness, refusals."""
+"""Corrections of a known robot: order of convergence, exactness, refusals."""
 
 from dataclasses import replace
 

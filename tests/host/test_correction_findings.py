@@ -1,4 +1,4 @@
-"""What a correction's report says, checked against the true arm: expected errors, straight moves, margins, targets outside what was calibrated."""
+"""The report of a correction compared with the true arm: expected errors, straight moves, margins, targets outside the calibrated range."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The numbers of docs/how-to/rig.md: computed again by the project's own forecast, on the demo's rig."""
+"""The numbers of docs/how-to/rig.md, recomputed by truearm's own forecast for the demo's rig."""
 
 import re
 from dataclasses import replace

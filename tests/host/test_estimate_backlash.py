@@ -1,4 +1,4 @@
-"""Backlash where the sides are known, where they are not, and where what was said of it does not fit."""
+"""Backlash with known and unknown approach directions, and declarations that do not fit."""
 
 from dataclasses import replace
 

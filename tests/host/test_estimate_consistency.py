@@ -1,4 +1,4 @@
-"""The χ² test behind the verdict: consistent where only noise is, not where something was off in either session."""
+"""The χ² test behind the verdict: sessions with noise alone are consistent, sessions with an error in either are not."""
 
 import fault_worlds as worlds
 import numpy as np

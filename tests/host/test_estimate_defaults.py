@@ -1,4 +1,4 @@
-"""What is held or believed where the user does not say: frames, and what the data hardly tell."""
+"""Parameters that are fixed or get a prior by default: frames, and parameters that the data hardly determine."""
 
 from dataclasses import replace
 

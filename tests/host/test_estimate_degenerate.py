@@ -1,4 +1,4 @@
-"""Data that cannot determine the robot: every solver answers, with the rank, what is unseen and what would add to it."""
+"""Data that cannot determine the robot: every solver reports the rank, the unidentifiable combinations and useful additions."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Identification from end to end on made-up tables: unknown rigs, priors, seats, held-out rows, odd ends."""
+"""Complete identifications of synthetic tables: unknown rigs, priors, seats, held-out rows, special cases."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What an identification advises: rows to distrust, what to measure next, and bad input."""
+"""The advice of an identification: rows to distrust, what to measure next; bad input."""
 
 from dataclasses import replace
 

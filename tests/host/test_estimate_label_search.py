@@ -1,4 +1,4 @@
-"""Wrong labels: rows that name one chuck or sphere and were measured with another are named, and nothing else is."""
+"""Wrong labels: rows labelled with another chuck or sphere than the measured one are named, and no others."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The solver alone: NIST's certified values, known valleys, redundant unknowns, and every way to end."""
+"""The solver alone: NIST's certified values, curved valleys, redundant unknowns, and every kind of termination."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The error where nothing was fitted: leaving poses out in turn to first order is fitting without them."""
+"""The error of poses that were not fitted: the first-order result of leaving poses out equals fits without them."""
 
 from dataclasses import replace
 

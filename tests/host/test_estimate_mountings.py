@@ -1,4 +1,4 @@
-"""What was mounted, by all evidence: the hidden Markov model against sums over all its paths, and what single sentences of it must mean."""
+"""What was mounted, by all evidence: the hidden Markov model compared with sums over all its paths, and the effect of single observations."""
 
 from dataclasses import replace
 from itertools import product

@@ -1,4 +1,4 @@
-"""Single bad rows are named exactly and left out; what is wrong with more than rows is not taken for bad rows."""
+"""Single bad rows are found exactly and left out; errors of many rows are not treated as outliers."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Errors that the rows of one pose share: their variance, and sigmas that hold with them."""
+"""Errors common to the rows of one pose: their variance, and standard deviations that include them."""
 
 import numpy as np
 import pytest

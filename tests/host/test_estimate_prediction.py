@@ -1,4 +1,4 @@
-"""How far the tool may be off by the covariance, and how far measured orientations are."""
+"""The predicted error of the tool by the covariance, and of measured orientations."""
 
 from dataclasses import replace
 

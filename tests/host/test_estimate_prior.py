@@ -1,4 +1,4 @@
-"""Priors by name: what they say, and how much they bend a fit of Goswami's PUMA, which strays by 13 mm and 56 mrad."""
+"""The named priors: their values, and their effect on a fit of Goswami's PUMA, which is off by 13 mm and 56 mrad."""
 
 import numpy as np
 import pytest

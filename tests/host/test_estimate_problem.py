@@ -1,4 +1,4 @@
-"""Tables and rigs that do not make a problem are refused with one line that names the row."""
+"""Tables and rigs that do not define a problem are refused with one line that names the row."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The recursive estimator: the same as the batch, and a gate whose verdict does not hang on the order of the rows."""
+"""The recursive estimator: it agrees with the batch estimate, and its outlier gate does not depend on the order of the rows."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Robust losses: their formulas, the covariance that belongs to them, and faults that do not bend the result."""
+"""Robust losses: their formulas, their covariance, and faults that do not distort the result."""
 
 from dataclasses import replace
 

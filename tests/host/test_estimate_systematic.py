@@ -1,4 +1,4 @@
-"""The check for systematic errors after a fit: what it names, by how much, and that clean data give nothing."""
+"""The check for systematic errors after a fit: which errors it names, their size, and no findings in clean data."""
 
 import tracemalloc
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Covariances turned into errors of the end."""
+"""Position errors of the end, computed from covariances."""
 
 import numpy as np
 import pytest

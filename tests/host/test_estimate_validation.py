@@ -1,4 +1,4 @@
-"""What rows should say of a robot that is as identified, against robots and noise drawn at random."""
+"""Predicted residuals of an identified robot, compared with robots and noise drawn at random."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""One table of exit codes, which code, documentation, --help and every command follow."""
+"""One table of exit codes, with which code, documentation, --help and every command agree."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""Exported robots predict what was identified: read back by truearm, and by a library that is not ours."""
+"""Exported robots predict the same poses as the identified robot, read by truearm and by an independent library."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""`truearm export-session --format mcap`: what the official reader, Foxglove and PlotJuggler make of it, on one axis of time."""
+"""`truearm export-session --format mcap`, read by the official reader and by the rules of Foxglove and PlotJuggler, on one time axis."""
 
 import json
 import os

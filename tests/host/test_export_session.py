@@ -1,4 +1,4 @@
-"""`truearm export-session`: tables that say bit for bit what sync sees, in memory that does not grow with the session."""
+"""`truearm export-session`: tables equal bit for bit to the synchronised data, in memory that does not grow with the session."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""CSV tables: numbers come back bit for bit, whichever way they were written; NaN is an empty cell."""
+"""CSV tables: numbers are read back bit for bit, whichever writer wrote them; NaN is an empty cell."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""What may be written over, and what not."""
+"""Which files may be overwritten."""
 
 import os
 

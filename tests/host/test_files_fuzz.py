@@ -1,4 +1,4 @@
-"""Tables, plans and rig files of strangers, damaged at random: one clear line of ours or a table of sane numbers, in bounds."""
+"""Randomly damaged tables, plans and rig files: one clear error, or a table of valid numbers, in bounded time and memory."""
 
 import random
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Noise files: what they hold, what they stand in for, and what is refused."""
+"""Noise files: their contents, what they replace, and what is refused."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Plan files: what is written comes back, what strangers write wrong is named."""
+"""Plan files are read back as written, and errors in them are named."""
 
 import numpy as np
 import pytest

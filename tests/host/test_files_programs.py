@@ -1,4 +1,4 @@
-"""Robot programs: what each move goes to is found, only the numbers of targets change, and nothing hostile does harm."""
+"""Robot programs: the target of each move is found, only the numbers of targets change, and hostile programs do no harm."""
 
 import contextlib
 import random

@@ -1,4 +1,4 @@
-"""result.json from any estimate: strict JSON, and what was written is read back."""
+"""result.json of any estimate is strict JSON and is read back as written."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Rig files: what is written comes back, what is wrong is told with entry and key."""
+"""Rig files are read back as written; errors name entry and key."""
 
 import math
 import re

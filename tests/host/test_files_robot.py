@@ -1,4 +1,4 @@
-"""--model: built-in by name, TOML or URDF by path; the rest is told in one line."""
+"""--model: built-in robots by name, TOML and URDF by path; everything else is a one-line error."""
 
 from pathlib import Path
 

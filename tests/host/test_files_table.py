@@ -1,4 +1,4 @@
-"""Tables: what is written comes back, what is wrong is told with row and column."""
+"""Tables are read back as written; errors name row and column."""
 
 import math
 from pathlib import Path

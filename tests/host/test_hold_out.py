@@ -1,4 +1,4 @@
-"""Which rows to hold out so that something of everything stays in the fit, and what a hold-out takes away."""
+"""Proposed hold-outs that leave rows of every label in the fit, and what a hold-out removes."""
 
 import numpy as np
 import pytest

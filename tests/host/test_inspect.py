@@ -1,4 +1,4 @@
-"""``truearm inspect`` as a user meets it."""
+"""``truearm inspect`` from the user's point of view."""
 
 import json
 import re

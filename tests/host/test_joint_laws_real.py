@@ -1,4 +1,4 @@
-"""Joint laws on real arms: what docs/explanation/real-arms.md shows, as far as it is cheap. ``make benchmark`` runs all of it."""
+"""Joint laws on real arms: a cheap part of docs/explanation/real-arms.md. ``make benchmark`` runs all of it."""
 
 import importlib.util
 import lzma

@@ -1,4 +1,4 @@
-"""Joint laws and systematic errors of a ball-bar's rig: neither passes for the other."""
+"""Joint laws and systematic errors of a ball-bar's rig: neither is reported as the other."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Each kind of observation: its sign, and its derivatives by every unknown, against central differences."""
+"""Bars and seats: signs, and derivatives with respect to every unknown compared with central differences."""
 
 from dataclasses import replace
 

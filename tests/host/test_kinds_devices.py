@@ -1,4 +1,4 @@
-"""Lines, trackers, poses and flats: signs, derivatives by every unknown, first placement."""
+"""Lines, trackers, poses and flats: signs, derivatives with respect to every unknown, initial placement."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Files of the recorder's MCAP writer against those of the mcap library: the same bytes, whatever is written."""
+"""Files of the recorder's MCAP writer equal those of the mcap library byte for byte, for any content."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""The chain against independent products of matrices, and its derivatives against complex steps and differences."""
+"""The chain compared with independent matrix products, and its derivatives with complex steps and differences."""
 
 import numpy as np
 import pytest

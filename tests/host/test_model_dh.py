@@ -1,4 +1,4 @@
-"""Denavit–Hartenberg builders: rows multiplied out by hand, derivatives, what β is for, and what a convention misses."""
+"""Denavit–Hartenberg builders: rows multiplied by hand, derivatives, the purpose of β, and what a convention cannot represent."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The joint law: its value by hand, its derivatives against complex steps, its inverse; with a further, coupled term too."""
+"""The joint law: values by hand, derivatives by complex steps, the inverse; also with a further, coupled term."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Robot files: the built-in PUMA 560, the four conventions, and refusal of files with holes."""
+"""Robot files: the built-in PUMA 560, the four conventions, and refusal of incomplete files."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The built-in robots: poses against products of exponentials, URDF and other programs; how many parameters are seen."""
+"""The built-in robots: poses compared with products of exponentials, URDFs and other programs; numbers of identifiable parameters."""
 
 import itertools
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""URDF: geometry against Rodrigues' formula, names, and refusal of everything that cannot be trusted."""
+"""URDF: geometry compared with Rodrigues' formula, names, and refusal of unsafe files."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The short run that a robot is characterized by: sides, travel, order."""
+"""The run that characterizes a robot: approach directions, travel, order."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Arms as capsules: where the arm is, by a kinematics of the tests' own, is inside them; what touches them is found."""
+"""Arms as capsules: they enclose the arm according to independent kinematics, and collisions are found."""
 
 import numpy as np
 import pytest

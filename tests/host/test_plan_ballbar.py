@@ -1,4 +1,4 @@
-"""Plans of ball-bar poses: looked at point by point, and what they predict against what an identification says."""
+"""Plans of ball-bar poses: checked point by point, and their forecasts compared with an identification."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Optimal choice: against brute force where that can be done, and the demo's rig against its grid of 800 poses."""
+"""Optimal choice, compared with brute force where possible, and the demo's rig compared with its grid of 800 poses."""
 
 from itertools import product
 

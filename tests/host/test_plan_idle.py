@@ -1,4 +1,4 @@
-"""A plan mounts nothing that would only say where it is itself."""
+"""A plan mounts no part that would determine only its own position."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Plans of lines: inside the workspace and the device's reach, where the error is large, and predicted as identified."""
+"""Plans of lines: inside the workspace and the device's range, where the error is large, with forecasts that identification confirms."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Planning's parts: distances, ways, branches."""
+"""Parts of planning: distances, paths, branches."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Programs of plans, executed: the arm goes, rests, waits and asks as planned."""
+"""Programs of plans, executed: the arm moves, rests, waits and prompts as planned."""
 
 import csv
 import re

@@ -1,4 +1,4 @@
-"""Steps of long work, and how a terminal shows them."""
+"""Steps of long computations, and how a terminal shows them."""
 
 import io
 import re

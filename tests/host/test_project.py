@@ -1,4 +1,4 @@
-"""A project folder: init writes it, commands take from it what they are not told, status says what comes next."""
+"""A project folder: init writes it, commands take missing options from it, and status names the next command."""
 
 import io
 import json

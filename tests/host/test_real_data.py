@@ -1,4 +1,4 @@
-"""Real arms: what was chosen, was chosen on the fitting places alone; what one place cannot see is said."""
+"""Real arms: settings were chosen on the fitted places alone, and what one place cannot determine is reported."""
 
 from pathlib import Path
 

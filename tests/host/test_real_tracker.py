@@ -1,4 +1,4 @@
-"""The geometry of a real UR10 in front of a laser tracker: what a user gets who asks for nothing but that there be no joint laws."""
+"""The geometry of a real UR10 measured by a laser tracker, with default options except for joint laws."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""``truearm record`` in real time: over a socket and a pseudo-terminal, ended by time, by the robot, by a signal."""
+"""``truearm record`` in real time, over a socket and a pseudo-terminal, ended by time, by the robot, by a signal."""
 
 import json
 import os

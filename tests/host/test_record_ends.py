@@ -1,4 +1,4 @@
-"""The recorder against a box in memory: what it speaks, and how recordings end."""
+"""The recorder with a box in memory: the protocol, and how recordings end."""
 
 import cbor2
 import pytest

@@ -1,4 +1,4 @@
-"""``truearm record`` when the box or the robot is none, goes away or says rubbish: what is kept, and what is said."""
+"""``truearm record`` when box or robot is missing, disappears or sends garbage: what is kept and what is printed."""
 
 import json
 import random

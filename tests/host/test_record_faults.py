@@ -1,4 +1,4 @@
-"""The recorder against a box in memory that does what boxes do when something is wrong: everything is kept, and faults are what they were."""
+"""The recorder with a faulty box in memory: everything is kept, and faults are reported as they occurred."""
 
 import json
 from functools import partial

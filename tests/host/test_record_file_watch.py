@@ -1,4 +1,4 @@
-"""A session's file that is deleted, renamed, replaced or truncated while it is written, and a robot that floods its link."""
+"""A session file that is deleted, renamed, replaced or truncated while it is written, and a robot that floods its link."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Splitting: nothing is lost whatever comes in whatever pieces; frames are found, and only frames."""
+"""Splitting bytes into frames: nothing is lost, however the bytes are divided, and only valid frames are found."""
 
 import json
 from pathlib import Path

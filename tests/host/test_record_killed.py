@@ -1,4 +1,4 @@
-"""SIGKILL of a real `truearm record` at random moments: what it had is there again, but for the last two seconds at most."""
+"""SIGKILL of a real `truearm record` at random moments: all but at most the last two seconds can be recovered."""
 
 import json
 import os

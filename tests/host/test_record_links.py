@@ -1,4 +1,4 @@
-"""Links to sockets and pseudo-terminals of this machine, through pyserial: bytes, ends, and what is said of failures."""
+"""Links to sockets and pseudo-terminals through pyserial: bytes, ends, and error messages."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Dwells and lines as they are taken, and the plan that they belong to."""
+"""Dwells and lines during a recording, and the plan to which they belong."""
 
 import re
 

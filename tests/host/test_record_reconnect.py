@@ -1,4 +1,4 @@
-"""Links that are lost and come back: what is opened again, what is said and counted, and how long the recorder waits."""
+"""Links that are lost and return: what is reopened, reported and counted, and how long the recorder waits."""
 
 import json
 import threading

@@ -1,4 +1,4 @@
-"""Ids of requests: none twice, in the wire's range, and no Ctrl-C in a frame, whatever the clock shows."""
+"""Request ids: unique, in the wire's range, and without a Ctrl-C byte in the frame at any time."""
 
 import pytest
 from hypothesis import given

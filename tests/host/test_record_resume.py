@@ -1,4 +1,4 @@
-"""A session that goes on in further files: what is taken over, what is read as one, and that nothing recorded is touched."""
+"""A session that continues in further files: what is carried over, what is read together, and that recorded data is unchanged."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The recorder against a box in memory, in virtual time: what is in the file when nothing goes wrong."""
+"""The recorder with a box in memory, in virtual time: the content of the file without faults."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""``truearm record`` on a real terminal: the live view, typed lines, Ctrl-C at every state, and which box is meant."""
+"""``truearm record`` on a real terminal: the live view, typed lines, Ctrl-C in every state, and the choice of the box."""
 
 import fcntl
 import json

@@ -1,4 +1,4 @@
-"""What the operator of a recording may say and is shown: pairings, the LVDT in its travel, whether the box can measure what is wanted."""
+"""What the operator sees and types during a recording: pairings, the LVDT's travel, and whether the box can measure what is needed."""
 
 import dataclasses
 import re

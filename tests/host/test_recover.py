@@ -1,4 +1,4 @@
-"""`truearm recover`: a new, complete session with all that is whole of a damaged one, and an account of the rest."""
+"""`truearm recover`: a new, complete session with all intact data of a damaged one, and a list of the losses."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""What visits from several sides say: estimates against a known truth, and intervals that cover it as often as they say."""
+"""Repeatability from visits from several sides: estimates compared with the truth, and intervals with the claimed coverage."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The report page: what it says of a calibration."""
+"""The content of the report page."""
 
 import html
 import math

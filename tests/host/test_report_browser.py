@@ -1,4 +1,4 @@
-"""The report page with everything on it, as a parser and a browser see it."""
+"""The report page with all its sections, read by a parser and a browser."""
 
 import html
 import json

@@ -1,4 +1,4 @@
-"""``truearm report``: the fit made again from its files, and the certificate on page one of it."""
+"""``truearm report``: the fit repeated from its files, and the certificate on page one."""
 
 import html
 import json

@@ -1,4 +1,4 @@
-"""The report's numbers, words, laws, axes and pictures."""
+"""The report's numbers, wording, joint laws, axes and pictures."""
 
 import math
 import re

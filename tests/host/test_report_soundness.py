@@ -1,4 +1,4 @@
-"""The report page of hostile names, odd numbers and many rows stays sound."""
+"""The report page remains valid with hostile names, extreme numbers and many rows."""
 
 import math
 import re

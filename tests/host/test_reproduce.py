@@ -1,4 +1,4 @@
-"""``truearm reproduce``: what its numbers must be by theory, that every verdict follows from them, and its page."""
+"""``truearm reproduce``: numbers that theory predicts, verdicts that follow from the numbers, and the page."""
 
 import json
 import math

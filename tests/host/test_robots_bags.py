@@ -1,4 +1,4 @@
-"""ROS 2 bags: what rosbags' own writer wrote is read in order and exactly; what is hostile gives one clear line."""
+"""ROS 2 bags: files of rosbags' own writer are read exactly and in order; hostile files give one clear error."""
 
 import json
 import math

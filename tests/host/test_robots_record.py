@@ -1,4 +1,4 @@
-"""``truearm record`` with robots that speak a language of their own: what is in the session, and what is made of it."""
+"""``truearm record`` with robots that use their own protocols: the session's content, and its evaluation."""
 
 import json
 import math

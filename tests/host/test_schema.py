@@ -1,4 +1,4 @@
-"""Schemas: what is written comes back bit for bit; whatever else a file holds is refused in one line that names the key."""
+"""Schemas: values are read back bit for bit; anything else in a file is refused in one line that names the key."""
 
 import math
 import subprocess

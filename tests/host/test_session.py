@@ -1,4 +1,4 @@
-"""Session files: what is written is read back, by us and by the mcap library; damage is one clear line."""
+"""Session files are read back as written, by truearm and by the mcap library; damage gives one clear error."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""The reader of columns against the reader of single messages, whatever became of the frames and wherever a batch ends."""
+"""The reader of columns gives the same result as the reader of single messages, for any damage and any batch boundaries."""
 
 import json
 from dataclasses import asdict

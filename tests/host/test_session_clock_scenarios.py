@@ -1,4 +1,4 @@
-"""Clocks through many lives (clock_scenarios.py): the truth is within the bound in every one, and no bound is absurdly wide."""
+"""Clocks in random scenarios (clock_scenarios.py): the truth is always within the bound, and no bound is absurdly wide."""
 
 from dataclasses import replace
 

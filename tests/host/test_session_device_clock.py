@@ -1,4 +1,4 @@
-"""Device clock against truth: the bounds hold always, the optimum is the linear program's, ill data is reported."""
+"""The device clock compared with the truth: the bounds always hold, the optimum is that of the linear program, bad data is reported."""
 
 import numpy as np
 import pytest

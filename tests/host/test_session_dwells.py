@@ -1,4 +1,4 @@
-"""Dwells from joint readings, the mean of correlated samples, the pairing with the plan."""
+"""Dwells from joint readings, the mean of correlated samples, matching with the plan."""
 
 import json
 from itertools import pairwise, product

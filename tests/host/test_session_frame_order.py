@@ -1,4 +1,4 @@
-"""Frames that come late or twice are neither lost nor a restart; what does not come is lost, exactly."""
+"""Late and duplicate frames count neither as lost nor as a restart; missing frames are counted exactly."""
 
 import numpy as np
 import pytest

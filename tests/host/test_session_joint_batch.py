@@ -1,4 +1,4 @@
-"""Joint readings as columns: what the recorder stores beside the robot's lines is what the lines say."""
+"""Joint readings as columns: the recorder's columns equal the robot's lines."""
 
 import json
 

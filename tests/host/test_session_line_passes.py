@@ -1,4 +1,4 @@
-"""Lines paired in motion, against a known truth: every row where it belongs, none across what is missing."""
+"""Lines in motion compared with the truth: each row has the right time, and none spans missing data."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""An arm with a pendant alone: joints noted pose by pose, rest as the sensor sees it."""
+"""An arm with only a pendant: joints noted pose by pose, and rests detected from the sensor."""
 
 import json
 from itertools import chain

@@ -1,4 +1,4 @@
-"""Sessions that earlier versions recorded stay readable: the files of tests/data/sessions give the observations that they gave."""
+"""Sessions of earlier versions remain readable: the files of tests/data/sessions give the same observations as before."""
 
 import csv
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The clock while a session runs: within its bound at every moment, in agreement with the fit afterwards, cheap."""
+"""The clock during a recording: within its bound at all times, consistent with the later fit, and cheap."""
 
 import time
 

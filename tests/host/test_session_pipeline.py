@@ -1,4 +1,4 @@
-"""Whole sessions from a known truth: one observation a dwell, and no sample across a gap."""
+"""Complete sessions with a known truth: one observation per dwell, and no sample across a gap."""
 
 import itertools
 import json

@@ -1,4 +1,4 @@
-"""A channel that is divided by another: an LVDT's secondary over its primary, from the box's description to metres."""
+"""A channel divided by another: an LVDT's secondary over its primary, from the box's description to metres."""
 
 import copy
 

@@ -1,4 +1,4 @@
-"""A damaged session gives all that is whole of it, and says where and how much is missing."""
+"""A damaged session gives all its intact data, and the places and amounts of missing data."""
 
 import mcap.records
 import pytest

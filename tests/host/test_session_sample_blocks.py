@@ -1,4 +1,4 @@
-"""Exact accounting: what was injected is what is counted, nothing else."""
+"""Exact accounting: injected faults are counted, and nothing else."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The accounting against streams nobody thought of: mixtures of faults, arbitrary bytes and elements."""
+"""The accounting on random streams: mixtures of faults, arbitrary bytes and elements."""
 
 from dataclasses import asdict
 

@@ -1,4 +1,4 @@
-"""What a box and a robot say, read in one place for recorder and sync; counts to metres."""
+"""Descriptions of box and robot, interpreted by the same code for recorder and reader; counts to metres."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Where a signal has settled, by its own noise: what noise alone costs, what a swing and a creep do."""
+"""Settling of a signal, judged by its own noise: the effect of noise alone, of an oscillation and of creep."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""τ: a robot whose readings are late is found out by lines driven there and back, and by nothing else."""
+"""τ: late joint readings are detected by lines driven there and back, and only by these."""
 
 from dataclasses import replace
 from functools import cache

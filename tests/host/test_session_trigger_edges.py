@@ -1,4 +1,6 @@
-"""Edges of a trigger line against truth: within the bound always, near 1/n of a cycle, and what is inconsistent is left out and counted."""
+"""Edges of a trigger line compared with the truth: always within the bound, about 1/n of a cycle wide; inconsistent
+edges are left out and counted.
+"""
 
 import json
 

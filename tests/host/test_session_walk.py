@@ -1,4 +1,4 @@
-"""docs/explanation/code_flow.md says through which files a measurement passes, each once; here a session passes through them."""
+"""docs/explanation/code_flow.md lists the files through which a measurement passes, each once; a session here is traced to check it."""
 
 import re
 import sys

@@ -1,4 +1,4 @@
-"""Tables of joints as other programs write them: names, separators and decimal commas of their own."""
+"""Tables of joints from other programs, with their names, separators and decimal commas."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A kind of observation whose residual is an angle: its errors stand in degrees, wherever a person or a program meets them."""
+"""A kind of observation whose residual is an angle: its errors are in degrees in all outputs."""
 
 import json
 import re

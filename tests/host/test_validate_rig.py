@@ -1,4 +1,4 @@
-"""``truearm.validate`` with the rig kept as it was identified, and with joints that stood still when it was."""
+"""``truearm.validate`` with the rig held as identified, and with joints that did not move during the identification."""
 
 from dataclasses import replace
 

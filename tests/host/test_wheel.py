@@ -1,4 +1,4 @@
-"""The wheel in an environment of its own: what a scientist types first, and what a type checker says of it."""
+"""The wheel in its own environment: what a new user types first, and what a type checker reports."""
 
 import importlib.util
 import re

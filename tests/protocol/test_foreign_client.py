@@ -1,4 +1,4 @@
-"""A client written from protocol/SPEC.md alone, with Python's standard library: it finds a box behind noise, reads its ident, and streams."""
+"""A client written from protocol/SPEC.md alone, with Python's standard library: it finds a box among noise, reads its ident, and streams."""
 
 import struct
 import zlib

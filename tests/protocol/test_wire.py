@@ -1,4 +1,4 @@
-"""The wire on both interpreters: golden vectors, and hypothesis against cbor2, cobs and zlib."""
+"""The wire format in both interpreters: golden vectors, and hypothesis with cbor2, cobs and zlib."""
 
 import importlib.util
 import json
