@@ -54,7 +54,7 @@ def blocks(found, stream):
 
 
 def indices(found, stream):
-    """Of all samples of a stream, from what their counts say (conftest.Counting)."""
+    """Return the indices of all samples of a stream, from their counts (conftest.Counting)."""
     width = (4, 1)[stream]
     values = [np.frombuffer(f[6].data, "<i4").reshape(-1, width)[:, 0] for f in blocks(found, stream)]
     return np.concatenate(values)

@@ -16,7 +16,7 @@ STOCK_BOUND_US = 250.0  # what `truearm box flash --stock` says
 
 
 def exchange(chip, number, pieces):
-    """(t0, t1, t2, t3) [µs] of one request, sent in ``pieces`` with waits [µs] between them."""
+    """Return (t0, t1, t2, t3) [µs] of one request, sent in ``pieces`` with waits [µs] between them."""
     t0 = chip.now_us
     found = []
     for piece, wait_us in pieces:

@@ -43,7 +43,7 @@ def run():
 
 
 def spectrum(run, bit):
-    """Mean of a pin's level, and its first harmonic as a complex amplitude."""
+    """Return the mean of a pin's level, and its first harmonic as a complex amplitude."""
     times, levels, _ = run
     span = int((times[-1] - times[0]) // PERIOD_US) * PERIOD_US
     inside = [(t - times[0], level >> bit & 1) for t, level in zip(times, levels, strict=True) if t - times[0] < span]

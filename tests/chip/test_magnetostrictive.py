@@ -32,12 +32,12 @@ def flights_ps(seed, n, low_us=12, high_us=480):
 
 
 def counted(flight, start_ns=44):
-    """What a head gives that answers after start_ns: the tick of the stop less that of the start."""
+    """Return the count for a head that answers after start_ns: the tick of the stop minus that of the start."""
     return (start_ns * 1000 + flight) // 8000 - start_ns // 8 if flight >= 0 else 0
 
 
 def check(shots, truth, first=0):
-    """Counts are flights in ticks, indices run on, stamps are those of the interrogation edges."""
+    """Check that counts are flights in ticks, indices are contiguous, and stamps are those of the interrogation edges."""
     assert [ticks for ticks, *_ in shots] == [counted(flight) for _, _, flight, _ in truth]
     assert [index for _, index, *_ in shots] == list(range(first, first + len(shots)))
     late_us = [stamp - edge_ns / 1000 for (_, _, stamp, _), (_, edge_ns, _, _) in zip(shots, truth, strict=True)]

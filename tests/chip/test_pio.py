@@ -100,19 +100,19 @@ print([setup[3] >> 15 & 63 for source in sources for setup in source._setups])
 
 
 class Head:
-    """Drives the stop pin: pulses at given times after the interrogation edge, in ticks."""
+    """Drives the stop pin with pulses at given times after the interrogation edge, in ticks."""
 
     def __init__(self, pulses):
         self.pulses = pulses  # (begin, end) in ticks after the edge
         self.edge = None
 
     def level(self, time):
-        """Just before `time`, in ticks."""
+        """Return the level just before `time`, in ticks."""
         return self.edge is not None and any(self.edge + begin < time <= self.edge + end for begin, end in self.pulses)
 
 
 def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000, edge=magnetostrictive.FIRST):
-    """Run the three state machines for len(heads) shots. Returns the counts of each, what they count from, edges and ends of the pulses (ticks)."""
+    """Run the three state machines for len(heads) shots; return the counts of each, their references, edges and pulse ends (ticks)."""
     block = Block()
     rounds = magnetostrictive.pulse_rounds(pulse_ns)
     busy, y, first, n, top = magnetostrictive.timing(blanking_ns, timeout_ns, rounds)
@@ -147,7 +147,7 @@ def shots(period_ns, blanking_ns, timeout_ns, heads, pulse_ns=1000, edge=magneto
 
 
 def ticks_of(counted, top):
-    """What the driver's `unload` makes of the counts of start and stop."""
+    """Return the driver's `unload` of the counts of start and stop."""
     if any(x0 < 0 or x1 - x0 not in (0, 1) for x0, x1 in counted):
         return 0
     start, stop = counted
@@ -158,7 +158,7 @@ EDGES = {"first": magnetostrictive.FIRST, "second": magnetostrictive.SECOND, "ga
 
 
 def pulses(edge, start, flight, length=125):
-    """What a head of this kind sends for a start and a time of flight."""
+    """Return what a head of this kind sends for a start and a time of flight."""
     if edge == magnetostrictive.GATE:
         return [(start, start + flight)]
     if edge == magnetostrictive.SECOND:  # their ends are start and stop
@@ -343,7 +343,7 @@ def reference_run(machines, events, cycles):
 
 
 def emulator_runs(scenarios, cycles, fast):
-    """The same in the emulator: one process for all."""
+    """Run the same in the emulator, all in one process."""
 
     def described(one):
         return {**one, "program": vars(one["program"])}

@@ -6,7 +6,7 @@ from .bench import run_steps
 
 
 def crc8(data: bytes) -> int:
-    """Dallas' checksum bit by bit: the remainder of x^8 + x^5 + x^4 + 1, least significant bit first."""
+    """Return Dallas' checksum, bit by bit: the remainder of x^8 + x^5 + x^4 + 1, least significant bit first."""
     crc = 0
     for bit in (byte >> k & 1 for byte in data for k in range(8)):
         crc = (crc >> 1) ^ (0x8C if (crc ^ bit) & 1 else 0)
@@ -39,7 +39,7 @@ READ = "print(read())"
 
 
 def there(*temperatures, **more):
-    """All thermometers in turn with a temperature, or a fault."""
+    """Return all thermometers in turn with a temperature, or a fault."""
     each = [
         {"uid": uid, "mdegc": value} if isinstance(value, int) else {"uid": uid, "mdegc": 20_000, "fault": value}
         for uid, value in zip(UIDS, temperatures, strict=False)

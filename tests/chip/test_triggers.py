@@ -22,12 +22,12 @@ def edges():
 
 
 def toggles(times_ns, line=0):
-    """Alternating edges of a line that begins low."""
+    """Return alternating edges of a line that begins low."""
     return [[line, 1 - k % 2, SETTLE_NS + t] for k, t in enumerate(times_ns)]
 
 
 def random_edges(seed, n):
-    """Edges of both inputs, on each at least 2 µs apart, on both at least 100 ns."""
+    """Return edges of both inputs, at least 2 µs apart on each and 100 ns on both."""
     rng = random.Random(seed)
     levels, t, found = [0, 0], 0, []
     while len(found) < n:

@@ -14,7 +14,7 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
 def printed(path: Path) -> list[list[str]]:
-    """What each cell printed, and a mark for each picture."""
+    """Return what each cell printed, and a mark for each picture."""
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return [
         ["".join(output.get("text", ["<picture>"])) for output in cell["outputs"]]

@@ -30,7 +30,7 @@ def level(request):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Sessions by level and length, recorded once: both sources, edges on both lines, a hundredth of the stops missing."""
+    """Return sessions by level and length, each recorded once: both sources, edges on both lines, a hundredth of the stops missing."""
 
     @functools.cache
     def recorded(level, seconds):
@@ -116,7 +116,7 @@ def test_nothing_is_lost(session):
 
 
 def test_the_heap_does_not_grow(session, seconds):
-    """Nothing is allocated while it streams: the heap has at every heartbeat what it had at the first."""
+    """Nothing is allocated while it streams: the free heap at every heartbeat equals that at the first."""
     beats = session.heartbeats()
     free = {beat["heap_free"] for beat in beats if beat["streaming"]}
     assert len(free) == 1
@@ -149,7 +149,7 @@ def test_all_levels_tell_the_same(recorded, seconds):
 
 
 def stands(session, stream, n, period_ns):
-    """Whether the robot stood with the bar on, at each of the first n samples of a stream and a millisecond around."""
+    """Return whether the robot stood with the bar mounted, at and a millisecond around each of the first n samples of a stream."""
     robot = session.world.controller
     begin_us = (session.box.first_ns[stream] - session.box.boot_device_ns) / 1000
     t = session.box.true_s(begin_us + np.arange(n) * period_ns / 1000)
@@ -170,7 +170,7 @@ def test_a_second_run_gives_the_same_bytes(recorded, level, tmp_path):
 
 @pytest.fixture(scope="module")
 def disturbed(level, tmp_path_factory):
-    """Ten shots without a stop, a damaged frame of the converter, a reset of it, a second from each other."""
+    """Return a session with ten shots without a stop, a damaged converter frame and a converter reset, each a second apart."""
     faults = [Fault(5.0, "no-stop"), Fault(6.0, "bad-crc"), Fault(7.0, "converter-reset")]
     with lab_of(level, faults=faults) as lab:
         return record_lab(lab, tmp_path_factory.mktemp("disturbed") / "s.mcap", 4.5)

@@ -24,7 +24,7 @@ SCRAMBLED = [2, 1, 0, 5, 3, 4]
 
 
 class Recorded:
-    """A session with the robot's readings, the same without, and the readings as numbers."""
+    """A session with the robot's readings, the same session without them, and the readings as numbers."""
 
     def __init__(self, folder):
         self.path, self.bare = folder / "whole.mcap", folder / "bare.mcap"
@@ -129,7 +129,7 @@ def test_a_bag(recorded, tmp_path, out, storage):
 
 
 class TestWhatIsWrong:
-    """One line, exit 2, and no file."""
+    """Errors: one line, exit code 2, and no file."""
 
     @pytest.fixture
     def table(self, recorded, tmp_path):

@@ -197,7 +197,7 @@ def test_the_monitor_shows_values_and_ends_with_its_time(capsys):
 
 
 def all_of(master):
-    """What a terminal is given until nobody has it open any more."""
+    """Return everything written to a terminal until no process has it open."""
     shown = bytearray()
     with contextlib.suppress(OSError):  # EIO at the end
         while piece := os.read(master, 1 << 16):
@@ -206,7 +206,7 @@ def all_of(master):
 
 
 def on_a_terminal(command):
-    """The process that ended, and what it showed on a terminal that reads all the while, as a real one does."""
+    """Return the finished process and its output on a terminal that is read continuously, as a real one is."""
     master, slave = os.openpty()
     environ = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
     with ThreadPoolExecutor(1) as reader:

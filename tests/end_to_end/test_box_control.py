@@ -21,7 +21,7 @@ def level(request):
 
 @pytest.fixture
 def own_lab(level):
-    """For what ends a box or changes it."""
+    """Return a lab for tests that stop or change a box."""
     with lab_of(level) as lab:
         yield lab
 
@@ -33,7 +33,7 @@ def own_box(own_lab):
 
 @pytest.fixture(scope="module")
 def lab(level):
-    """For what leaves a box as it was, one after the other: to boot the chip takes as long as most tests."""
+    """Return a shared lab for tests that leave the box unchanged: booting the chip takes as long as most tests."""
     with lab_of(level) as lab:
         yield lab
 
@@ -45,7 +45,7 @@ def box(lab):
 
 
 class Lossy:
-    """A link on which some of what is written never arrives, and some of what is read never came."""
+    """A link on which some written data never arrives and some answers are lost."""
 
     def __init__(self, link, lose_writes=(), lose_reads=0):
         self.name, self._link, self.written = link.name, link, []
@@ -160,7 +160,7 @@ def test_a_lost_command_and_a_lost_answer_are_repeated_with_the_same_id(lab):
 
 
 class Parrot:
-    """A link that answers what it is told, in virtual time of its own. ``answer(request) → bytes``."""
+    """A link that answers requests in its own virtual time. ``answer(request) → bytes``."""
 
     name = "parrot"
     kind = "virtual"
@@ -238,7 +238,7 @@ def test_waiting_for_an_answer_is_a_step_that_a_terminal_shows():
 
 
 def test_an_answer_that_came_while_the_machine_was_busy_is_taken():
-    """The command was not given a turn before its time was over; what the box said lies there."""
+    """The command's time was over before it could run; the box's answer is already there."""
 
     class Busy(Parrot):
         def now_ns(self):

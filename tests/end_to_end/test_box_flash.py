@@ -17,7 +17,7 @@ HUNG_S = 1800  # of the wall clock's time: nothing is measured by it
 
 
 def test_a_running_box_is_flashed(tmp_path, no_ports, capsys):
-    """Asked to show its drive, written to, and heard again, by another boot."""
+    """The box shows its drive, the image is written, and the box answers after another boot."""
     path, drive = tmp_path / "box.uf2", tmp_path / "media" / "RPI-RP2"
     path.write_bytes(image())
     with served(drive=drive) as (device, _, shown):
@@ -107,7 +107,7 @@ sys.exit({code})
 
 @pytest.fixture
 def fake_mpremote(tmp_path, monkeypatch):
-    """An executable in mpremote's place that keeps what it was called with."""
+    """Return an executable in place of mpremote that records its arguments."""
 
     def install(answer="is micropython 1 25 Raspberry Pi Pico with RP2040", code=0):
         tool, log = tmp_path / "bin" / "mpremote", tmp_path / "log"

@@ -16,7 +16,7 @@ from truearm_sim import stage as stages
 
 
 class Operator(io.StringIO):
-    """Standard input of somebody who sets the stage to each reference before typing it."""
+    """Standard input of an operator who sets the stage to each reference before typing it."""
 
     def __init__(self, world, lines, unit=1e-3):
         super().__init__()
@@ -149,7 +149,7 @@ def test_bad_reference_files(text, says, tmp_path, capsys):
 
 
 def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
-    """Said before a place is taken, also of a file that was named."""
+    """The error comes before any place is measured, also for a file that was named."""
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
     assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2

@@ -26,7 +26,7 @@ BUSY_S = 2.0
 
 @pytest.fixture
 def device(tmp_path):
-    """A simulated box behind a pseudo-terminal, in a process of its own."""
+    """Run a simulated box behind a pseudo-terminal in its own process."""
     command = [
         sys.executable,
         "-u",
@@ -146,7 +146,7 @@ def test_a_terminal_that_stands_still(device, tmp_path):
 
 
 def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
-    """An error in the view ends the view."""
+    """If an exception is raised in the view, the view closes."""
     from truearm.cli.main import main
 
     def fail(*_):

@@ -23,7 +23,7 @@ def demo(request, tmp_path_factory):
 
 
 def figures(said, label):
-    """RMS before and after [mm], and how many."""
+    """Return RMS before and after [mm], and the number of rows."""
     found = re.search(rf"^{label} +([\d.]+) mm RMS before, ([\d.]+) mm after \((\d+) observations", said, re.M)
     return float(found[1]), float(found[2]), int(found[3])
 

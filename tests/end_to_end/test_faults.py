@@ -30,7 +30,7 @@ def messages(path):
 
 
 def received(path):
-    """The bytes of the box's frames and console in the order of the file, delimiters aside."""
+    """Return the bytes of the box's frames and console in the order of the file, without delimiters."""
     runs = []
     for topic, message in messages(path):
         if topic == "/box/console":

@@ -21,14 +21,14 @@ OSR = 16384
 
 
 def one_shell():
-    """A rig of one chuck, one sphere and one bar."""
+    """Return a rig with one chuck, one sphere and one bar."""
     rig = standard_rig()
     first = {kind: dict([next(iter(getattr(rig, kind).items()))]) for kind in ("chucks", "spheres", "bars")}
     return replace(rig, **first)
 
 
 def recorded(level, poses, path):
-    """The session of a box of this level on a robot that visits so many poses."""
+    """Return the session of a box of this level with a robot that visits this number of poses."""
     rig = one_shell()
     plan = standard_plan(poses, 3, rig)
     world = World(3, plan, rig)

@@ -25,7 +25,7 @@ LAWS = [
 
 
 def true_poses(seed):
-    """A function that says where the true arm's end is at joint readings."""
+    """Return a function from joint readings to the true pose of the end."""
     truth = TruthOptions(gear_error=GEAR, gear_periods=tuple(np.radians(PERIODS)), masses=MASSES, stiffness=STIFFNESS)
     robot = simulated_robot(RobotChoice("ur5e"), truth, seed)
     chain = robot.robot.chain
@@ -66,7 +66,7 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
     write_targets(Path("targets.csv"), targets, q)
 
     def corrected(result, *method):
-        """Errors of the true tool [mm], and what was expected of them, k = 1 [mm]."""
+        """Return errors of the true tool [mm] and their expected values, k = 1 [mm]."""
         document = json.loads(run("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--json"))
         with open("corrected.csv", encoding="utf-8") as file:
             rows = [[float(row[f"q{k}_deg"]) for k in range(1, 7)] for row in csv.DictReader(file)]

@@ -25,7 +25,7 @@ ALONG, ACROSS = "magnetostrictive", ("transverse_a", "transverse_b")
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Sessions by level, recorded once."""
+    """Return sessions by level, each recorded once."""
 
     @functools.cache
     def recorded(level):
@@ -43,7 +43,7 @@ def session(request, recorded):
 
 @pytest.fixture
 def others(request, session, recorded):
-    """The worlds of the other levels."""
+    """Return the worlds of the other levels."""
     return [other.world for level in LEVELS if (other := recorded(level)) is not session]
 
 

@@ -31,7 +31,7 @@ WORLDS = 50
 
 
 def world_of(seed, **how):
-    """A robot drawn from the weak prior, as Renders' a few millimetres off, on four lines there and back."""
+    """Return a robot drawn from the weak prior, off by a few millimetres as in Renders, on four lines there and back."""
     drawn = np.random.default_rng([seed, 0xEE5]).standard_normal(SIGMA.size)
     truth = CHAIN.params_nominal + FREE * SIGMA * drawn
     return World(seed, PLAN, line_rig(), params=truth, setup=Setup(robot_rate=125.0, **how))
@@ -77,14 +77,14 @@ def in_band(estimate):
 
 
 def nees(world, estimate):
-    """(θ − θ̂)ᵀ P⁻¹ (θ − θ̂) of the robot's free parameters."""
+    """Return (θ − θ̂)ᵀ P⁻¹ (θ − θ̂) of the robot's free parameters."""
     free = estimate.free[: estimate.n_robot_parameters]
     error = (estimate.value[: free.size] - world.params)[free]
     return float(error @ np.linalg.solve(estimate.covariance[: free.size, : free.size][np.ix_(free, free)], error))
 
 
 def recorded(world, path):
-    """The world's session through the box's firmware, recorder and sync."""
+    """Return the world's session through firmware, recorder and synchronisation."""
     lab = Lab(world, SimulatedBox(world, interpreter(), seed=world.seed), world.seed)
     try:
         record(

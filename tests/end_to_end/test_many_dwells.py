@@ -63,7 +63,7 @@ sys.exit(os.waitstatus_to_exitcode(status))
 
 
 def measured(name, *command, out=os.devnull):
-    """Run a Python process; says wall time, processor time and its peak memory, and holds this to MOST_MB."""
+    """Run a Python process; print wall time, CPU time and peak memory, which must stay below MOST_MB."""
     started = time.perf_counter()
     with Path(out).open("w") as file:
         whole = [sys.executable, "-c", START, *map(str, command)]

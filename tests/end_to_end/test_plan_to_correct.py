@@ -39,7 +39,7 @@ PROGRAMS = {"irb120": ["program.mod"], "ur5e": ["program.script"], "puma560": ["
 
 
 class Walk:
-    """A robot, its truth, and a folder in which commands are typed."""
+    """A robot, its truth, and a folder in which commands are run."""
 
     def __init__(self, name, folder):
         self.name, self.folder, robot = name, folder, builtin_robot(name)
@@ -73,7 +73,7 @@ class Walk:
 
 
 class Tables(Walk):
-    """Commands in this process, rows as tables."""
+    """Runs commands in this process, with rows as tables."""
 
     more = ("--rig", "rig.toml")
 
@@ -92,7 +92,7 @@ class Tables(Walk):
 
 
 class RealTime(Walk):
-    """Every command a process, rows as sessions of the simulated box and robot."""
+    """Runs every command in a process, with rows as sessions of the simulated box and robot."""
 
     more = ()  # a session brings its rig
 

@@ -26,7 +26,7 @@ def quads(values):
 
 
 def assert_contiguous(blocks, start=0):
-    """Every sample is there once, in order, with the counts that `records` gave it; returns how many."""
+    """Check that every sample is there once, in order, with the counts of `records`; return their number."""
     n = start
     for block in blocks:
         assert block[3] == n

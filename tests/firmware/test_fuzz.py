@@ -45,7 +45,7 @@ def some_command(rng, config_pages):
 
 
 def some_run(rng, config_pages):
-    """Bytes as a stranger or a bad line would send them."""
+    """Return bytes as a stranger or a bad line might send them."""
     kind = rng.randrange(10)
     if kind == 0:
         return rng.randbytes(rng.randrange(1, 400))
@@ -80,7 +80,7 @@ def asked(run):
 
 
 class Fuzzed(Bench):
-    """A box that samples on its own whenever it was told to."""
+    """A box that samples on its own once it was started."""
 
     starts = 0
 

@@ -24,13 +24,13 @@ class Source:
 
 
 class Bus:
-    """Without a thermometer."""
+    """A bus without a thermometer."""
 
     uids = ()
 
 
 class Slow:
-    """A board whose clock goes on while it reads: what arrives meanwhile is read in the same call."""
+    """A board whose clock advances while it reads: data that arrive meanwhile are read in the same call."""
 
     name, uid, boot_id, reset_cause, ring_slots = "slow", b"12345678", b"\1\2\3\4", 1, 64
     config_path = error_path = "/nowhere/at/all"
@@ -93,7 +93,7 @@ class Slow:
 
 
 def t1_of(arrivals, until_us):
-    """t1 by id of all requests."""
+    """Return t1 by id for all requests."""
     board = Slow(arrivals)
     box = Box(board)
     gc.enable()  # the box turned it off

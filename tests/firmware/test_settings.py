@@ -24,7 +24,7 @@ def flash(tmp_path):
 
 @pytest.fixture
 def boot(flash):
-    """Boots a box from the flash folder, again and again."""
+    """Return a function that boots a box from the flash folder."""
     boxes = []
 
     def boot(**setup):
@@ -39,7 +39,7 @@ def boot(flash):
 
 
 def changed(config, **changes):
-    """The configuration with keys changed, also by dotted path: magnetostrictive__serial."""
+    """Return the configuration with changed keys, also by dotted path: magnetostrictive__serial."""
     config = json.loads(json.dumps(config))
     for key, value in changes.items():
         *path, last = key.split("__")

@@ -23,13 +23,13 @@ def values(block):
 
 
 def beat(bench):
-    """The counters of the next heartbeat by name."""
+    """Return the counters of the next heartbeat by name."""
     found = [f for f in bench.give(us=2_000_000) if f[0] == HEARTBEAT][-1]
     return dict(zip(messages.names(HEARTBEAT), found[1:], strict=True))
 
 
 def flights(found, missing=frozenset()):
-    """Every shot is there once, in order; returns how many."""
+    """Check that every shot is there once, in order; return their number."""
     n = 0
     for block in blocks(found, 1):
         assert block[3] == n

@@ -16,7 +16,7 @@ ERRORS = 18  # place of thermometer_errors in a heartbeat
 
 @cache
 def configuration():
-    """The configuration of a box that was told none."""
+    """Return the configuration of a box without any settings."""
     bench = Bench(None)
     try:
         return bench.document(GET_CONFIG)
@@ -26,7 +26,7 @@ def configuration():
 
 @pytest.fixture(params=["micropython", "cpython"])
 def boot(request):
-    """Boots a box with thermometers, of which the configuration names some."""
+    """Return a function that boots a box with thermometers, some of which the configuration names."""
     booted = []
 
     def start(thermometers, named=None):
@@ -41,12 +41,12 @@ def boot(request):
 
 
 def pass_time(bench, seconds):
-    """All frames of so many seconds."""
+    """Return all frames of this many seconds."""
     return [frame for _ in range(round(10 * seconds)) for frame in bench.give(us=100_000)]
 
 
 def temperatures(found):
-    """(thermometer, m°C) of each reading."""
+    """Return (thermometer, m°C) of each reading."""
     return [(f[3], f[4]) for f in found if f[0] == TEMPERATURE]
 
 

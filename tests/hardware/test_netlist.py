@@ -21,7 +21,7 @@ def made():
 
 
 def with_pins(made, **changes):
-    """The netlist with the nets of some pins changed: U3_18="GND"; None opens a pin."""
+    """Return the netlist with the nets of some pins changed: U3_18="GND"; None opens a pin."""
     pins = dict(made.pins)
     for pin, net in changes.items():
         ref, _, number = pin.partition("_")

@@ -31,7 +31,7 @@ SECTIONS = ("Parameters\n----------", "Raises\n------", "Examples\n--------")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the examples read: two tables of one robot, its rig, a session, a result."""
+    """Return a folder with the files that the examples read: two tables of one robot, its rig, a session, a result."""
     folder = tmp_path_factory.mktemp("api")
     robot = truearm.load_robot("puma560")
     table, rig = exact_lengths(135)

@@ -21,7 +21,7 @@ from truearm.errors import ConfigError
 
 
 def firmware_rules():
-    """The module by which the box itself judges, of the firmware's sources."""
+    """Return the firmware's own module that checks a configuration, from its sources."""
     path = Path(__file__).parents[2] / "firmware" / "truearm_box" / "config.py"
     spec = importlib.util.spec_from_file_location("firmware_config", path)
     module = importlib.util.module_from_spec(spec)
@@ -37,7 +37,7 @@ def default():
 
 
 def full():
-    """A configuration with everything in it, and with what a later firmware may have added."""
+    """Return a configuration with every key, and with keys that later firmware may add."""
     config = default()
     config["channels"][0]["gain"] = 4
     config["channels"][0]["calibration"] = {
@@ -212,7 +212,7 @@ LEAVES = st.one_of(  # what the wire can carry (SPEC §2): neither null nor bool
 
 
 def mutated(config, rng, value):
-    """``config`` with one of its parts, at any depth, replaced or taken away."""
+    """Return ``config`` with one of its parts, at any depth, replaced or removed."""
     new = copy.deepcopy(config)
     place = new
     while True:

@@ -25,7 +25,7 @@ def boot_stage(code=b"\x00\xb5\x32\x4b"):
 
 
 def image(pages=4, mark=b"truearm_box"):
-    """A small image whose boot stage is in order."""
+    """Return a small image with a valid boot stage."""
     data = [boot_stage(), *(bytes([k]) * 256 for k in range(1, pages - 1)), mark.ljust(256, b"\xff")]
     return b"".join(block(k, pages, page) for k, page in enumerate(data))
 
@@ -125,11 +125,11 @@ def test_a_damaged_image_is_refused_or_its_pages_alone_differ(data):
 
 
 def _harmless(good, bad, number):
-    """Whether the heads of a block differ in flags that mean nothing here, or in an address that is free too."""
+    """Return whether the headers of a block differ only in flags without meaning here, or in an address that is also free."""
     a, b = (struct.unpack_from("<8I", d, BLOCK * number) for d in (good, bad))
     return a[:2] == b[:2] and a[4:] == b[4:] and b[2] & 0x2001 == 0x2000 and 0x1000_0000 <= b[3] < 0x1020_0000
 
 
 def test_zlib_is_not_what_the_rom_computes():
-    """The reflected CRC-32 of everything else in this project would be wrong here."""
+    """The reflected CRC-32 that the rest of this project uses would be wrong here."""
     assert boot_checksum(b"123456789") != zlib.crc32(b"123456789")

@@ -52,7 +52,7 @@ def said(seed):
 
 
 def truth():
-    """Of each figure that ``characterized()`` gives as an interval, by name."""
+    """Return the true value of each number that ``characterized()`` gives as an interval, by name."""
     rounding = robot.STEP**2 / 12.0  # a reading's, which its noise spreads over several steps
     readings = WORN.reading_sigma**2 + rounding
     spread = np.sqrt(robot.SERVO_SIGMA**2 + readings / 80.0)  # 80 readings or so a dwell: next to nothing
@@ -85,7 +85,7 @@ def covered(document):
 
 
 def test_intervals_hold_the_truth():
-    """32 of 95 %: fewer than 25 would be one in ten thousand runs."""
+    """32 intervals of 95 %: fewer than 25 that contain the truth would occur once in ten thousand runs."""
     assert sum(covered(said(1)[0]).values()) >= 25
 
 
@@ -104,7 +104,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def stop_of(seed, dwell):
-    """The controller's stop that a dwell is, by time: the plan has the same pose again and again."""
+    """Return the controller's stop that corresponds to a dwell, by time: the plan has the same pose several times."""
     return int(world(seed).controller.stop_index(np.array([1e-9 * (dwell.start_host_ns - HOST_NS)]))[0])
 
 
@@ -117,7 +117,7 @@ def test_every_visit_came_from_the_side_it_came_from():
 
 
 def settled_after(size, band_first, band_last):
-    """Time from the first entry into one band to the last exit from another; of a bar's way (n,) at steps of 0.2 ms."""
+    """Return the time from the first entry into one band to the last exit from another, for a bar's motion (n,) at steps of 0.2 ms."""
     coming = int(np.flatnonzero(size >= 0.5 * size.max())[-1])
     outside = np.flatnonzero(size[coming:] > band_last)
     return 2e-4 * (int(outside[-1]) + 1 - int(np.argmax(size[coming:] <= band_first)))
@@ -153,14 +153,14 @@ def test_settling_times_are_those_of_the_bar_without_noise():
 
 
 def found_noise(seed):
-    """The noise of a run; what is said of one bar holds for the other."""
+    """Return the noise that a run finds; the result for one bar applies to the other."""
     run = stream_of(messages_of(World(seed, planned()[1].visits, arm=WORN), seed))
     noise = characterized([Part(run, "run")], PUMA.chain, standard_rig(), BANDS)[1]
     return replace(noise, bar_sigma=dict.fromkeys(("bar46", "bar61"), noise.bar_sigma["bar46"]))
 
 
 class Calibration:
-    """100 poses with each bar, of a worn arm, and what the simulator knows of them."""
+    """100 poses of a worn arm with each bar, and the simulator's truth."""
 
     def __init__(self, seed):
         self.world = World(seed, standard_plan(100, seed), arm=WORN)
@@ -172,7 +172,7 @@ class Calibration:
         self.value_var = np.array([dwell.value_var for dwell in used])
 
     def table(self, noise, sides=True):
-        """The rows as an identification with this noise has them; without ``sides``, as a table from elsewhere."""
+        """Return the rows as an identification with this noise sees them; without ``sides``, as from an external table."""
         table, bars = self._synced.table, with_noise(standard_rig(), noise).bars
         bar_sigma = np.array([bars[str(name)].sigma for name in table.bar])
         side = table.side if sides else np.full_like(table.side, np.nan)
@@ -182,7 +182,7 @@ class Calibration:
         return identify(PUMA.chain, with_noise(standard_rig(), noise), self.table(noise, sides), free=PUMA.free)
 
     def error(self, fit):
-        """Squared error of the identified parameters in units of their covariance (NEES)."""
+        """Return the squared error of the identified parameters in units of their covariance (NEES)."""
         free = PUMA.free
         error = fit.value[: free.size][free] - self.world.params[free]
         return float(error @ np.linalg.solve(fit.covariance[: free.size, : free.size][np.ix_(free, free)], error))
@@ -308,7 +308,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
 
 
 def test_the_parts_of_a_session_are_one(tmp_path, run):
-    """A break in the middle: the second part begins with what the box and the plan say, as the recorder writes it."""
+    """A break in the middle: the second part begins with the box's description and the plan, as the recorder writes them."""
     said_first = [m for m in messages_of(world(1), 1) if m.topic in ("/box/ident", "/plan")]
     told = [m for m in messages_of(world(1), 1) if m.topic not in ("/box/ident", "/plan")]
     middle = told[len(told) // 2].t_host_ns

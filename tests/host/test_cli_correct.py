@@ -55,7 +55,7 @@ def run(capsys, *arguments):
 
 
 def controller(told, q):
-    """What a controller with the design model does with poses, from near q: another solver than the one that is tested."""
+    """Return the joints of a controller with the design model for poses, from near q; its solver is not the tested one."""
     q = q.copy()
     for _ in range(60):
         pose = forward(CHAIN, DESIGN, q)
@@ -68,7 +68,7 @@ def controller(told, q):
 
 
 def lands(q):
-    """Where the simulated true robot stands when it is sent to q: servo errors included."""
+    """Return where the simulated true robot is when it is sent to q, including servo errors."""
     names = [np.full(len(q), name) for name in ("s", "bar46", "c1", "s1")]
     world = World(3, Plan(q, *names), standard_rig())
     held = world.controller.q_held[world.controller.dwells]
@@ -116,7 +116,7 @@ def home(bench):
 
 
 def test_frames_of_work_and_tool(bench, capsys):
-    """Targets given in another frame and for a tool's tip are the same correction, seen from there."""
+    """Targets in another frame and for a tool's tip get the same correction, expressed in that frame."""
     work = "100,-50,20,0,0,90"
     tool = "0,0,80,0,30,0"
     T_work, T_tool = np.eye(4), np.eye(4)

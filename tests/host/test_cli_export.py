@@ -26,7 +26,7 @@ def result(tmp_path_factory):
 
 
 def seats(q):
-    """A table that has the poses and nothing else of interest."""
+    """Return a table with the poses and no other relevant content."""
     n, empty = len(q), np.full(len(q), "")
     nothing = dict.fromkeys(("bar", "chuck", "sphere", "shell", "source"), empty)
     return ObservationTable(

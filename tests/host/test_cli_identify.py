@@ -212,7 +212,7 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
 
 
 def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
-    """Renders' problem on tables: two of six lines judge, each settled on its own rows."""
+    """Renders' problem on tables: two of six lines are held out, each placed by its own rows."""
     wrong = ulb_bench.NOMINAL.copy()
     wrong[ulb_bench.OFFSETS] += 0.01
     table = ulb_bench.lines(6, 12, wrong, np.random.default_rng(2))

@@ -32,7 +32,7 @@ UNITS = ("rad",) * 6
 
 @pytest.fixture
 def identified(tmp_path, capsys):
-    """The result and what a person reads, of rows and a rig, by way of files."""
+    """Return the result and the printed output for rows and a rig, through files."""
 
     def call(rows, rig=RIG, *options):
         write_table(tmp_path / "t.csv", rows, UNITS)
@@ -85,7 +85,7 @@ def with_chucks(coordinates):
 
 
 def test_a_contradictory_rig(identified):
-    """Two chucks' coordinates were exchanged and one is 50 mm off: the lengths cannot be met."""
+    """The coordinates of two chucks are exchanged and one is off by 50 mm: no robot fits the lengths."""
     (a, b, c) = (p.xyz for p in RIG.chucks.values())
     wrong = with_chucks([b, (a[0], a[1], a[2] + 0.05), c])
     result, text = identified(random_table(100, np.random.default_rng(0), SIGMA), wrong)
@@ -96,7 +96,7 @@ def test_a_contradictory_rig(identified):
 
 
 def test_all_chucks_at_one_place(identified):
-    """The lengths contradict that, and it leaves the base free to turn about them, as one chuck does."""
+    """The lengths contradict this rig, which also leaves the base free to rotate about the chucks, as one chuck does."""
     result, text = identified(random_table(100, np.random.default_rng(1), SIGMA), with_chucks([(0.4, 0.0, 0.2)] * 3))
     held_as_a_choice_of_frame(result, text, 3, 33)
     assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
@@ -129,7 +129,7 @@ def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identifie
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_all_poses_alike(identified, solver):
-    """Six numbers place the end, and no more is seen, however often it is measured."""
+    """Six numbers place the end; nothing else can be identified, however often it is measured."""
     rows = random_table(90, np.random.default_rng(5), SIGMA)
     alike = replace(rows, q=np.tile(rows.q[0], (90, 1)))
     length = lengths(TRUTH, alike.q, all_pairs(90)) + SIGMA * np.random.default_rng(6).normal(size=90)
@@ -195,7 +195,7 @@ def test_nothing_measured_is_misuse(tmp_path, capsys):
 
 
 def refused(tmp_path, capsys, rows, rig, *options):
-    """The one line on standard error."""
+    """Return the single line on standard error."""
     write_table(tmp_path / "t.csv", rows, UNITS)
     write_rig(tmp_path / "rig.toml", rig)
     arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", *options]
@@ -212,7 +212,7 @@ def test_one_row(tmp_path, capsys):
 
 
 def test_a_reading_that_never_changes(tmp_path, capsys):
-    """The cable was off, or a cell was filled down in a spreadsheet."""
+    """The cable was disconnected, or a cell was filled down in a spreadsheet."""
     rows = random_table(60, np.random.default_rng(11), SIGMA)
     err = refused(tmp_path, capsys, replace(rows, value=np.full(60, 0.46)), RIG)
     assert "length is the same in all 60 ball_bar rows though the joints move" in err
@@ -236,7 +236,7 @@ def test_an_empty_column(tmp_path, capsys):
 
 
 def test_rows_that_determine_nothing(tmp_path, capsys):
-    """A ball that was seated once in each of six sockets, whose places nobody knows."""
+    """A ball was seated once in each of six sockets at unknown positions."""
     rows = random_table(6, np.random.default_rng(13))
     names = np.array([str(i) for i in range(6)])
     seats = ObservationTable(q=rows.q, kind=np.full(6, "seat"), socket=names, place=np.full(6, "front"))

@@ -16,7 +16,7 @@ from truearm.types import Device, Point, Rig
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """both.mcap: two lines there and back, 8 ms late; one.mcap: one way."""
+    """Return a folder with both.mcap, two lines there and back with readings that are 8 ms late, and one.mcap, in one direction."""
     path = tmp_path_factory.mktemp("lines")
     for name, back in (("both", True), ("one", False)):
         rng = np.random.default_rng(1)
@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def said(run):
-    """What a command prints that succeeds."""
+    """Return what a successful command prints."""
 
     def call(*arguments):
         outcome = run(*arguments)

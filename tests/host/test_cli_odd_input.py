@@ -16,7 +16,7 @@ IDENTIFY = ("identify", "t.csv", "--model", "puma560")
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """main() in a folder of odd files; exit code and the one line on stderr."""
+    """Run main() in a folder of odd files; return the exit code and the line on stderr."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "t.csv").write_text(TABLE)
     (tmp_path / "empty").touch()

@@ -15,7 +15,7 @@ from truearm.files.rig_file import write_rig
 
 @pytest.fixture(scope="module")
 def slip(tmp_path_factory):
-    """Files of a session in which a chuck slips; also its name and the row."""
+    """Return the files of a session in which a chuck slips, its name and the row."""
     folder = tmp_path_factory.mktemp("slip")
     table, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(1))
     write_table(folder / "poses.csv", table, CHAIN.joint_units)

@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
 
 
 def measured(path, truth, n=180, seed=9):
-    """Noisy lengths of a robot, half of them at each of two shells' names."""
+    """Return noisy lengths of a robot, half of them under each of two shell names."""
     rng = np.random.default_rng(seed)
     q = correct_bench.good_poses(n)
     pairs = [PAIRS[i % 9] for i in range(n)]
@@ -87,7 +87,7 @@ def test_a_robot_without_errors_of_its_own_is_not_helped_by_where_it_was_bolted(
 
 
 def test_few_rows_place_nothing(folder, run):
-    """Six lengths fit six numbers of a base whatever they say: the robot is left where the rig says that it stands."""
+    """Six lengths fit the six numbers of a base whatever they are: the robot stays where the rig says."""
     found = judged(run, folder, measured(folder / "few.csv", TRUTH, n=6))
     assert found["rows"] == 6
     assert not found["placed"]

@@ -29,7 +29,7 @@ def q():
 
 
 def pair(share=1.0, names=""):
-    """The nominal robot, and one that has a share of the true one's errors, in the parameters whose names end so."""
+    """Return the nominal robot and one with a share of the true errors, in parameters whose names end like this."""
     mine = np.array([name.endswith(names) for name in CHAIN.parameter_names])
     return ModelPair(CHAIN, DESIGN, DESIGN + share * mine * (TRUTH - DESIGN))
 
@@ -84,7 +84,7 @@ def test_offsets_are_exact_for_offsets_and_nothing_else(q):
 
 
 class Wave(Term):
-    """a·sin(q_1 + q_i) of joint i: a term that depends on two joints."""
+    """a·sin(q_1 + q_i) for joint i: a term that depends on two joints."""
 
     name = "wave"
     unit = "rad"

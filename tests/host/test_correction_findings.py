@@ -117,7 +117,7 @@ def test_a_straight_move_bends_as_the_controller_drives_it():
 
 
 class Arm:
-    """A robot as described, as it truly is, and as identified from noisy poses; and poses to go to, near each other."""
+    """A robot as described, its truth, and the robot identified from noisy poses; with neighbouring target poses."""
 
     def __init__(self, name, seed):
         rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ class Arm:
         write_result(path, document_of(self.estimate, self.table, frames, []))
 
     def errors(self, params, q):
-        """(n,) m from where the arm with ``params`` believes to be to where it is."""
+        """Return (n,) m: the distance between where the arm with ``params`` believes to be and where it is."""
         return np.linalg.norm((forward(self.chain, self.truth, q) - forward(self.chain, params, q))[:, :3, 3], axis=1)
 
 
@@ -185,7 +185,7 @@ def six_text(pose):
 
 
 def ur_program(poses, q):
-    """As PolyScope writes it: waypoints as globals, a feature, several tools, moves by joints with qnear and straight ones."""
+    """Return a program in PolyScope's style: waypoints as globals, a feature, several tools, joint moves with qnear and straight moves."""
     lines = ["def Work():", f"  global Plane_1={six_text(matrix(FRAME))}"]
     for k, pose in enumerate(poses):
         at = pose @ matrix(TOOLS[k % 3])
@@ -212,7 +212,7 @@ def place(pose):
 
 
 def abb_program(poses, q):
-    """As RobotStudio writes it: robtargets with configurations, three tools and a work object, moves by joints and straight ones."""
+    """Return a program in RobotStudio's style: robtargets with configurations, three tools and a work object, joint and straight moves."""
     lines = ["MODULE Module1"]
     lines += [
         f"  PERS tooldata t{k}:=[TRUE,[{place(matrix(TOOLS[k]))}],[1,[0,0,1],[1,0,0,0],0,0,0]];" for k in range(3)

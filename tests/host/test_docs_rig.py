@@ -23,13 +23,13 @@ RIG = bench.RIGS["puma560"]
 
 @cache
 def plan():
-    """200 poses a bar of the demo's plan."""
+    """Return 200 poses per bar of the demo's plan."""
     return standard_plan(200)
 
 
 @cache
 def aim():
-    """Where the plan has its spheres; all three count."""
+    """Return the plan's sphere positions; all three spheres count."""
     known, spheres = bench.known("puma560"), [RIG.spheres[name].xyz for name in plan().sphere]
     region = around(point_forward(known.chain, known.params, plan().q, np.array(spheres)))
     return Aim(poses_in(bench.site("puma560"), region, np.array([0.0, 0.0, 0.04])), tuple(RIG.spheres))
@@ -45,7 +45,7 @@ def changed(only=None, **change):
 
 @cache
 def only46() -> Plan:
-    """As many poses, all with the short bar."""
+    """Return the same number of poses, all with the short bar."""
     both = standard_plan(400)
     return both.select(both.bar == "bar46")
 
@@ -73,7 +73,7 @@ CASES = {
 
 
 def told(change, some=None):
-    """At the paper's identified values, whose lengths stray from mid-travel as a true robot's do."""
+    """Return the forecast at the paper's identified values, whose lengths deviate from mid-travel as a true robot's do."""
     known = bench.known("puma560")
     truth = builtin_robot("puma560").parameter_sets["optimised"]
     known = replace(known, rig=replace(RIG, **change), params=truth)
@@ -98,12 +98,12 @@ ONE_BAR = ("everything known exactly", "zero to 1 mm and gain to 1 %")
 
 @pytest.mark.parametrize("case", ONE_BAR)
 def test_numbers_of_one_bar(case):
-    """As many poses, all of bar46."""
+    """The same number of poses, all with bar46."""
     check(f"{case}, bar46 alone", told(CASES[case], only46()))
 
 
 def check(case, result):
-    """The page's number is the forecast's to its last digit; a star says that how the base stands is left out."""
+    """The page's number equals the forecast to its last digit; a star means that the base's pose is left out."""
     value, star = numbers()[case]
     half_digit = 0.5 * 10.0 ** -len(value.partition(".")[2])
     assert abs(1e3 * result.cartesian_rms - float(value)) <= half_digit * 1.02, f"{1e3 * result.cartesian_rms:.4f}"

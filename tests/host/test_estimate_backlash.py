@@ -22,7 +22,7 @@ WORN = replace(
 
 
 def table(n=60, unknown=()):
-    """A perfect arm's lengths whose joints read half the backlash beside the links; sides not known in some places (row, joint)."""
+    """Return the lengths of a perfect arm whose readings differ from the links by half the backlash; some (row, joint) sides are unknown."""
     rng = np.random.default_rng(4)
     true = random_table(n, rng, 0.0)
     side = rng.choice([-1.0, 1.0], true.q.shape)
@@ -60,7 +60,7 @@ def test_what_is_left_is_how_well_it_is_known_and_all_of_it_where_the_side_is_no
 
 
 def test_rows_of_three_residuals_have_it_too():
-    """Points of a tracker, one of them of unknown side."""
+    """Points of a tracker, one of them approached from an unknown side."""
     cov = tuple(map(tuple, (1e-10 * np.eye(3)).tolist()))
     seen = table(40, unknown=[(2, 0)])
     tracker = Device("t", cov, xyz=(0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)

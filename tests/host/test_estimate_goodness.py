@@ -20,7 +20,7 @@ DRAWS = 20_000
 
 
 def jacobian(singular, n, seed):
-    """(n, k) with these singular values in random directions."""
+    """Return a matrix (n, k) with these singular values in random directions."""
     rng = np.random.default_rng(seed)
     k = len(singular)
     u, v = (np.linalg.qr(rng.normal(size=(m, k)))[0] for m in (n, k))
@@ -28,13 +28,13 @@ def jacobian(singular, n, seed):
 
 
 def influence(jac, sigma):
-    """H of a fit with a prior σ (inf for none), by pseudo-inverse."""
+    """Return the influence matrix H of a fit with prior σ (inf for none), by pseudo-inverse."""
     prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
     return jac @ np.linalg.pinv(np.vstack([jac, prior]), rcond=1e-10)[:, : len(jac)]
 
 
 def judged(jac, sigma, chi2):
-    """``goodness`` as ``identify`` calls it."""
+    """Call ``goodness`` as ``identify`` does."""
     k = jac.shape[1]
     prior = np.diag(np.where(np.isfinite(sigma), 1.0 / sigma, 0.0))
     root = fold(np.zeros((k, k)), np.vstack([jac, prior]))
@@ -42,7 +42,7 @@ def judged(jac, sigma, chi2):
 
 
 def draws(jac, sigma, c, seed):
-    """χ² (DRAWS,) of the data where the true parameters lie c·σ about the prior's mean, 0 where there is no prior."""
+    """Return χ² (DRAWS,) of data whose true parameters are c·σ from the prior's mean, or 0 from it without a prior."""
     rng = np.random.default_rng(seed)
     true = c * np.where(np.isfinite(sigma), sigma, 0.0) * rng.normal(size=(DRAWS, len(sigma)))
     data = true @ jac.T + rng.normal(size=(DRAWS, len(jac)))
@@ -131,7 +131,7 @@ N_ROWS, RUNS = 60, 25  # 60 lengths for 36 parameters: what the prior decides ma
 
 
 def drawn(c, runs, seed, **how):
-    """χ²/ν, ν, and whether within the band, each (runs,), of robots that lie c·σ of the weak prior about the nominal one."""
+    """Return χ²/ν, ν, and whether χ² is within the band, each (runs,), for robots c·σ of the weak prior from the nominal one."""
     rng = np.random.default_rng(seed)
     sigma = weak_prior(CHAIN)
     out = []
@@ -193,7 +193,7 @@ def test_rows_that_were_left_out_are_not_judged():
 
 @pytest.mark.parametrize("solver", sorted(SOLVERS))
 def test_what_nothing_sees_takes_no_degree_of_freedom(solver):
-    """54 parameters free where 36 can be seen, no prior."""
+    """54 free parameters of which 36 are identifiable, without a prior."""
     t = random_table(200, np.random.default_rng(24), SIGMA)
     e = identify(CHAIN, RIG, t, options=SolverOptions(solver=solver))
     assert e.chi2_freedom == pytest.approx(200 - 36, abs=1e-6)

@@ -28,7 +28,7 @@ from truearm.types import ObservationTable, Rig
 
 
 def identify(chain, rig, table, **how):
-    """The estimate, and what is wrong with the inputs."""
+    """Return the estimate, and the findings about wrong inputs."""
     return diagnosed(estimated(chain, rig, table, **how), chain, rig, table, FREE)
 
 
@@ -92,7 +92,7 @@ def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
 
 
 def test_when_nothing_fits_nothing_is_named(shells):
-    """Lengths of another world: large residuals, but no label that would explain them."""
+    """Lengths of another world: the residuals are large, but no label explains them."""
     wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, 400))
     e = identify(CHAIN, RIG, wild, free=FREE, options=SolverOptions(max_iterations=5))
     assert e.rms_after["m"] > 1e-2
@@ -137,7 +137,7 @@ def test_chucks_exchanged_on_one_day_only_are_named(shells):
 
 
 def test_one_of_twenty_seven_shells_is_named():
-    """Three radii about three chucks with three spheres."""
+    """Three radii about each of three chucks, with three spheres."""
     rng = np.random.default_rng(9)
     shells = [replace(shell_table(135, r, rng, SIGMA), shell=np.full(135, f"r{r}")) for r in (0.42, 0.46, 0.50)]
     t = joined(*shells)

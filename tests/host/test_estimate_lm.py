@@ -12,7 +12,7 @@ MISRA_X = [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 
 
 
 def linearised(residual, jacobian):
-    """A problem for ``minimise`` from f(x) = measured − predicted and ∂predicted/∂x."""
+    """Return a problem for ``minimise`` from f(x) = measured − predicted and ∂predicted/∂x."""
 
     def at(x):
         f, j = residual(x), jacobian(x)

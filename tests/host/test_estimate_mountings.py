@@ -32,7 +32,7 @@ def plan():
 
 
 def test_probabilities_are_those_of_all_paths():
-    """Summed path by path, 3 states at 5 dwells."""
+    """Compared with the sum over all paths, for 3 states and 5 dwells."""
     rng = np.random.default_rng(5)
     n, states = 5, 3
     steps = [rng.dirichlet(np.ones(states), states) for _ in range(n)]
@@ -74,7 +74,7 @@ def test_runs():
 
 
 def shell_rig():
-    """The rig of PAIRING alone."""
+    """Return a rig with only the parts of PAIRING."""
     bar, chuck, sphere = PAIRING
     return replace(
         RIG, bars={bar: RIG.bars[bar]}, chucks={chuck: RIG.chucks[chuck]}, spheres={sphere: RIG.spheres[sphere]}
@@ -129,7 +129,7 @@ def test_readings_that_cannot_tell_leave_the_word_as_it_is():
 
 
 def test_without_readings_words_alone_count(plan):
-    """No reading can make anything sure; what the plan says is the likeliest."""
+    """No reading can confirm anything; the plan's pairing is the most probable."""
     q = plan.q[:6]
     words = Words([(pairing_at(plan, i),) for i in range(6)], [()] * 6)
     found = mountings(ROBOT.chain, RIG, Readings(q, np.full(6, np.nan), np.zeros(6, dtype=bool)), words, ROBOT.free)

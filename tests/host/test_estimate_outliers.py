@@ -16,7 +16,7 @@ CHECK = random_table(200, np.random.default_rng(99)).q
 
 
 def tool_error(e):
-    """m, RMS over poses that were not measured."""
+    """Return the RMS error of the tool [m] over poses that were not measured."""
     p_end = np.array(SPHERES["s1"].xyz)
     apart = point_forward(CHAIN, e.value[:54], CHECK, p_end) - point_forward(CHAIN, TRUTH, CHECK, p_end)
     return np.sqrt((apart**2).sum(axis=1).mean())
@@ -24,7 +24,7 @@ def tool_error(e):
 
 @pytest.mark.parametrize("count", [1, 3, 7])
 def test_bad_rows_are_named_exactly(count):
-    """By 0.8 to 40 mm, at a noise of 0.084 mm."""
+    """Errors of 0.8 to 40 mm, with noise of 0.084 mm."""
     rng = np.random.default_rng(count)
     t = random_table(N, rng, SIGMA)
     bad = np.sort(rng.permutation(N)[:count])

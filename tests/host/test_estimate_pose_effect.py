@@ -28,7 +28,7 @@ FREE_HERE = FREE & np.array([not name.startswith("tool") for name in CHAIN.param
 
 
 def tracked(rng, n, shared, noise=NOISE, names="abc"):
-    """n poses, each with the targets one after the other; an error of the arm that moves all of them alike, and noise."""
+    """Return n poses, each with all targets, with noise and an error of the arm that is common to the targets of a pose."""
     q = np.repeat(random_poses(n, rng), len(names), axis=0)
     targets = np.tile(list(names), n)
     points = point_forward(CHAIN, TRUTH, q, np.array([TARGETS[name] for name in targets]))

@@ -108,7 +108,7 @@ def test_a_tracker_anywhere_sees_the_tool_but_not_the_base():
 
 
 def aligned(a, b):
-    """Points a (n, 3) moved as one body onto b (Kabsch)."""
+    """Return points a (n, 3) moved as one body onto b (Kabsch)."""
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     turn = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
     return (a - a.mean(0)) @ turn.T + b.mean(0)
@@ -165,7 +165,7 @@ def test_identified_spheres_are_where_the_fit_found_them(bars):
 
 
 def coverage(worlds, kind):
-    """Share of the coordinates of points within two predicted standard deviations of the truth, over noisy worlds."""
+    """Return the share of coordinates within two predicted standard deviations of the truth, over noisy worlds."""
     inside, unknown = [], {name: replace(p, sigma=None) for name, p in TARGETS.items()}
     for seed in range(worlds):
         rng = np.random.default_rng(seed)

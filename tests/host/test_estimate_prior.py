@@ -10,13 +10,13 @@ from truearm.estimate.prior import weak_prior, wide_prior
 
 @pytest.fixture(scope="module")
 def exact():
-    """200 lengths without noise and what lm finds from them."""
+    """Return 200 lengths without noise and lm's estimate from them."""
     t = random_table(200, np.random.default_rng(0))
     return t, identify(CHAIN, RIG, t, free=FREE)
 
 
 def found(exact, **how):
-    """A fit of the exact lengths, and how far off its parameters are in σ of lm's, at most."""
+    """Return a fit of the exact lengths, and the largest deviation of its parameters in σ of lm's."""
     t, lm = exact
     e = identify(CHAIN, RIG, t, free=FREE, **how)
     return e, np.abs((e.value - lm.value)[: FREE.size][FREE] / lm.sigma[: FREE.size][FREE]).max()

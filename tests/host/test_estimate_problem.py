@@ -143,7 +143,7 @@ def test_a_socket_distance_needs_a_sigma():
 
 
 def unchecked(part, **fields):
-    """A part of a rig with numbers that it would refuse, as a kind's own entries may have them, which check nothing."""
+    """Return a part of a rig with numbers that its constructor would refuse, since a kind's own entries may have no checks."""
     for name, value in fields.items():
         object.__setattr__(part, name, value)
     return part

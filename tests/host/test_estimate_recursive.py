@@ -21,7 +21,7 @@ PRIOR = {ULB.parameter_names[i]: 0.052 for i in OFFSETS}
 
 
 def matrices(jac, residual, noise=None):
-    """Whitened rows (n, w, k) as a filter takes them."""
+    """Return whitened rows (n, w, k) in the form that a filter uses."""
     n, w, _ = jac.shape
     unit = np.tile(np.eye(w), (n, 1, 1)) if noise is None else noise
     return Rows(jac, residual, np.full(n, w), np.arange(n), unit)
@@ -46,7 +46,7 @@ def test_one_update_is_the_papers_18_and_20():
 
 @pytest.fixture(scope="module")
 def ulb():
-    """Four lines of 12 points, as in III-E, offsets wrong by some degrees."""
+    """Return four lines of 12 points, as in III-E, with offsets wrong by some degrees."""
     rng = np.random.default_rng(1)
     truth = ULB_NOMINAL.copy()
     truth[OFFSETS] += 0.052 * rng.normal(size=5)
@@ -133,7 +133,7 @@ def test_the_gate_is_the_quantile():
 
 @pytest.fixture(scope="module")
 def shells():
-    """800 noise-free lengths on the 46 cm shells."""
+    """Return 800 noise-free lengths on the 46 cm shells."""
     return shell_table(800, 0.46, np.random.default_rng(5))
 
 
@@ -147,7 +147,7 @@ def noisy(t, seed, fault=None, size=10.0):
 @pytest.mark.parametrize("solver", ["recursive", "cauchy", "huber"])
 @pytest.mark.parametrize("at", [0, 1, 5, 35, 36, 400, 799])
 def test_one_fault_is_named_wherever_it_stands(shells, solver, at):
-    """10 σ among 800, first, among the first that determine anything, in the middle, last."""
+    """A fault of 10 σ among 800 rows: first, among the first that determine anything, in the middle, last."""
     how = SolverOptions("recursive") if solver == "recursive" else SolverOptions("lm", loss=solver)
     e = identify(CHAIN, RIG, noisy(shells, at, at), free=FREE, options=how)
     assert np.flatnonzero(e.suspect).tolist() == [at]

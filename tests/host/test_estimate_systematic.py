@@ -154,7 +154,7 @@ def test_a_slipped_chuck_is_named_with_its_row():
 
 
 def in_time(rows, size, pause_s, swing):
-    """A zero that is off by ``size`` times a profile in time or in the box's temperature; the lab is left for a while half-way."""
+    """Return rows whose zero is off by ``size`` times a profile in time or in the box's temperature, with a pause half-way."""
     n = len(rows)
     time = DWELL_S * np.arange(n) + pause_s * (np.arange(n) >= n // 2)
     temperature = 24.0 + 6.0 * (1.0 - np.exp(-time / 900.0))  # as a box warms up
@@ -229,7 +229,7 @@ TARGETS = {name: Point(name, xyz, None) for name, xyz in (("a", (0.1, 0.0, 0.05)
 
 
 def tracked(q, targets, off):
-    """Rows of a tracker whose readings are off by (n, 3) in its own axes."""
+    """Return rows of a tracker whose readings are off by (n, 3) in its own axes."""
     points = point_forward(CHAIN, TRUTH, q, np.array([TARGETS[name].xyz for name in targets]))
     n = len(q)
     return ObservationTable(

@@ -11,7 +11,7 @@ from truearm.model.chain import Chain, Element, Joint, Parameter, point_forward
 
 
 def two_links():
-    """A planar arm, 0.4 and 0.3 m, whose errors are known by hand."""
+    """Return a planar arm, 0.4 and 0.3 m, whose errors are known in closed form."""
     parameters = (Parameter("o1", "rad", 0.0, "offset", 0), Parameter("a1", "m", 0.4), Parameter("a2", "m", 0.3))
     elements = (
         Element("rz", joint=0),

@@ -25,7 +25,7 @@ POINT = (0.03, -0.02, 0.12)
 
 @pytest.fixture(scope="module")
 def rows():
-    """Chain, rig and error-free rows: 30 lengths with a chuck known to 0.2 mm, two lines whose devices stand anywhere."""
+    """Return chain, rig and error-free rows: 30 lengths with a chuck known to 0.2 mm, and two lines with devices at unknown poses."""
     known = bench.known(NAME)
     chucks = known.rig.chucks | {"c1": replace(known.rig.chucks["c1"], sigma=2e-4)}
     rig = replace(known.rig, chucks=chucks, targets={"ball": Point("ball", POINT)}, time_offset_sigma=0.0)
@@ -38,7 +38,7 @@ def rows():
 
 
 def drawn(rows, sigma, rng):
-    """What a robot reads whose parameters stray by sigma (p,), noise and a chuck off its place included."""
+    """Return the readings of a robot whose parameters deviate by sigma (p,), with noise and a displaced chuck."""
     known, rig, bars, lines = rows
     params = known.params + sigma * rng.normal(size=sigma.size)
     chuck = replace(rig.chucks["c1"], xyz=tuple(rig.chucks["c1"].xyz + 2e-4 * rng.normal(size=3)))

@@ -15,7 +15,7 @@ HOST = ROOT / "host" / "truearm"
 
 
 def commands(command, words=()):
-    """The words of every command that does something, with the command."""
+    """Return every executable command, by its words."""
     below = getattr(command, "commands", {})
     if not below:
         yield words, command

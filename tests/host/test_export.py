@@ -33,7 +33,7 @@ ROUNDING = 1e-13  # of an arm of a metre and some twenty products
 
 
 def disturbed(chain, sigma=0.003, gains=0.0, seed=0):
-    """Nominal and calibrated parameters: errors of millimetres and milliradians, mountings too."""
+    """Return nominal and calibrated parameters, with errors of millimetres and milliradians, also of the mountings."""
     rng = np.random.default_rng(seed)
     scale = np.where([p.term == "gain" for p in chain.parameters], gains, sigma)
     return chain.params_nominal, chain.params_nominal + scale * rng.normal(size=scale.size)
@@ -56,7 +56,7 @@ READABLE = ("urdf", "dh-hayati", "sheth-uicker")  # files of any robot that true
 
 
 def parallel(described):
-    """Whether axes 2 and 3 are nominally parallel."""
+    """Return whether axes 2 and 3 are nominally parallel."""
     return abs(described.links[2, 2, 2]) > 1.0 - 1e-9
 
 
@@ -108,7 +108,7 @@ def rows_of(name):
 
 
 def library_forward(text, chain, q, base, tip):
-    """yourdfpy's forward kinematics."""
+    """Return yourdfpy's forward kinematics."""
     robot = yourdfpy.URDF.load(io.BytesIO(text.encode()), load_meshes=False, build_scene_graph=True)
     out = []
     for row in q:
@@ -149,7 +149,7 @@ def test_a_urdf_changed_in_place_agrees_with_an_independent_library(file, tip):
 
 
 def numbers_cut_out(text):
-    """A URDF without the numbers of its origins."""
+    """Return a URDF without the numbers of its origins."""
     return re.sub(r'\b(xyz|rpy)="[^"]*"', r"\1=", text)
 
 
@@ -305,7 +305,7 @@ class Wave(Term):
 
 @pytest.fixture
 def waving(monkeypatch):
-    """A robot whose joint 2 obeys a term that no format knows: the chain, nominal and identified parameters."""
+    """Return a robot with a joint term that no format knows in joint 2: the chain, nominal and identified parameters."""
     monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Wave))
     plain = builtin_robot("ur5e").chain
     chain = replace(plain, name="wavy", parameters=(*plain.parameters, Parameter("joint2.wave", "rad", 0.0, "wave", 1)))
@@ -383,7 +383,7 @@ PUBLISHED = {  # Universal_Robots_ROS2_Description, config/ur5e/default_kinemati
 
 
 def read_kinematics(text):
-    """{segment: pose} of a kinematics file."""
+    """Return {segment: pose} of a kinematics file."""
     out = {}
     for name in SEGMENTS:
         block = re.search(rf"^  {name}:\n((?:    \w+: \S+\n){{6}})", text, re.MULTILINE)[1]

@@ -34,7 +34,7 @@ FORMATS = ("csv", "npz", "parquet")
 
 
 def store(path, messages, rig=True, finish=True):
-    """A session file of these messages."""
+    """Write a session file with these messages."""
     writer = SessionWriter(path, Lab())
     if rig:
         write_rig(path.with_suffix(".toml"), RIG)
@@ -47,7 +47,7 @@ def store(path, messages, rig=True, finish=True):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A session with six dwells, 400 frames of it lost in the middle of one; its messages and its file."""
+    """Return a session with six dwells, in one of which 400 frames are lost: its messages and its file."""
     messages, _ = session(np.random.default_rng(1), dwells=4, joint_noise=1e-5)
     data = [k for k, message in enumerate(messages) if message.topic == "/box/adc"]
     gone = set(data[300:310])
@@ -59,7 +59,7 @@ def made(tmp_path_factory):
 
 
 def columns_of(path):
-    """Titles and columns of a table in any of the formats."""
+    """Return titles and columns of a table in any of the formats."""
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as file:
             return dict(file)
@@ -93,7 +93,7 @@ def export(path, out, format="csv", *more):
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_what_sync_sees(made, tmp_path, format):
-    """Every number of every table against the functions that sync itself goes by: no tolerance."""
+    """Every number of every table equals that of the synchronisation's own functions, without a tolerance."""
     messages, path = made
     tables, said = export(path, tmp_path / "x", format)
     opened = open_session(path)
@@ -239,7 +239,7 @@ def test_a_box_that_is_ever_another():
 
 
 def test_memory_does_not_grow(made):
-    """Four times as much to tell takes no more memory to tell it; a fifth is the allocator's chance."""
+    """Four times the data needs no more memory; 20 % is allowed for the allocator."""
     box = [message for message in made[0] if message.topic != "/robot/joints"]
     found = survey(stream_of(made[0]))
     q = [0.1] * 6
@@ -307,7 +307,7 @@ class TestRefusals:
     @pytest.mark.skipif(os.name != "posix", reason="needs a limit of file sizes")
     @pytest.mark.parametrize("format", FORMATS)
     def test_a_full_disk(self, made, tmp_path, format):
-        """Nothing is left, not even a part of a table."""
+        """Nothing is left behind, not even part of a table."""
         code = (
             "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
             "from truearm.cli.main import main; sys.exit(main(sys.argv[1:]))"

@@ -52,13 +52,13 @@ def parsed(text, language, **surroundings):
 
 
 def script(*lines, **surroundings):
-    """A program of these lines within a def, and its targets; the lines count from 2."""
+    """Return a URScript program with these lines within a def, and its targets; lines are counted from 2."""
     program = parsed("def prog():\n  " + "\n  ".join(lines) + "\nend\n", "urscript", **surroundings)
     return program, targets_of(program, True, False)
 
 
 def module(*lines, data=(), **surroundings):
-    """A program whose main has these lines, and its targets; data stand from line 2 on."""
+    """Return a RAPID program whose main has these lines, and its targets; data begin at line 2."""
     text = "\n".join(["MODULE m", *data, "PROC main()", *lines, "ENDPROC", "ENDMODULE"])
     program = parsed(text, "rapid", **surroundings)
     return program, targets_of(program, True, False)
@@ -263,7 +263,7 @@ def test_an_external_axis_that_does_not_move_the_base():
 
 
 def retold(text, language, poses, **more):
-    """The program with other poses of its targets."""
+    """Return the program with other target poses."""
     program = parsed(text, language)
     targets = targets_of(program, False, more.get("split", False)).poses
     told = poses(len(targets))
@@ -289,7 +289,7 @@ def test_only_the_numbers_change(text, language):
 
 
 def without(text, targets):
-    """The text with every number of a target cut out."""
+    """Return the text with every number of a target removed."""
     counts = {"p": 6, "[": 7}
     spans = sorted(
         {(n.start, n.end) for one in targets for n in one.literal.numbers[: counts[text[one.literal.start]]]}
@@ -516,7 +516,7 @@ def test_possibilities_do_not_multiply(program_of, monkeypatch):
 
 
 def mutated(rng, text):
-    """A few changes of a program: parts cut, doubled, moved, replaced by words of the language, brackets and bytes."""
+    """Return a program with a few changes: parts removed, doubled, moved, replaced by keywords, brackets and bytes."""
     data = bytearray(text.encode("latin-1"))
     for _ in range(rng.choice([1, 1, 2, 4])):
         at, size = rng.randrange(len(data) + 1), rng.choice([0, 1, 1, 3, 8, 40])
@@ -656,7 +656,7 @@ UNKNOWN_RAPID = [
 
 
 def split_up(text, language):
-    """The lines of the targets that are corrected, and of the moves that are not."""
+    """Return the lines of the corrected targets and of the moves that were not corrected."""
     program = parsed(text, language, harmless=frozenset({"harmless"}))
     targets = targets_of(program, True, False)
     return [program.source.line(one.literal.start) for one in targets.poses], [one.line for one in targets.refused]

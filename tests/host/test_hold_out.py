@@ -9,7 +9,7 @@ from truearm.workflows.selection import held_out_rows
 
 
 def bars(*pairings):
-    """A table with so many rows of each (bar, chuck, sphere, rows)."""
+    """Return a table with this number of rows for each (bar, chuck, sphere, rows)."""
     names = [np.repeat([p[k] for p in pairings], [p[3] for p in pairings]) for k in range(3)]
     n = len(names[0])
     q = np.arange(6.0 * n).reshape(n, 6)

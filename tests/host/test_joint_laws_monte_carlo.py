@@ -22,7 +22,7 @@ WIDE, BEYOND = 1.2, 0.6  # rad: the covered range to either side, and how far ou
 
 
 def truth_of(rng, laws):
-    """The geometry [params], a function that makes true joint angles of readings."""
+    """Return the true parameters and a function from readings to true joint angles."""
     chain = ROBOT.chain
     params = chain.params_nominal + ROBOT.free * rng.normal(
         0.0, [1e-3 if p.unit == "m" else 2e-3 for p in chain.parameters]
@@ -63,7 +63,7 @@ def table_of(q, points, target):
 
 
 def world(seed, n, laws, several=1):
-    """A table to fit, and tables without noise inside and outside the covered range."""
+    """Return a table to fit, and tables without noise inside and outside the covered range."""
     rng = np.random.default_rng(seed)
     params, angles = truth_of(rng, laws)
 
@@ -91,7 +91,7 @@ def fitted(table, rig, mode):
 
 
 def judged(found, rig, table):
-    """Errors (n, 3) [m] of predicted points, and their covariances (n, 3, 3), in the tracker's axes."""
+    """Return errors (n, 3) [m] of predicted points and their covariances (n, 3, 3), in the tracker's axes."""
     problem = build_problem(found.chain, rig, table)
     lin = problem.groups[0].evaluate(found.chain, found.estimate.value)
     jac = lin.jac_params.reshape(len(table), 3, -1)
@@ -114,7 +114,7 @@ def covered_worlds(seeds, n, several):
 
 
 def null_ratios(seeds, n, mode):
-    """RMS error of predicted points with laws, over that of the geometry alone, in worlds that have no laws."""
+    """Return the RMS error of predicted points with laws, divided by that of geometry alone, in worlds without laws."""
     rig, out = rig_of(1), []
     for seed in seeds:
         table, inside, _ = world(seed, n, False)

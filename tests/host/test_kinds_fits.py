@@ -46,7 +46,7 @@ def matrix(diagonal):
 
 
 def solve(problem, x):
-    """What lm finds from x (P,), the robot's paper set and all of the rig free; and which columns those are."""
+    """Return lm's estimate x (P,) with the robot's paper set and all of the rig free, and the indices of these columns."""
     columns = np.concatenate([FREE, np.ones(len(problem.names) - FREE.size, bool)])
     found = fit(problem, columns, x, Options(), DAMPING_START)
     assert found.status == "converged"
@@ -96,7 +96,7 @@ def test_both_placements_end_at_the_same_lines(clean_lines):
 
 
 def everything(rng, n_lines=3):
-    """All kinds without noise, everything of the rig unknown that can be; the truth by name."""
+    """Return rows of all kinds without noise, with everything in the rig unknown that can be, and the truth by name."""
     bars = random_table(60, rng)
     lines = [line_rows(f"l{i}", 10, rng) for i in range(n_lines)]
     pose, other = (np.concatenate(random_pose(rng)) for _ in range(2))
@@ -142,7 +142,7 @@ def test_all_kinds_at_once_find_all_parameters():
 
 
 def noisy(t, rig, rng, sensors=True):
-    """Rows with the noise that the rig declares."""
+    """Return rows with the noise that the rig declares."""
     cov = checked_joint_cov(rig.joint_cov, 6)
     joints = np.zeros((6, 6)) if cov is None else np.linalg.cholesky(cov)
     scale = np.array([0.0 if k in ("seat", "plane", "ball_bar") else 1.0 for k in t.kind])[:, None]
@@ -158,7 +158,7 @@ def noisy(t, rig, rng, sensors=True):
 
 
 def nees(rig, declared, t, truth, seeds):
-    """Mean NEES with its standard error, the dimension, and the mean reduced χ², declaring another noise than there is."""
+    """Return the mean NEES with its standard error, the dimension, and the mean reduced χ², for a declared noise that may be wrong."""
     found, chi2 = [], []
     for seed in seeds:
         problem = build_problem(CHAIN, declared, noisy(t, rig, np.random.default_rng(seed)))
@@ -307,7 +307,7 @@ def test_weights_are_renewed_and_then_stand_still(tracker_bench):
 
 
 def distances(problem, x):
-    """(n_rows,) lengths of the rows' whitened residuals."""
+    """Return the norm (n_rows,) of each row's whitened residual."""
     out = np.full(problem.n_rows, np.nan)
     for block in whitened_blocks(problem, x, np.zeros(x.size, bool)):
         out[block.row] = np.linalg.norm(block.residual, axis=1)

@@ -78,7 +78,7 @@ def further_terms(monkeypatch):
 
 
 def with_terms(chain, *terms):
-    """The chain with a further parameter for each (term, joint)."""
+    """Return the chain with a further parameter for each (term, joint)."""
     more = [Parameter(f"more{i}", "rad", 0.0, *law) for i, law in enumerate(terms)]
     return replace(chain, name=f"{chain.name} and {terms}", parameters=(*chain.parameters, *more))
 
@@ -87,7 +87,7 @@ COUPLED = (("sway", 1), ("ripple", 4), ("ripple", 2), ("sway", 4), ("ripple", 4)
 
 
 def cases(rng):
-    """Chains with laws of every kind, and params near none that are special."""
+    """Return chains with laws of every kind, and params away from special values."""
     puma, ur = builtin_robot("puma560").chain, builtin_robot("ur10e").chain
     for chain in (puma, ur, with_terms(puma, *COUPLED), with_terms(ur, ("ripple", 0)), with_terms(ur, ("sway", 5))):
         yield chain, chain.params_nominal + rng.uniform(-0.05, 0.05, len(chain.parameters))

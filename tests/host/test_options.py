@@ -52,34 +52,6 @@ def test_every_word_of_the_page_is_an_option():
     assert set(ROWS) <= {word for _, word, _ in options()}
 
 
-def test_every_command_has_json_except_those_that_the_page_names():
-    without = {name for name, command in commands().items() if "as_json" not in {one.name for one in command.params}}
-    box = {f"truearm box {word}" for word in ("reset", "flash", "gauge", "monitor", "config get", "config set")}
-    assert without == {"truearm init", "truearm demo", "truearm simulate", "truearm reproduce"} | box
-    (paragraph,) = re.findall(r"^Every command that prints results has `--json`.*?\n\n", PAGE, re.MULTILINE | re.DOTALL)
-    for name in without:
-        assert name.removeprefix("truearm ").removeprefix("box ").split()[0] in paragraph
-
-
-def test_every_command_that_writes_a_file_has_force():
-    """Except those that write a folder, or never replace a file."""
-    files = {
-        "--out",
-        "--report",
-        "--picture",
-        "--save-table",
-        "--program",
-        "--curves",
-        "--residuals",
-        "--rig-out",
-        "--truth-out",
-    }
-    for name, command in commands().items():
-        words = {word for one in command.params for word in one.opts}
-        if words & files and name not in ("truearm export-session", "truearm reproduce"):
-            assert "--force" in words, name
-
-
 @pytest.mark.parametrize(
     ("typed", "now"),
     [
@@ -108,20 +80,23 @@ def test_no_command_has_an_earlier_word():
 
 
 def test_what_writes_a_file_has_force():
-    """And refuses without it what exists; folders are judged by what is in them."""
+    """An existing file is refused without it. Folders are judged by their content."""
+    files = ("--out", "--report", "--picture", "--save-table", "--program", "--curves", "--residuals", "--truth-out")
     for name, command in commands().items():
         words = {one.opts[0]: one for one in command.params}
-        if "--out" in words and words["--out"].metavar == "FILE":
+        if any(file in words and words[file].metavar == "FILE" for file in files):
             assert "--force" in words, name
 
 
-def test_what_finds_something_out_prints_it_as_json_too():
-    """What writes a folder with documents of its own, or changes a box, has none."""
+def test_what_prints_results_prints_them_as_json_too():
+    """Commands that write a folder with documents of their own, or set up a box, do not; the page names them."""
     without = {name.removeprefix("truearm ") for name, command in commands().items() if not _has(command, "--json")}
     assert without == {
         *("demo", "init", "simulate", "reproduce"),
         *("box reset", "box flash", "box gauge", "box monitor", "box config get", "box config set"),
     }
+    (paragraph,) = re.findall(r"^Every command that prints results has `--json`.*?\n\n", PAGE, re.MULTILINE | re.DOTALL)
+    assert all(name.removeprefix("box ").split()[0] in paragraph for name in without)
 
 
 def _has(command, word):

@@ -22,7 +22,7 @@ each_robot = pytest.mark.parametrize("name", bench.ROBOTS)
 
 
 def way_points(name):
-    """(pairing or None, joints (n, j)) of every leg."""
+    """Yield (pairing or None, joints (n, j)) of every leg."""
     route = bench.planned(name).route
     return [(bench.connected(route, i), q) for i, q in bench.legs(route)]
 
@@ -38,7 +38,7 @@ def test_budget_and_pairings(name):
 
 
 def bars_off(way):
-    """Poses of the plan before which the bar comes off though the pairing stays."""
+    """Return the poses of the plan before which the bar is removed although the pairing stays the same."""
     plan = way.plan
     same = (plan.bar[1:] == plan.bar[:-1]) & (plan.chuck[1:] == plan.chuck[:-1]) & (plan.sphere[1:] == plan.sphere[:-1])
     again = np.concatenate([[False], same])
@@ -108,7 +108,7 @@ def test_the_bar_keeps_its_travel_and_its_angles_on_the_whole_way(name):
 
 @each_robot
 def test_nothing_is_touched_on_the_whole_way(name):
-    """Segments as rows of points, whose distances are never below those of the segments."""
+    """Segments are treated as rows of points, whose distances are never less than those of the segments."""
     size, rig = bench.SIZES, bench.RIGS[name]
     for mounted, q in way_points(name):
         upper, fore = bench.arm_points(name, q)
@@ -150,7 +150,7 @@ def test_minutes_are_those_of_moves_dwells_and_mounts(name):
 
 
 def truth_of(name, rng):
-    """The paper's PUMA; of the others one that errs as a small arm does, 1 mm and 4 mrad in each free parameter."""
+    """Return the paper's PUMA; for other arms, a robot with errors of 1 mm and 4 mrad in each free parameter."""
     robot = builtin_robot(name)
     if "optimised" in robot.parameter_sets:
         return robot.parameter_sets["optimised"]
@@ -175,7 +175,7 @@ def test_foretold_sigmas_are_those_that_the_identification_reports(name):
 
 
 def test_foretold_sigmas_know_of_the_prior():
-    """A URDF's constants are all free but for gains, redundant, and identified with a weak prior."""
+    """A URDF's constants are all free except for gains, redundant, and identified with a weak prior."""
     known, plan = bench.known("irb120"), bench.planned("irb120").route.plan
     prior = weak_prior(known.chain)
     all_free = replace(known, free=free_without_gains(known.chain), prior=Prior.WEAK)
@@ -254,7 +254,7 @@ def test_what_cannot_be_planned_is_said():
 
 
 def visited(plan):
-    """The mounts in order, each with its poses."""
+    """Return the mounts in order, each with its poses."""
     names = np.stack([plan.bar, plan.chuck, plan.sphere], axis=1)
     starts = np.flatnonzero(np.r_[True, (names[1:] != names[:-1]).any(axis=1)])
     return [(tuple(names[a]), plan.q[a:b]) for a, b in zip(starts, np.r_[starts[1:], len(plan)], strict=True)]

@@ -21,7 +21,7 @@ each_robot = pytest.mark.parametrize("name", bench.ROBOTS)
 
 
 def planned(name):
-    """Some moves with the bar on, some over via points, every pairing of one bar."""
+    """Return a plan with moves with the bar mounted, some with via points, and every pairing of one bar."""
     return bench.planned(name, 18, 60).route
 
 
@@ -109,7 +109,7 @@ def test_the_first_move_from_wherever_the_arm_stands_is_slow():
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pyparsing, by rapidchecker
 def test_a_module_is_rapid_to_a_checker_that_others_wrote():
-    """rapidchecker's grammar; there is none of URScript among Python's packages."""
+    """The grammar is rapidchecker's. No Python package has one for URScript."""
     from rapidchecker.check import check_format
 
     text = program(STOPS, ".mod", Task("x", 2.0, Signals(0, 1)))
@@ -127,7 +127,7 @@ def test_a_csv_program_has_every_stop_to_the_last_bit():
 
 
 def test_a_ur_program_is_nothing_but_its_function():
-    """What follows the last ``end`` would be another program, which stops this one."""
+    """Text after the last ``end`` would be another program, which stops this one."""
     text = program(STOPS, ".script", Task("plan"))
     assert text.startswith("def truearm_plan():\n")
     assert text.endswith("\nend\n")

@@ -59,7 +59,7 @@ def program(*lines):
 
 
 def corrected(tmp_path, text, **options):
-    """The corrected text. Raises ProgramRefused."""
+    """Return the corrected text. Raises ProgramRefused."""
     return outcome(tmp_path, text, **options).text.decode("latin-1")
 
 
@@ -78,7 +78,7 @@ def driven(text):
 
 
 def misses(text, after):
-    """(n, 2) [m, rad] how far the true arm's tool ends each move from where a perfect arm's would."""
+    """Return (n, 2) [m, rad]: how far the true arm's tool ends each move from a perfect arm's."""
     return missed(driven(text), driven(after))
 
 
@@ -91,7 +91,7 @@ def missed(asked, done):
 
 
 def tool_point(k, tool):
-    """The pose of a tool with the arm at the k-th good pose."""
+    """Return the pose of a tool with the arm at the k-th good pose."""
     return POSES[k] @ matrix(TOOLS[tool])
 
 
@@ -100,7 +100,7 @@ def in_feature(pose):
 
 
 def sets(name, k, result):
-    """A function that gives W the k-th pose, and counts."""
+    """Return a function that sets W to the k-th pose, and counts."""
     return (
         "n = 0",
         f"def {name}():",
@@ -289,7 +289,7 @@ def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):
 
 @st.composite
 def statements(draw):
-    """Lines of a program over names that a table of points gives."""
+    """Return lines of a program with names from a table of points."""
     lines = [f"W{k} = {six(POSES[k])}" for k in range(1, 5)] + [f"Plane = {six(matrix(FEATURE))}"]
     lines += [f"F{k} = {six(in_feature(POSES[k]))}" for k in (5, 6)] + [
         f"path = [{six(POSES[7])}, {six(POSES[8])}]",
@@ -364,7 +364,7 @@ def mm(pose):
 
 
 def robtarget(k, tool=0, work=0):
-    """The k-th good pose of a tool in a work object. The configuration is that of the controller's model."""
+    """Return the k-th good pose of a tool in a work object, with the configuration of the controller's model."""
     users, own = (matrix(frame) for frame in OBJECTS[work])
     quarters = np.floor(Q[k] / (0.5 * np.pi)).astype(int)
     return (

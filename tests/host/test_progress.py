@@ -15,7 +15,7 @@ SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 
 
 class Heard(list):
-    """A listener that keeps what it hears."""
+    """A listener that records its calls."""
 
     def begin(self, what):
         self.append(what)
@@ -97,7 +97,7 @@ def test_a_terminal_that_goes_away_stops_nothing():
 
 
 class Depth:
-    """A listener that keeps how many steps were open as each began."""
+    """A listener that records how many steps were open when each began."""
 
     def __init__(self):
         self.open, self.begun = 0, []

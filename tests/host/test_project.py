@@ -24,7 +24,7 @@ from truearm.record.session_writer import SessionWriter
 
 @pytest.fixture
 def project(tmp_path, run, monkeypatch):
-    """A project of the PUMA without a plan, as the working folder."""
+    """Make a project of the PUMA without a plan, as the working folder."""
     home = tmp_path / "cell"
     assert run("init", home, "--model", "puma560", "--minutes", 0, "--operator", "A. B.").code == 0
     monkeypatch.chdir(home)

@@ -25,7 +25,7 @@ PRECIOUS = b"an earlier recording"
 
 @contextmanager
 def server(talk):
-    """A TCP server whose one peer is given to ``talk``; yields host:port."""
+    """Run a TCP server whose one peer is passed to ``talk``; yield host:port."""
     listener = socket.create_server(("127.0.0.1", 0))
 
     def serve():
@@ -57,7 +57,7 @@ def random_bytes(peer):
 
 @pytest.fixture
 def hasty(monkeypatch):
-    """A recorder that does not wait so long."""
+    """Make the recorder wait less."""
     monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)
 
 
@@ -140,7 +140,7 @@ class TestTheBoxGoes:
     @staticmethod
     @contextmanager
     def mortal_box(seconds):
-        """A box that dies, its port with it."""
+        """Return a box that dies together with its port."""
         listener = socket.create_server(("127.0.0.1", 0))
         stop = threading.Event()
         lab, box = real_time_box()
@@ -174,7 +174,7 @@ class TestTheBoxGoes:
         assert losses["samples_missing"] == pytest.approx(missing, abs=1)
 
     def test_with_the_robot(self, out, capsys):
-        """Both are killed at one time: that the robot closed is not all."""
+        """Both are killed at the same time: the robot's closing is not the only message."""
 
         def robot(peer):
             for k in range(200):

@@ -28,13 +28,13 @@ OPTIONS = RecordOptions(plan=PLAN, rig_toml=RIG.encode(), mounted={"bar": "b46",
 
 
 def lost(lab, path, happens, at_ns=AT_NS):
-    """A recording of 3 s during which something happens to its file."""
+    """Record for 3 s while something happens to the file."""
     lab.at(at_ns, happens)
     return run(lab, Box(lab), path, options=OPTIONS)
 
 
 def samples(path):
-    """Numbers of the frames' first samples, in the order of the file."""
+    """Return the indices of the frames' first samples, in the order of the file."""
     from truearm.session.box_frames import data_of, decode
 
     return [data_of(decode(m.data)).n0 for m in topics(path)["/box/adc"]]
@@ -173,7 +173,7 @@ def test_the_command_says_it_within_two_seconds(tmp_path, how):
 
 
 def flood():
-    """A robot that sends as fast as it can; its address."""
+    """Return the address of a robot that sends as fast as it can."""
     listener = socket.create_server(("127.0.0.1", 0))
     lines = b"".join(json.dumps({"t": 1e-4 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n" for k in range(5000))
 

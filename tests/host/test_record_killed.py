@@ -25,7 +25,7 @@ LONGEST_S = 6.0
 
 
 def killed(folder, after_s):
-    """A recording that was killed so long after its file came to be; what the box sent, and when it was killed."""
+    """Return a recording that was killed this long after its file was created, what the box sent, and when it was killed."""
     out = folder / "s.mcap"
     (folder / "rig.toml").write_text(RIG)
     with box_on_a_socket() as (box, device):
@@ -53,7 +53,7 @@ def killed(folder, after_s):
 
 
 def runs_of(session):
-    """What the box sent, as the file has it."""
+    """Return what the box sent according to the file."""
     messages = [m for m in session.messages() if m.topic.startswith("/box/")]
     return [m.data if m.topic == "/box/console" else run_of(m.data) for m in messages]
 

@@ -18,7 +18,7 @@ PATIENCE_S = 10.0  # only a broken link waits so long
 
 
 class Server:
-    """Accepts one connection after the other; the newest is ``peer``."""
+    """Accepts one connection after another; the newest is ``peer``."""
 
     def __init__(self):
         self.socket = socket.create_server(("127.0.0.1", 0))
@@ -58,7 +58,7 @@ def server():
 
 
 def read_until(link, n):
-    """At least ``n`` bytes, as (stamp, bytes)."""
+    """Return at least ``n`` bytes, as (stamp, bytes)."""
     arrivals, deadline = [], time.monotonic() + PATIENCE_S
     while sum(len(data) for _, data in arrivals) < n and time.monotonic() < deadline:
         arrivals += link.read(0.1)
@@ -66,7 +66,7 @@ def read_until(link, n):
 
 
 def read_until_error(link):
-    """What came before the error, and the error."""
+    """Return what was received before the error, and the error."""
     arrivals, deadline = [], time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
         try:

@@ -25,7 +25,7 @@ ROWS = [
 
 
 def session(path, *happened, setup=None, rows=ROWS, rig=None):
-    """A file as the recorder leaves it, with these events."""
+    """Write a file as the recorder leaves it, with these events."""
     with SessionWriter(path, HostClock(), overwrite=True) as writer:
         writer.metadata("setup", {"robot": "", "osr": "2048", **(setup or {})})
         if rig:
@@ -72,7 +72,7 @@ class TestEarlier:
         assert earlier(part).first == part
 
     def test_a_part_that_was_cut_off(self, tmp_path):
-        """Its recorder was killed: what is whole of it counts."""
+        """Its recorder was killed: its intact part counts."""
         path = session(tmp_path / "s.mcap", *[("dwell", {"pose": k}) for k in range(2)])
         path.write_bytes(path.read_bytes()[:-60])
         assert earlier(path).dwells == (0, 1)

@@ -28,7 +28,7 @@ RUN = "import sys; from truearm.cli.main import main; sys.exit(main())"
 
 
 class OnTerminal:
-    """A process whose terminal we are. ``text``: all that it wrote."""
+    """A process on a terminal controlled by the test. ``text``: everything that it wrote."""
 
     def __init__(self, *arguments, code=RUN):
         self.master, slave = os.openpty()
@@ -67,7 +67,7 @@ class OnTerminal:
             self.text += data.decode("utf-8", "replace")
 
     def close(self):
-        """Close the window. Nobody may be reading it then: a read under way would keep it open."""
+        """Close the window. No thread may be reading it: a read in progress would keep it open."""
         self._closed.set()
         self._thread.join(PATIENCE_S)
         os.close(self.slave)
@@ -86,7 +86,7 @@ class OnTerminal:
         return found
 
     def end(self):
-        """The exit code; the terminal must be as it was."""
+        """Return the exit code; the terminal must be restored."""
         code = self.process.wait(PATIENCE_S)
         time.sleep(0.1)
         after = termios.tcgetattr(self.slave)
@@ -98,7 +98,7 @@ class OnTerminal:
 
 @contextmanager
 def recording(tmp_path, *options):
-    """A recording that has begun, its box, and its file."""
+    """Return a recording that has begun, its box, and its file."""
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
         box.lvdt = CALIBRATED
@@ -153,7 +153,7 @@ class TestTyping:
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
     def test_a_terminal_that_is_closed(self, tmp_path):
-        """The window is closed: the file is completed."""
+        """The window is closed: the file is complete."""
         with recording(tmp_path) as (terminal, box, out):
             terminal.close()
             terminal.process.wait(PATIENCE_S)

@@ -33,7 +33,7 @@ main(sys.argv[1:])
 
 @pytest.fixture
 def made(tmp_path):
-    """Messages of a session, its bytes, its chunks, and the file that is going to be damaged."""
+    """Return the messages of a session, its bytes, its chunks, and the file to be damaged."""
     path = tmp_path / "s.mcap"
     messages = written(path)
     with path.open("rb") as file:
@@ -47,7 +47,7 @@ def made(tmp_path):
 
 
 def mended(path, out):
-    """What recover makes of a file: the messages of the new one, which must be complete for us and for the library."""
+    """Return the messages of the file that recover writes, which must be complete for truearm and for the library."""
     found = recover(open_session(path, allow_damaged=True), out, {"source": path.name})
     session = open_session(out)
     read = list(session.messages())
@@ -103,7 +103,7 @@ def test_numbers_keep_their_gap(made, tmp_path):
 
 @pytest.mark.parametrize("n", [40, pytest.param(1000, marks=pytest.mark.soak)])
 def test_cut_anywhere(made, tmp_path, n):
-    """Every message of every chunk that ended before the cut, and nothing else."""
+    """Every message of every chunk that ended before the cut is saved, and nothing else."""
     messages, whole, chunks, path = made
     rng = random.Random(1)
     ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in chunks]

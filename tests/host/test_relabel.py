@@ -100,7 +100,7 @@ def test_two_hundred_operators(tmp_path, plan, capsys):
 
 @pytest.mark.parametrize("types", [True, False], ids=["some typed", "none typed"])
 def test_a_forgotten_mount(tmp_path, plan, types):
-    """Whole runs without a word, with the bar where it was or where it should be: their dwells are right or left out."""
+    """Nothing is typed for complete runs of dwells, with the bar moved or not: their dwells are labelled correctly or left out."""
     account = Account()
     for seed in (3, 16):
         account.add(tmp_path, plan, seed, forgetful(seed, plan, types))
@@ -111,7 +111,7 @@ def test_a_forgotten_mount(tmp_path, plan, types):
 @pytest.mark.soak
 @pytest.mark.parametrize("types", [True, False], ids=["some typed", "none typed"])
 def test_a_hundred_forgetful_operators(tmp_path, plan, types, capsys):
-    """Without the evidence of runs, a single dwell with another pairing than planned may fit the plan by chance."""
+    """Before relabel, a single dwell with another pairing than planned may fit the plan by chance."""
     account = Account()
     for seed in range(100):
         account.add(tmp_path, plan, seed, forgetful(seed, plan, types))

@@ -26,7 +26,7 @@ RUNS = 200
 
 
 def visited(rng, bend=0.0):
-    """Visits as ``plan characterize`` plans them; ``bend``: how much of joint 1's backlash depends on the pose, rad."""
+    """Return visits as planned by ``plan characterize``; ``bend``: how much of joint 1's backlash depends on the pose, rad."""
     side = np.tile(approach_directions(JOINTS), (POSES * ROUNDS, 1))
     pose = np.repeat(np.arange(POSES), ROUNDS * len(approach_directions(JOINTS)))
     n = len(pose)
@@ -43,7 +43,7 @@ def coverage(intervals, truth):
 
 
 def covers(share, runs=RUNS):
-    """Whether a share of runs is what 95 % give, within 99.9 %."""
+    """Return whether a share of runs is consistent with 95 %, within 99.9 %."""
     low, high = stats.binom.ppf([0.0005, 0.9995], runs, LEVEL) / runs
     return low <= share <= high
 

@@ -29,7 +29,7 @@ NUMBERS = [0, 1, 2, 3, 4, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF]
 
 
 class Clock:
-    """Each look at it takes 50 ms, so that who waits for nothing waits a hundred times and no more."""
+    """Each reading of it takes 50 ms, so code that waits for nothing waits at most a hundred times."""
 
     kind = "virtual"
 
@@ -42,7 +42,7 @@ class Clock:
 
 
 class Played:
-    """A link that hands out pieces, then nothing or its end."""
+    """A link that delivers pieces, then nothing or its end."""
 
     name = "played"
 
@@ -67,13 +67,13 @@ class Played:
 
 
 def cut(rng, data):
-    """The same bytes in pieces."""
+    """Return the same bytes in pieces."""
     places = sorted(rng.randrange(len(data) + 1) for _ in range(rng.randrange(6)))
     return [data[a:b] for a, b in zip([0, *places], [*places, len(data)], strict=True) if b > a]
 
 
 def mutated(rng, parts):
-    """Some of the parts dropped, doubled, swapped, shortened, lengthened, or with bytes changed."""
+    """Return the parts with some dropped, doubled, swapped, shortened, lengthened, or with changed bytes."""
     parts = list(parts)
     for _ in range(rng.randrange(1, 5)):
         i = rng.randrange(len(parts))
@@ -113,7 +113,7 @@ LAYOUT = struct.Struct(">Bd24dQiI")
 
 
 def stream(rng):
-    """Data packages with a text message and a stranger among them."""
+    """Return data packages with a text message and an unknown package among them."""
     data = [
         LAYOUT.pack(1, k / 500, *(rng.uniform(-7, 7) for _ in range(24)), 0, 7, 2) for k in range(rng.randrange(1, 8))
     ]
@@ -124,7 +124,7 @@ def stream(rng):
 
 
 def reference(data):
-    """Time and joints of the data packages in a stream, by a reader of its own."""
+    """Return time and joints of the data packages in a stream, by an independent reader."""
     at, found = 0, []
     while at + 3 <= len(data):
         size, kind = struct.unpack_from(">HB", data, at)
@@ -137,7 +137,7 @@ def reference(data):
 
 
 def play(monkeypatch, pieces, ends=True):
-    """All lines that a client makes of them."""
+    """Return all lines that a client makes from them."""
     played = Played(pieces, ends)
     monkeypatch.setattr(rtde, "TcpLink", played)
     lines = []

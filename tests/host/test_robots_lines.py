@@ -168,7 +168,7 @@ class TestCsv:
 
 
 class Peer:
-    """One end of a TCP connection, the other is the robot's address."""
+    """One end of a TCP connection; the other is the robot's address."""
 
     def __init__(self, data):
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -185,7 +185,7 @@ class Peer:
 
 
 def all_of(link):
-    """What comes until the end, and the end."""
+    """Return everything received until the end, and the end."""
     got, deadline = b"", HostClock().now_ns() + PATIENCE_S * 1e9
     while HostClock().now_ns() < deadline:
         try:

@@ -18,7 +18,7 @@ def rows_of(path):
 
 
 def recorded(tmp_path, capsys, talk, address):
-    """The session of a robot that talks and then closes its stream, and what inspect says of the robot."""
+    """Return the session of a robot that talks and then closes its stream, and inspect's account of the robot."""
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device), server(talk) as peer:
         assert (

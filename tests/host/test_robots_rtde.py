@@ -24,7 +24,7 @@ PATIENCE_S = 5.0  # only a broken client waits so long
 
 
 def h(text):
-    """Hexadecimal digits, with comments behind '#'."""
+    """Return the bytes of hexadecimal digits, with comments behind '#'."""
     return bytes.fromhex("".join(line.partition("#")[0] for line in text.splitlines()))
 
 
@@ -193,7 +193,7 @@ WHOLE = [*GREETING, (setup(NAMES, 500.0), answer(1, ALL_TYPES)), (START, STARTED
 
 
 def lines_of(link, n):
-    """At least n lines, each with its stamp."""
+    """Return at least n lines, each with its stamp."""
     arrivals, deadline = [], HostClock().now_ns() + PATIENCE_S * 1e9
     while sum(piece.count(b"\n") for _, piece in arrivals) < n and HostClock().now_ns() < deadline:
         arrivals += link.read(0.1)

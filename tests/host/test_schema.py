@@ -221,7 +221,7 @@ def test_the_number_of_entries_is_bounded() -> None:
 
 
 def refusal(document: dict[str, Any]) -> str:
-    """What is said of a document, "" for one that is right."""
+    """Return the error message for a document, "" if it is valid."""
     try:
         read(DOCUMENT, document, "d.toml", RigError)
     except RigError as exc:

@@ -26,7 +26,7 @@ from truearm.types import Message
 
 
 def written(path: Path, n: int = 500, finish: bool = True) -> list[Message]:
-    """A session of ``n`` steps of 10 ms; not finished, it lacks its last chunk and its end."""
+    """Write a session of ``n`` steps of 10 ms; if not finished, it lacks its last chunk and its end."""
     lab = Lab()
     writer = SessionWriter(path, lab, overwrite=True)
     writer.attach("rig.toml", "application/toml", b"x = 1\n")
@@ -313,7 +313,7 @@ class TestStrangers:
 
 
 def with_chunk(chunk: Chunk) -> bytes:
-    """A complete MCAP file that holds this chunk."""
+    """Return a complete MCAP file that contains this chunk."""
     from mcap.data_stream import RecordBuilder
 
     stream = io.BytesIO()

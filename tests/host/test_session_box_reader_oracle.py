@@ -23,7 +23,7 @@ FATES = st.sampled_from(["lost", "doubled", "doubled later", "flipped", "swapped
 
 
 class TwoStreams(Box):
-    """A box with a second stream, whose frames say when each sample was taken."""
+    """A box with a second stream, whose frames contain the time of each sample."""
 
     n0_mag = 0
 
@@ -43,7 +43,7 @@ def described():
 
 
 def recording(rng, frames, seq=0, reboots=()):
-    """A box that streams, with everything that it sends now and then."""
+    """Return a streaming box with all kinds of occasional frames."""
     box = TwoStreams(seq=seq)
     box.ident(0)
     t = 0
@@ -69,7 +69,7 @@ def recording(rng, frames, seq=0, reboots=()):
 
 
 def suffered(rng, messages, share, fates):
-    """The messages as they arrive: of some, something became."""
+    """Return the messages as they arrive, some of them damaged."""
     received = []
     later = []
     for k, message in enumerate(messages):
@@ -95,7 +95,7 @@ def suffered(rng, messages, share, fates):
 
 
 def one_by_one(messages, ident):
-    """What the oracle makes of messages: blocks with the message with which each came out, and the rest."""
+    """Return the oracle's result: blocks with the message at which each was released, and the rest."""
     reader, blocks = oracle.BoxReader(ident), []
     for at, message in enumerate(messages):
         blocks += [(at, block) for block in reader.feed(message)]
@@ -109,7 +109,7 @@ def one_by_one(messages, ident):
 
 
 def in_batches(messages, ident, cuts):
-    """The same by the reader of columns, fed with batches that end at these messages."""
+    """Return the same from the reader of columns, in batches that end at these messages."""
     reader, streams, begin = BoxReader(ident), {}, 0
 
     def keep(blocks, begin):

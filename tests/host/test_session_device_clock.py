@@ -25,7 +25,7 @@ class True_:
 
 
 def exchanges(rng, true, duration_s=200.0, there=90e3, back=90e3, tail=TAIL_NS, host_ref=0, device_ref=0):
-    """4 Hz; latencies are a floor, an exponential tail, and in one of twenty a far heavier one."""
+    """Return exchanges at 4 Hz; latencies are a floor, an exponential tail, and in one of twenty a far heavier tail."""
     t0 = np.sort(rng.uniform(0, 1e9 * duration_s, int(4 * duration_s))).astype(np.int64)
     rare = rng.random((2, t0.size)) < 0.05
     ways = rng.exponential(tail, (2, t0.size)) + rare * rng.pareto(1.5, (2, t0.size)) * 1e6
@@ -39,7 +39,7 @@ def exchanges(rng, true, duration_s=200.0, there=90e3, back=90e3, tail=TAIL_NS, 
 
 
 def errors(clock, true, start_s, end_s):
-    """Error and bound [ns] at a thousand device times that are whole microseconds."""
+    """Return error and bound [ns] at a thousand device times in whole microseconds."""
     host = np.linspace(1e9 * start_s, 1e9 * end_s, 1000)
     device = true.device_us(host)
     whole = np.rint(device).astype(np.int64)
@@ -91,7 +91,7 @@ def test_margin_and_bound_are_those_of_the_linear_program(seed):
     b = np.concatenate([-y_low, y_high])
 
     def bend(x):
-        """1 ppm a minute: ns off the tangent in the centre."""
+        """Return the deviation [ns] from the tangent at the centre for 1 ppm a minute."""
         seconds = 1e-9 * (x - 1e3 * (window.centre_us - window.device_ref_us))
         return 1e9 * 0.5 * (1e-6 / 60.0) * seconds**2
 
@@ -125,7 +125,7 @@ def test_the_error_is_within_the_bound_in_every_run(there, back, ppm, drift):
 
 
 def probes(rng, device_s, there, back, duration_s=180.0):
-    """Exchanges at 4 Hz of a device whose clock shows device_s(host s); latencies (floor, tail) [µs] each way."""
+    """Return exchanges at 4 Hz of a device whose clock shows device_s(host s), with latencies (floor, tail) [µs] each way."""
     every = []
     for t0 in np.arange(0.0, duration_s, 0.25):
         t1 = t0 + 1e-6 * (there[0] + rng.exponential(there[1]))
@@ -136,7 +136,7 @@ def probes(rng, device_s, there, back, duration_s=180.0):
 
 
 def excess_ns(clock, device_s, duration_s=180.0):
-    """Largest of |error| − bound at 4001 times."""
+    """Return the largest |error| − bound at 4001 times."""
     host = np.linspace(0.0, duration_s, 4001)
     device = 1e6 * np.array([device_s(t) for t in host])
     whole = np.floor(device).astype(np.int64)
@@ -160,7 +160,7 @@ def test_drift_with_all_latency_on_one_way(there, back, ppm_per_minute):
 
 
 def shape(name, size):
-    """device_s of clocks that break DRIFT: ``size`` in ppm, of steps in µs."""
+    """Return device_s of clocks that violate DRIFT: ``size`` in ppm, for steps in µs."""
     change = {
         "rate step": lambda t: 1e-6 * size * max(0.0, t - 90.0),
         "late rate step": lambda t: 1e-6 * size * max(0.0, t - 172.0),

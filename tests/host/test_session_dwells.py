@@ -21,7 +21,7 @@ HZ = 125.0
 
 
 def dwells_of(path, noise=0.0, step=0.0, rules=None, drop=(), seed=0):
-    """Dwells of a robot whose first joint follows (t, q) corners; readings between ``drop`` times are missing."""
+    """Return the dwells of a robot whose first joint follows (t, q) corners; readings between ``drop`` times are missing."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, path[-1][0], 1.0 / HZ)
     q = np.stack([np.interp(t, *np.array(path).T), 0.3 + 0.0 * t], axis=1) + noise * rng.standard_normal((t.size, 2))
@@ -92,7 +92,7 @@ def test_quantisation_is_part_of_the_covariance():
 
 
 def ar1(rng, n, phi, sigma=1.0):
-    """Stationary AR(1) noise of standard deviation sigma."""
+    """Return stationary AR(1) noise with standard deviation sigma."""
     kicks = rng.standard_normal(n + 500) * sigma * np.sqrt(1.0 - phi**2)
     return lfilter([1.0], [1.0, -phi], kicks)[500:]
 
@@ -234,7 +234,7 @@ def test_the_same_fittings_are_not_ambiguous():
 
 
 def all_ways(dwells, poses):
-    """Every way to give dwells poses of the plan or none, and what it is worth; for each of the greatest worth its poses."""
+    """Return every assignment of dwells to poses of the plan or none, with its score; the poses of those with the highest score."""
     choices = [[None, *(p for p, at in enumerate(poses) if at == d)] for d in dwells]
     ways = {}
     for way in product(*choices):

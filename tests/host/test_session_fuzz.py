@@ -47,12 +47,12 @@ IDENT = parse_ident(ident_document())
 
 
 def counts_from(n0, n=BLOCK):
-    """Samples that tell their number."""
+    """Return samples whose values are their indices."""
     return 4 * np.arange(n0, n0 + n)[:, None] + np.arange(4)
 
 
 def made():
-    """The messages of a box in order: ident, samples, heartbeats, exchanges."""
+    """Return the messages of a box in order: ident, samples, heartbeats, exchanges."""
     box = Box()
     box.ident(1_000_000)
     for k in range(BLOCKS):
@@ -98,7 +98,7 @@ def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
 
 
 def record_stream(rng, raw):
-    """What a recorder stores of a stream that comes in pieces: every byte of it."""
+    """Return what a recorder stores of a stream that arrives in pieces: every byte."""
     kept = Kept()
     intake = Intake(kept, Counters(), Probes(kept))
     at, ended = 0, False
@@ -178,7 +178,7 @@ def test_streams_by_hypothesis(edits):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """A complete session of the messages: its bytes, and a folder."""
+    """Return a complete session of the messages: its bytes, and a folder."""
     folder = tmp_path_factory.mktemp("fuzz")
     writer = SessionWriter(folder / "s.mcap", Lab())
     writer.attach("rig.toml", "application/toml", b"")
@@ -192,7 +192,7 @@ def session(tmp_path_factory):
 
 
 def damaged_file(rng, whole):
-    """A damaged session, and whether its messages may be others than they were, or in another order."""
+    """Return a damaged session, and whether its messages may differ or change their order."""
     magic, records = whole[:8], records_of(whole)
     kind = rng.randrange(6)
     if kind == 0:

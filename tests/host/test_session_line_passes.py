@@ -42,7 +42,7 @@ def found(clean):
 
 
 def windows(one):
-    """Begin and end [ns, host] of what each row was made of."""
+    """Return begin and end [ns, host] of the data that each row was made from."""
     return one.t_host_ns - one.window_ns, one.t_host_ns + one.window_ns
 
 
@@ -141,7 +141,7 @@ EDGE_NS = 2_000_000
 
 
 def host_ns_of(reading):
-    """Where a reading stands on the host's clock, the link's shortest latency included."""
+    """Return the time of a reading on the host's clock, including the link's shortest latency."""
     return 1e9 * ((json.loads(reading.data)["t"] - 1000.0) / (1.0 - 20e-6) + LATENCY_S)
 
 
@@ -246,7 +246,7 @@ def test_stop_pulses(lines):
 
 
 def test_out_of_range(clean):
-    """The magnet stands aside by more than the transducers see."""
+    """The magnet is farther to the side than the transducers can measure."""
     railed = line_session(
         np.random.default_rng(3), [replace(clean.truth.lines[0], origin=clean.truth.lines[0].origin - 0.05)]
     )
@@ -349,14 +349,14 @@ def test_any_readings_and_blocks_may_be_missing(data):
 
 
 def middle_of_block(message):
-    """The host time of what the block's middle sample shows."""
+    """Return the host time of the signal shown by the block's middle sample."""
     n, delay_ns = {"/box/mag": (52, 0), "/box/adc": (13, 1_500_000)}[message.topic]
     return message.t_host_ns - 300_000 - n * PERIOD_NS // 2 - delay_ns
 
 
 @cache
 def short_session():
-    """One line there and back at 300 mm/s."""
+    """Return one line there and back at 300 mm/s."""
     rng = np.random.default_rng(7)
     return line_session(rng, some_lines(rng, 1), speed=0.3).messages
 

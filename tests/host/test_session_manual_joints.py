@@ -13,13 +13,13 @@ from truearm.types import Message
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Ten dwells of 4 s without a robot, and the plan."""
+    """Return ten dwells of 4 s without a robot, and the plan."""
     messages, truth = session(np.random.default_rng(6), dwells=10, rest_s=4.0)
     return [m for m in messages if m.topic != "/robot/joints"], truth
 
 
 def noted(truth, at, shift=0.0):
-    """Readings as ``add-joints`` puts them: at a share of each rest, in 0.01°."""
+    """Return readings as inserted by ``add-joints``: at a share of each rest, rounded to 0.01°."""
     lines = []
     for q, start, end in zip(truth.q, truth.start_ns, truth.end_ns, strict=True):
         t_ns = round(start + at * (end - start) + 1e9 * shift)

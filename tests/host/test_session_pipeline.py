@@ -161,7 +161,7 @@ def test_doubled_frames_change_nothing(clean):
 
 
 def with_lvdt(messages, start_ns, end_ns, change):
-    """The same session with other LVDT counts in the blocks of an interval."""
+    """Return the same session with other LVDT counts in the blocks of an interval."""
     result = list(messages)
     for i in blocks_between(messages, start_ns, end_ns):
         at = messages[i].data.index(b"\xd8\x4e") + 2
@@ -174,7 +174,7 @@ def with_lvdt(messages, start_ns, end_ns, change):
 
 
 def added(metres):
-    """A change for ``with_lvdt()``: metres(t) more, t [s] from the first block that is changed."""
+    """Return a change for ``with_lvdt()``: adds metres(t), t [s] from the first changed block."""
     blocks = count()
 
     def change(counts):
@@ -203,7 +203,7 @@ def test_readings_that_cannot_be_trusted(clean, change, reason):
 
 
 def test_a_sensor_that_still_moves(clean):
-    """0.1 mm a second, while the joints stand still."""
+    """The sensor moves by 0.1 mm a second while the joints stand still."""
     messages, truth = clean
     start = truth.start_ns[4]
     result = synced(with_lvdt(messages, start, start + 2e9, added(lambda t: 0.1e-3 * t)))

@@ -17,7 +17,7 @@ ROBOTS = ("ur5e", "puma560")  # gains of 1 that are held, and gains that are ide
 
 
 def disturbed(name):
-    """A robot that is not as its maker described it."""
+    """Return a robot that differs from its description."""
     robot, rng = builtin_robot(name), np.random.default_rng(5)
     return robot.chain, robot.chain.params_nominal + robot.free * rng.normal(size=len(robot.free)) * 1e-3
 
@@ -42,7 +42,7 @@ def copy(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def said(copy):
-    """What the commands print."""
+    """Return what the commands print."""
     commands = [("export", "--help")]
     for name in ROBOTS:
         table, result = f"{name}.csv", f"{name}.json"
@@ -52,7 +52,7 @@ def said(copy):
 
 
 def position_errors(copy, name):
-    """How far the file's own formula is from the disturbed robot [mm], (n,)."""
+    """Return the distance [mm], (n,), between the file's own formula and the disturbed robot."""
     document = json.loads((copy.folder / f"{name}.screws").read_text())
     wanted = forward(*disturbed(name), joints())
     return np.array(
@@ -64,7 +64,7 @@ def position_errors(copy, name):
 
 
 def exponentials(document, q):
-    """T(q) of the file, by hand."""
+    """Return T(q) of the file, computed independently."""
     out = np.eye(4)
     for joint, angle in zip(document["joints"], q, strict=True):
         turn = np.eye(4)

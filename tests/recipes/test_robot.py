@@ -27,7 +27,7 @@ def copy(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def said(copy):
-    """What the commands print."""
+    """Return what the commands print."""
     wrong = ("identify", "none.csv", "--model", "ur3", "--rig", "rig.toml")
     return copy.run_each(
         ("identify", "--help"), ("plan", "ballbar", "--help"), wrong, (*PLAN, "plan.csv", "--program", "plan.script")

@@ -108,7 +108,7 @@ def copy(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def said(copy):
-    """What the commands print, by name."""
+    """Return what the commands print, by name."""
     exported = {
         name: ("export", "exact.json", "--model", "sprung.toml", "--format", name, "--out", name, "--over", "exact.csv")
         for name in FORMATS

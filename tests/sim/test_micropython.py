@@ -51,7 +51,7 @@ deb cdrom:[Debian]/ bookworm main
 
 
 def fake(folder: Path, script: str, name: str = "micropython") -> Path:
-    """A program in ``folder`` that runs ``script``."""
+    """Return a program in ``folder`` that runs ``script``."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / name
     path.write_text(f"#!/bin/sh\n{script}\n")

@@ -49,7 +49,7 @@ robot.disconnect()
 
 @pytest.fixture
 def lab():
-    """The controller in real time, from the beginning of its longest move when it is started; what it has told so far."""
+    """Run the controller in real time from the beginning of its longest move; return what it has sent so far."""
     server = RtdeServer(Port.listen(HOST, PORT), 500.0)
     told, stop = [], threading.Event()
     move = np.argmax(WORLD.controller.arrive - WORLD.controller.move_start)
@@ -116,7 +116,7 @@ def test_our_client_reads_the_same(lab):
 
 
 class Asked:
-    """A Port without a network: what the client wrote is given, what it is sent is kept."""
+    """A Port without a network: it receives what the client wrote and keeps what is sent."""
 
     def __init__(self):
         self.client, self.sent, self.asked = object(), b"", b""

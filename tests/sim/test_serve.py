@@ -11,7 +11,7 @@ END_NS = 200_000_000
 
 
 def lab():
-    """A box that says nothing, a robot whose program ends soon."""
+    """Return a lab with a silent box and a robot whose program ends soon."""
     world = SimpleNamespace(
         robot_end_ns=END_NS, robot_lines=lambda since, until, level: ([], [b"reading\n"] * (until <= END_NS))
     )

@@ -18,7 +18,7 @@ MS = 1_000_000
 
 
 class Talk:
-    """A box that is run in steps of a millisecond; the frames that it sent."""
+    """A box that runs in steps of a millisecond, and the frames that it sent."""
 
     def __init__(self, **arguments):
         self.box = SimulatedBox(WORLD, micropython.find(), **arguments)

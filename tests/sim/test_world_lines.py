@@ -29,13 +29,13 @@ P_TARGET = np.array(TARGETS["magnet"].xyz)
 
 
 def drives():
-    """(stop, times while its line is driven) of every line row."""
+    """Yield (stop, times while its line is driven) of every line row."""
     c = WORLD.controller
     return [(stop, np.linspace(c.move_start[stop], c.arrive[stop], 2001)) for stop in np.flatnonzero(c.is_line)]
 
 
 def in_device(world, stop, t):
-    """Where the true target is in the true device's axes, without errors of the drive."""
+    """Return the true target in the true device's axes, without errors of the drive."""
     origin, axes = world.placed[str(PLAN.line[world.controller.pose[stop]])]
     return (point_forward(world.chain, world.params, world.controller.q_true(t), P_TARGET) - origin) @ axes
 
@@ -140,7 +140,7 @@ def test_a_device_whose_place_is_declared_stands_there():
 
 
 def decoded(world, k0, k1, period=PERIOD):
-    """x, y, z (n, 3) [m] of samples and shots with the same numbers, as the host would read them; NaN where there is none."""
+    """Return x, y, z (n, 3) [m] of samples and shots with the same numbers, as the host reads them; NaN where one is missing."""
     counts, _ = world.samples(k0, k1, START, period)
     flights = world.flight_times(k0, k1, START, period)
     out = np.full((k1 - k0, 3), np.nan)

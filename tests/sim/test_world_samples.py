@@ -25,7 +25,7 @@ START = WORLD.device_clock.from_true_ns(0)
 
 
 def extension_of(counts):
-    """What the host makes of the LVDT's counts with the box's configuration: extension [m]."""
+    """Return the host's extension [m] for the LVDT's counts, with the box's configuration."""
     channel = WORLD.box_config()["channels"][0]
     volts = counts[:, 0] * (channel["scale"][0] * 10.0 ** channel["scale"][1])
     zero, gain = (mantissa * 10.0**exponent for mantissa, exponent in channel["calibration"]["poly"])

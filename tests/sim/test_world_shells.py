@@ -31,14 +31,14 @@ def points(plan, kind):
 
 
 def bar_vectors(plan, params, q=None):
-    """From chuck to sphere, (n, 3), and the end's axes (n, 3, 3)."""
+    """Return vectors from chuck to sphere, (n, 3), and the end's axes (n, 3, 3)."""
     poses = forward(ROBOT.chain, params, plan.q if q is None else q)
     p_sphere = (poses[:, :3, :3] @ points(plan, "sphere")[..., None])[..., 0] + poses[:, :3, 3]
     return p_sphere - points(plan, "chuck"), poses[:, :3, :3]
 
 
 def length_jacobian(plan, params):
-    """Derivatives (n, p) of the bar's length."""
+    """Return the derivatives (n, p) of the bar's length."""
     vectors, _ = bar_vectors(plan, params)
     trace = trace_point(ROBOT.chain, params, plan.q, points(plan, "sphere"))
     return along(trace, vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).jac_params

@@ -80,7 +80,7 @@ def correct(
         bool,
         typer.Option(
             "--split",
-            help="Write a separate target into a move that shares one but needs different numbers, as Offs(p1,0,0,50).",
+            help="Write a separate target into a move that shares one but needs different numbers, such as Offs(p1,0,0,50).",
         ),
     ] = False,
     partial: Annotated[

@@ -53,14 +53,14 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to hold out: judged, not fitted. COLUMN=NAME, as bar=bar61, shell=s1 or place=front (repeatable), "
+            help="Rows to hold out: judged, not fitted. COLUMN=NAME, such as bar=bar61, shell=s1 or place=front (repeatable), "
             "or a fraction such as 0.2, drawn with --seed.",
         ),
     ] = None,
     fit_only: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="GROUP", help="Fit only these rows, as place=front (repeatable). All others are held out."
+            metavar="GROUP", help="Fit only these rows, such as place=front (repeatable). All others are held out."
         ),
     ] = None,
     seed: SeedOption = option_defaults.SEED,

@@ -86,7 +86,10 @@ InputOption = Annotated[
     ),
 ]
 OutputOption = Annotated[
-    int, typer.Option(min=0, metavar="N", help="Digital output that says 'at rest' or 'on the line' (UR).")
+    int,
+    typer.Option(
+        min=0, metavar="N", help="Digital output that is on while the robot rests at a pose or drives a line (UR)."
+    ),
 ]
 ReserveOption = Annotated[
     float | None,

@@ -33,11 +33,11 @@ def entry(method: Method) -> MethodEntry:
         case Method.NEWTON:
             return MethodEntry("full inverse of the identified robot")
         case Method.FALSE_TARGET:
-            return MethodEntry("the mirror image of the error is told, Renders 1991 (32)", steps=True)
+            return MethodEntry("shift the target by the opposite of the error, Renders 1991 (32)", steps=True)
         case Method.JOINTS:
-            return MethodEntry("the error through the nominal Jacobian, (34)", steps=True)
+            return MethodEntry("convert the error to joint shifts by the nominal Jacobian, (34)", steps=True)
         case Method.OFFSETS:
-            summary = "the joints alone: offsets, gains and what else the joint law has, (35)"
+            summary = "correct the joint law alone (offsets, gains and its other terms), (35)"
             return MethodEntry(summary, links=False)
         case _:
             assert_never(method)
