@@ -141,7 +141,7 @@ class TestParts:
             assert capsys.readouterr().err.startswith("s.mcap continues in s.2.mcap: ")
         first.write_bytes(first.read_bytes()[:-60])
         assert main(["recover", str(first)]) == 0
-        said = "s.mcap continues in s.2.mcap: name them beside s-recovered.mcap, they are not found by its name\n"
+        said = "s.mcap continues in s.2.mcap: later commands do not find them from s-recovered.mcap; name each file\n"
         assert capsys.readouterr().err == said
 
     def test_inspect_tells_all_of_them(self, tmp_path, capsys):

@@ -151,9 +151,9 @@ def test_residuals_of_each_rig_and_kind():
 @pytest.mark.parametrize(
     ("chi2", "band", "words"),
     [
-        (1.0, (0.9, 1.1), "lies between 0.900 and 1.10 (95 %). It does."),
-        (1.5, (0.9, 1.1), "It lies above: the robot errs in ways that these parameters do not model"),
-        (0.2, (0.9, 1.1), "It lies below: the declared σ are larger"),
+        (1.0, (0.9, 1.1), "it is between 0.900 and 1.10 (95 %). It is within this range."),
+        (1.5, (0.9, 1.1), "It is above this range: the robot has errors that these parameters do not model"),
+        (0.2, (0.9, 1.1), "It is below this range: the declared σ are larger"),
         (1.0, (math.nan, math.nan), "χ² per degree of freedom is 1.00."),
         (math.nan, (0.9, 1.1), ""),
     ],
@@ -299,7 +299,7 @@ def test_what_is_hardly_seen_is_said():
         "2 combinations of parameters are weakly identifiable: the observations alone determine them less accurately"
         in text
     )
-    assert "<li>link2.z up, link3.z down by as much</li><li>link6.z: alone</li>" in text
+    assert "<li>link2.z up, link3.z down by the same amount</li><li>link6.z: alone</li>" in text
     assert "weakly identifiable" not in render(page)
 
 

@@ -49,8 +49,8 @@ def test_escape_leaves_nothing_active():
     ("names", "weights", "words"),
     [
         (("link6.alpha",), (1.0,), "link6.alpha: unidentifiable"),
-        (("link2.z", "link3.z"), (1.0, -1.0), "link2.z up, link3.z down by as much"),
-        (("link4.z", "link2.x"), (1.0, 1.0), "link4.z up, link2.x up by as much"),
+        (("link2.z", "link3.z"), (1.0, -1.0), "link2.z up, link3.z down by the same amount"),
+        (("link4.z", "link2.x"), (1.0, 1.0), "link4.z up, link2.x up by the same amount"),
         (("a", "b", "c"), (0.4, 1.0, -0.2), "+1.00 b +0.40 a −0.20 c"),
         (("a", "b"), (1.0, 0.001), "a: unidentifiable"),
     ],

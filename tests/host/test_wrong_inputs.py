@@ -137,7 +137,7 @@ def test_a_mistake_is_named(mistake):
     estimate = found(table())
     first = estimate.explanations[0]
     assert (first.what, first.text.partition(";")[0]) == (what, text)
-    assert estimate.unusable or "base or tool stands turned about" in first.text  # which geometry alone cannot tell
+    assert estimate.unusable or "base or tool is mounted rotated" in first.text  # which geometry alone cannot tell
     assert first.rms["m"] < 1.5 * SIGMA
     assert first.chance < 1e-3
 

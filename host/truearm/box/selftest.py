@@ -65,7 +65,7 @@ _ITEMS = {
         (16, 16),
     ),
     "rail_5v": _Item(
-        "5 V of the USB port", "use another port or a shorter cable, or a hub with a supply of its own",
+        "5 V of the USB port", "use another port or a shorter cable, or a powered hub",
         (4_500, 5_400), "V", 1000, ".2f",
     ),
     "temperature": _Item("temperature of the chip", "cool or warm the box", (-10_000, 60_000), "°C", 1000, ".1f"),

@@ -94,5 +94,6 @@ def add_joints(
     else:
         typer.echo(f"{out}: {count} joint readings added; their times are {times}, not arrivals")
     warn_of_further_parts(
-        session, f"add the joints to each by itself, and name the files one by one beside {one_line(out.name)}"
+        session,
+        f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",
     )

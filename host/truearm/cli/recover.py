@@ -48,7 +48,7 @@ def recover(
         print_lines(lines(found))
         typer.echo(f"{one_line(str(out))}: written, a complete session")
     if found is not None:
-        warn_of_further_parts(session, f"name them beside {one_line(out.name)}, they are not found by its name")
+        warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
 
 
 def lines(found: Recovered) -> list[str]:

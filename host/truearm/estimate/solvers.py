@@ -71,7 +71,7 @@ def loss_summary(loss: Loss) -> str:
     """Return the description of a loss in the report."""
     match loss:
         case Loss.LINEAR:
-            return "every row counts as its σ says"
+            return "every row is weighted by its σ"
         case Loss.HUBER:
             return "rows far from all others count less"
         case Loss.CAUCHY:

@@ -477,7 +477,7 @@ def _by_labels(labels: Search, table: ObservationTable, n: int) -> Iterator[_Fou
     if before is not None and after is not None:
         text = "; ".join(label_sentences(labels.found, table))
         if before.moved > FAR and after.moved < NEAR and after.reduced > HUNDREDFOLD * before.reduced:
-            text += "; or else base or tool stands turned about"
+            text += "; alternatively, base or tool is mounted rotated"
         chance = math.exp(labels.log_chance)
         explanation = Explanation(WrongInput.LABELS, text, "", n, before.rms, after.rms, chance)
         yield _Found(explanation, after, math.log(after.reduced / before.reduced))

@@ -57,14 +57,15 @@ def chi2_words(e: Estimate) -> str:
     text = f"χ² per degree of freedom is {figures(e.chi2_reduced)}"
     if not math.isfinite(low + high):
         return text + "."
-    text += f"; if the declared σ and the model are right it lies between {figures(low)} and {figures(high)} (95 %). "
+    text += f"; if the declared σ and the model are right, it is between {figures(low)} and {figures(high)} (95 %). "
     if e.chi2_reduced > high:
         return (
-            text + "It lies above: the robot errs in ways that these parameters do not model, or the σ are too small."
+            text
+            + "It is above this range: the robot has errors that these parameters do not model, or the σ are too small."
         )
     if e.chi2_reduced < low:
-        return text + "It lies below: the declared σ are larger than the noise really is."
-    return text + "It does."
+        return text + "It is below this range: the declared σ are larger than the noise."
+    return text + "It is within this range."
 
 
 def suspect_table(e: Estimate, table: ObservationTable) -> str:

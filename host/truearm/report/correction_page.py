@@ -154,9 +154,7 @@ def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
     )
     parts = [svg.axes(plot), svg.dots(plot, order, before, "val"), svg.dots(plot, order[known], due[known], "fit")]
     parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
-    caption = (
-        "How far the tool would be off without the correction, and within what it is expected with it (about 95 %)."
-    )
+    caption = "Error of the tool without the correction, and the bound expected with it (about 95 %)."
     if not known.all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
     return drawn(plot, "Errors", caption, parts)

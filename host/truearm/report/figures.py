@@ -150,8 +150,8 @@ def by_longitude(rows: Rows) -> Figure | None:
     parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
     parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e.")]))
     caption = (
-        "Longitude of the sphere about its chuck. Errors of measurement do not depend on it: a mean that swings beyond "
-        "its bars (two standard errors) tells of errors that the parameters do not model."
+        "Longitude of the sphere about its chuck. Errors of measurement do not depend on it: a mean that varies by more than "
+        "its bars (two standard errors) indicates errors that the parameters do not model."
     )
     return drawn(plot, "Residual against longitude", caption, parts)
 

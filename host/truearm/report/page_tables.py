@@ -56,7 +56,7 @@ def visibility(estimate: Estimate) -> str:
     of = int(estimate.free[: estimate.n_robot_parameters].sum())
     held = estimate.n_robot_parameters - of
     gap = (
-        f" The weakest of these stands a factor of {figures(estimate.rank_gap, 2)} above the unidentifiable ones."
+        f" The weakest of these is a factor of {figures(estimate.rank_gap, 2)} above the unidentifiable ones."
         if math.isfinite(estimate.rank_gap)
         else ""
     )
@@ -103,7 +103,7 @@ def direction_words(direction: NullDirection, single: str = "unidentifiable") ->
         return f"{terms[0][1]}: {single}"
     if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < SMALLEST_WEIGHT:
         way = "up" if terms[0][0] * terms[1][0] > 0.0 else "down"
-        return f"{terms[0][1]} up, {terms[1][1]} {way} by as much"
+        return f"{terms[0][1]} up, {terms[1][1]} {way} by the same amount"
     shown = [f"{number(weight, 2, sign=True)} {name}" for weight, name in terms[:MAX_TERMS]]
     more = f" and {len(terms) - MAX_TERMS} smaller terms" if len(terms) > MAX_TERMS else ""
     return f"{' '.join(shown)}{more}"
