@@ -154,7 +154,7 @@ SCRIPT_REFUSALS = {
     "speed": (["speedl([0,0,0.1,0,0,0], 0.5, 1)"], 2, "moves the robot without a target"),
     "force": (["force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,10,0,0,0],2,[1,1,1,1,1,1])"], 2, "without a target"),
     "unknown function": (["gripper_go(3)"], 2, "gripper_go is not defined in this file"),
-    "nobody's value": (["movel(Nowhere)"], 2, "Nowhere has no value that this file gives"),
+    "nobody's value": (["movel(Nowhere)"], 2, "Nowhere has no value in this file"),
     "recursion": (["def f(x):", "f(x)", f"movel({P})", "end", "f(1)"], 3, "calls itself"),
     "thread": ([f"global W={P}", "thread T():", f"global W={Q}", "end", "t = run T()", "movel(W)"], 7, "changed by what runs beside"),
 }  # fmt: skip
@@ -222,8 +222,8 @@ def test_tools_and_work_objects_of_a_module():
 
 
 RAPID_REFUSALS = {
-    "tool from elsewhere": ([], [f"MoveL {T1},v10,fine,tTorch;"], "ttorch has no value that this file gives"),
-    "work object from elsewhere": ([], [rf"MoveL {T1},v10,fine,tool0\WObj:=wTable;"], "wtable has no value that this file gives"),
+    "tool from elsewhere": ([], [f"MoveL {T1},v10,fine,tTorch;"], "ttorch has no value in this file"),
+    "work object from elsewhere": ([], [rf"MoveL {T1},v10,fine,tool0\WObj:=wTable;"], "wtable has no value in this file"),
     "moving work object": ([f"PERS wobjdata w:={WORK.replace(chr(34) * 2, chr(34) + 'STN1' + chr(34))};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "moved by a mechanical unit"),
     "work object in the hand": ([f"PERS wobjdata w:={WORK.replace('FALSE', 'TRUE', 1)};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "held by the robot"),
     "stationary tool": ([f"PERS tooldata t:={TOOL.replace('TRUE', 'FALSE', 1)};"], [f"MoveL {T1},v10,fine,t;"], "not held by the robot"),

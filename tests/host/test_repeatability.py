@@ -92,7 +92,7 @@ def test_too_few_visits_are_refused():
     once = visited(np.random.default_rng(1))
     rows = np.arange(8)
     few = Visited(**{name: getattr(once, name)[rows] for name in Visited.__dataclass_fields__})
-    with pytest.raises(ProblemError, match="too few repeat"):
+    with pytest.raises(ProblemError, match="too few repetitions"):
         repeatability(few)
     together = Visited(**{**vars(once), "side": np.repeat(once.side[:, :1], JOINTS, axis=1)})
     with pytest.raises(ProblemError, match="not independent"):

@@ -99,8 +99,8 @@ def repeatability(visited: Visited) -> Repeatability:
     n, n_poses, n_sides = len(pose), len(np.unique(pose)), len(np.unique(approach))
     if n - n_sides < 3:
         raise ProblemError(
-            f"{n} visits of {n_poses} poses with every joint's side known, {n_sides} of them different: too few repeat; record "
-            "what truearm plan characterize plans"
+            f"too few repetitions: {n} visits of {n_poses} poses with known approach directions, {n_sides} of them different; "
+            "record a plan of truearm plan characterize"
         )
     jac = _group_means(visited.jac, pose)
     explained = np.sum(jac * (visited.q - _group_means(visited.q, pose)), axis=1)

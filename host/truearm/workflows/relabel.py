@@ -89,13 +89,13 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
     Raises InputError, SessionError for a session that is incomplete or still being written.
     """
     paths = session_parts(session)
-    parts, rig, readings = _read(paths, options.rig)
-    said = [one for part in parts for one in part.said]
-    robot = (
-        None if options.robot.robot is None else load_robot(options.robot.robot, options.robot.base, options.robot.tip)
-    )
-    with step(f"estimating what was mounted at {len(said)} dwells"):
-        found = None if robot is None else _evidence(robot, rig, readings, said)
+    with step("examining the session"):  # ends before the operator is asked
+        parts, rig, readings = _read(paths, options.rig)
+        said = [one for part in parts for one in part.said]
+        choice = options.robot
+        robot = None if choice.robot is None else load_robot(choice.robot, choice.base, choice.tip)
+        with step(f"estimating what was mounted at {len(said)} dwells"):
+            found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:
         raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
     chosen = [

@@ -364,7 +364,7 @@ class Flow:
             case Call():
                 return self._call(expression)
             case Name(name, start):
-                return self.get(name) or (Unknown(f"{name} has no value that this file gives", start, UNDECLARED),)
+                return self.get(name) or (Unknown(f"{name} has no value in this file", start, UNDECLARED),)
             case Taught():
                 return (self.language.literal(expression),)
             case Number() | Text() | Truth():
