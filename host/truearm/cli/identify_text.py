@@ -135,7 +135,7 @@ def headline(document: Document) -> str:
         fitted[entry["kind"]] = fitted.get(entry["kind"], 0) + entry["fitted"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
-    rows = kinds + (f" to fit, {held} held out" if held else " to fit")
+    rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} to fit" + (f", {held} held out" if held else "")
     end = f"{document['status']} in {document['iterations']} iterations"
     return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
@@ -454,4 +454,6 @@ def further_measurements(document: Document) -> list[str]:
 
 def _few(addition: Mapping[str, Any]) -> str:
     names = [one_line(name) for name in addition["parameters"]]
-    return ", ".join(names[:MAX_TERMS]) + (f" and {len(names) - MAX_TERMS} others" if len(names) > MAX_TERMS else "")
+    return ", ".join(names[:MAX_TERMS]) + (
+        f" and {counted(len(names) - MAX_TERMS, 'other')}" if len(names) > MAX_TERMS else ""
+    )

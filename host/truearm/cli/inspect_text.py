@@ -93,7 +93,7 @@ def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
         yield (
             f"stream {one_line(stream['name'])} ({one_line(', '.join(stream['channels']))}): {stream['samples']} samples, "
             f"{_number(stream['rate_nominal_hz'], '.4f')} Hz nominal, {_number(stream['rate_measured_hz'], '.4f')} by the "
-            f"box's stamps, {_number(stream['rate_by_host_hz'], '.4f')} by the host's clock; whole pieces: {stream['pieces']}"
+            f"box's stamps, {_number(stream['rate_by_host_hz'], '.4f')} by the host's clock; uninterrupted pieces: {stream['pieces']}"
         )
 
 

@@ -123,7 +123,7 @@ def _known_after(document: Mapping[str, Any]) -> list[str]:
 def _direction(weights: Mapping[str, float]) -> str:
     """Format its largest terms; --json has all."""
     terms = sorted(weights.items(), key=lambda term: -abs(term[1]))
-    rest = f" and {len(terms) - MAX_TERMS} others" * (len(terms) > MAX_TERMS)
+    rest = f" and {counted(len(terms) - MAX_TERMS, 'other')}" * (len(terms) > MAX_TERMS)
     return " ".join(f"{weight:+.2f}·{name}" for name, weight in terms[:MAX_TERMS]) + rest
 
 

@@ -86,7 +86,7 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
         ]
     text = [
         f"{sessions}: {counted(document['dwells'], 'dwell')}, {document['with_reading']} with a reading within the stroke: "
-        f"{document['usable']} labelled; {document['otherwise_than_planned']} of all differ from the plan"
+        f"{document['usable']} labelled; {document['otherwise_than_planned']} labels differ from the plan"
     ]
     for row in document["table"]:
         if row["bar"] is None and row["reading"]:

@@ -126,7 +126,7 @@ def addition_list(additions: Sequence[Addition]) -> str:
     items = []
     for a in additions:
         names = ", ".join(a.parameters[:MAX_NAMES])
-        more = f" and {len(a.parameters) - MAX_NAMES} others" if len(a.parameters) > MAX_NAMES else ""
+        more = f" and {counted(len(a.parameters) - MAX_NAMES, 'other')}" if len(a.parameters) > MAX_NAMES else ""
         words = f"{a.text[0].upper()}{a.text[1:]} to identify {counted(len(a.parameters), 'more parameter')}: {names}{more}."
         items.append(f"<li>{escape(words, 900)}</li>")
     return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
