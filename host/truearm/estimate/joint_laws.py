@@ -291,7 +291,7 @@ def _centred(of: LawProblem, found: Posterior, q: Floats) -> Posterior:
     chain, column = of.problem.chain, np.flatnonzero(of.columns)
     offsets = {chain.parameters[i].joint: i for i in chain.law.offset.parameters.tolist()}
     curve = Curve.of_chain(chain)
-    weights = curve.by_parameters(of.start, q.T).mean(axis=1)
+    weights = curve.mean_by_parameters(q.T)
     change = np.eye(column.size)
     for law in of.laws:
         offset = offsets.get(law.joint)

@@ -36,8 +36,11 @@ from truearm.units import UNITS
 GATE = 6.0  # nats
 EARNEST = 25.0  # nats
 START = 0.2  # of the cap: initial standard deviations
-LEARNING_POSES = 3000  # variances and noise are learned from a random selection of at most so many
-NOISE_POSES = 1000  # of these, for the noise
+LEARNING = (
+    3000,
+    9000,
+)  # poses and residuals: variances and noise are learned from a random selection of at most so many
+FOR_NOISE = (1000, 3000)  # of these, for the noise
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
 FIRST_STEPS, STEPS = 30, 12  # of the variances, in the first rounds and later
 NOISE_END = 0.02  # the last round changes the noise variances by less
@@ -59,13 +62,20 @@ class LawProblem:
     sigma: Floats  # (k,)
     laws: tuple[Law, ...]
 
-    def some(self, n: int) -> LawProblem:
-        """Return the problem with a random selection of at most n poses."""
+    def some(self) -> LawProblem:
+        """Return the problem with a random selection of LEARNING poses."""
         numbers = np.unique(self.pose)
-        if numbers.size <= n:
+        share = self.times(LEARNING)
+        if share <= 1.0:
             return self
-        kept = np.random.default_rng(0).permutation(numbers)[:n]
+        kept = np.random.default_rng(0).permutation(numbers)[: int(numbers.size / share)]
         return replace(self, problem=only(self.problem, np.isin(self.pose, kept)))
+
+    def times(self, most: tuple[int, int]) -> float:
+        """Return how many times as many poses or residuals there are, whichever is more."""
+        known = [group.sensor_cov for group in self.problem.groups if group.row is not None]
+        poses = np.unique(self.pose[_rows_used(self.problem)]).size
+        return max(poses / most[0], float(sum(len(cov) * cov.shape[1] for cov in known)) / most[1])
 
     @property
     def shares_poses(self) -> bool:
@@ -94,13 +104,14 @@ def law_problem(
 class Learned(NamedTuple):
     """The result of the evidence: the variances of each law's prior, the noise, and each law's gain in nats.
 
-    ``evidence`` is the log evidence of the rows that were used to learn.
+    ``evidence`` is the log evidence of the rows that were used to learn, and x (P,) the estimate from them.
     """
 
     variances: Mapping[Law, Floats]
     noise: PoseNoise
     nats: Mapping[Law, float]
     evidence: float
+    x: Floats
 
 
 class Posterior(NamedTuple):
@@ -118,8 +129,8 @@ class Posterior(NamedTuple):
 
 
 def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> Learned:
-    """Learn variances and noise from at most LEARNING_POSES poses; laws missing in ``variances`` start small."""
-    part, blocks = of.some(LEARNING_POSES), prior_blocks(of.laws)
+    """Learn variances and noise from at most LEARNING poses; laws missing in ``variances`` start small."""
+    part, blocks = of.some(), prior_blocks(of.laws)
     values = [
         variances.get(law, np.full(len(block.kernels), (START * block.cap) ** 2))
         for law, block in zip(of.laws, blocks, strict=True)
@@ -127,7 +138,7 @@ def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> 
     shared = of.shares_poses
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START)
-    every = max(1, np.unique(part.pose[_rows_used(part.problem)]).size // NOISE_POSES)
+    every = max(1, int(part.times(FOR_NOISE)))
     x = of.start
     for i in steps_of(range(ROUNDS), "learning the sizes of joint laws and noise"):
         marginal, rest = _marginal(part, x, noise)
@@ -142,7 +153,7 @@ def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> 
         if i > 2 and np.all((np.abs(new - before) <= NOISE_END * new) | (new < NOTHING)):
             break
     nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
-    return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence)
+    return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence, x)
 
 
 def gated(
@@ -174,16 +185,13 @@ def gated(
             sure.add(weakest)
 
 
-def posterior(of: LawProblem, found: Learned, rounds: int = 2) -> Posterior:
-    """Return the posterior of all poses with the learned variances and noise, linearised where it ends."""
-    x, blocks = of.start, prior_blocks(of.laws)
+def posterior(of: LawProblem, found: Learned) -> Posterior:
+    """Return the posterior of all poses with the learned variances and noise, linearised at what was learned."""
+    blocks = prior_blocks(of.laws)
     values = [found.variances[law] for law in of.laws]
-    for _ in range(rounds):
-        marginal, rest = _marginal(of, x, found.noise)
-        weighed = weigh(seen_by(marginal, blocks), blocks, values)
-        here = _posterior(of, x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
-        x = here.x
-    return here
+    marginal, rest = _marginal(of, found.x, found.noise)
+    weighed = weigh(seen_by(marginal, blocks), blocks, values)
+    return _posterior(of, found.x, marginal, rest, coefficients(marginal, weighed, blocks, values), weighed.nats)
 
 
 class _Rest(NamedTuple):

@@ -23,7 +23,7 @@ from truearm.kinds.linearised import Indices
 from truearm.model.constant_folding import folded
 from truearm.types import Floats
 
-CHUNK = 1_000_000  # numbers per chunk of rows: 8 MB
+CHUNK = 400_000  # numbers per chunk of rows: 3 MB
 SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb
 SETTLED = 1e-3  # relative change of the variances from step to step
 LEAST_FACTOR = 1e-6  # on the declared variances

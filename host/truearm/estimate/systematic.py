@@ -73,6 +73,8 @@ WINDOW_KNOTS = 36
 GROSS = 30.0  # σ of the noise: to first order, a fit this distorted shows only which rows distort it
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
 LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
+AT_ONCE = 100_000  # derivatives of each component, 0.8 MB: observations of so many are whitened at once
+SPANS = 64  # tested at once
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
 AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
@@ -199,10 +201,12 @@ def systematic_errors(
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
     """Return the whitened rows at x, in order."""
-    some = [block for block in blocks(problem) if block.row is not None]
+    k, r = fit.root.shape
+    c, p = len(problem.errors.names), problem.n_robot
+    some = [block for block in blocks(problem, max(1, AT_ONCE // (k + c))) if block.row is not None]
     of_rows = [np.repeat(block.row, block.sensor_cov.shape[1]) for block in some if block.row is not None]
     row = np.concatenate([np.zeros(0, dtype=np.intp), *of_rows])
-    m, r, c, p = row.size, fit.root.shape[1], len(problem.errors.names), problem.n_robot
+    m = row.size
     if not m:
         return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
     order = np.argsort(row, kind="stable")
@@ -213,16 +217,13 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
     at = 0
     for block in some:
         lin = block.opened(problem.chain, x)
-        by_x = np.concatenate([lin.wrenches @ lin.twists, lin.jac_rig[:, :, : x.size - p]], axis=2)[:, :, columns]
-        parts = [
-            by_x,
-            error_columns(lin, problem.errors.tool),
-            lin.residual.reshape(len(lin.wrenches[0]), -1).T[:, :, None],
-        ]
-        stacked = np.concatenate(parts, axis=2).transpose(2, 0, 1).copy()
+        by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p]
+        residuals = lin.residual.reshape(len(block.sensor_cov), -1).T[:, :, None]
+        parts = [by_robot, by_rig[:, :, columns[p:]], error_columns(lin, problem.errors.tool), residuals]
+        stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in parts])
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         whole = stacked.transpose(2, 1, 0).reshape(-1, len(stacked))
-        k, mine = by_x.shape[2], place[at : at + len(whole)]
+        mine = place[at : at + len(whole)]
         basis[mine], errors[mine], residual[mine] = whole[:, :k] @ fit.root, whole[:, k:-1], whole[:, -1]
         at += len(whole)
     residual[:m] -= basis[:m] @ fit.left
@@ -341,11 +342,15 @@ def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indice
         sums[i + 1, :, :d] = sums[i, :, :d] + across @ by[a:b]
         sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.basis[a:b]
         sums[i + 1, :, -1] = sums[i, :, -1] + across @ rows.residual[a:b]
-    of = sums[at[w:]] - sums[at[:w]]
-    values, vectors, seen = _left(of[:, :, :d], of[:, :, d:-1])
-    along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
-    drop = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
-    return drop, seen.sum(axis=1), np.where(seen, values, 0.0)
+    parts = []
+    for some in np.array_split(np.arange(w), max(1, -(-w // SPANS))):
+        of = sums[at[w:][some]] - sums[at[:w][some]]
+        values, vectors, seen = _left(of[:, :, :d], of[:, :, d:-1])
+        along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
+        drop = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        parts.append((drop, seen.sum(axis=1), np.where(seen, values, 0.0)))
+    drop, freedom, known = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return drop, freedom, known
 
 
 def _left(square: Floats, by_basis: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import ANYWHERE, identifiers
 from truearm.types import ObservationTable
-from truearm.workflows.selection import Mask, held_out_rows
+from truearm.workflows.selection import Mask, held_out_rows, numbered
 
 FRACTIONS = (0.2, 0.1)
 SEEDS = 8  # number of seeds tried
@@ -62,6 +62,4 @@ def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:
     """Return (n,) the number of each row's combination of kind, names and rig."""
-    columns = [table.kind, *(table.column(name) for name in (*named_columns(table), "rig"))]
-    _, index = np.unique(np.stack([column.astype("U64") for column in columns], axis=1), axis=0, return_inverse=True)
-    return np.asarray(index.reshape(-1))
+    return numbered([table.kind, *(table.column(name) for name in (*named_columns(table), "rig"))])

@@ -10,6 +10,7 @@ A curve has no key in a robot file: ``model.law_chain`` adds it to a chain from 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -85,12 +86,23 @@ class Curve(Term):
         n = q.shape[1]
         out = np.zeros((self.parameters.size + 1, n), q.dtype)
         each = np.arange(n)
-        for knots in self._knots:
-            which, weights = knots.weights(q[knots.joint])
-            rows = np.where(which < knots.count, which + knots.some.start, self.parameters.size)
-            for row, weight in zip(rows, weights, strict=True):
+        for which, weights in self._weights(q):
+            for row, weight in zip(which, weights, strict=True):
                 out[row, each] += weight
         return out[:-1]
+
+    def mean_by_parameters(self, q: Floats) -> Floats:
+        """Return the mean (k,) of ``by_parameters`` over readings q (j, n); with many, that would be hundreds of megabytes."""
+        out = np.zeros(self.parameters.size + 1)
+        for which, weights in self._weights(q):
+            out += np.bincount(which.ravel(), weights.ravel(), out.size)
+        return np.asarray(out[:-1] / q.shape[1])
+
+    def _weights(self, q: Floats) -> Iterator[tuple[NDArray[np.intp], Floats]]:
+        """Return each joint's ``_Knots.weights``, with coefficients counted through all joints."""
+        for knots in self._knots:
+            which, weights = knots.weights(q[knots.joint])
+            yield np.where(which < knots.count, which + knots.some.start, self.parameters.size), weights
 
     def _summed(self, params: Floats, q: Floats, *, derivative: bool) -> Floats:
         out = np.zeros(q.shape, np.result_type(params, q))
