@@ -807,6 +807,11 @@ class Payload(NamedTuple):
     mass: float
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def is_like(self, other: Payload) -> bool:
+        """Return whether masses and centres are equal to a gram and to a tenth of a millimetre; without mass, any centre is."""
+        apart = max(abs(a - b) for a, b in zip(self.centre, other.centre, strict=True))
+        return abs(self.mass - other.mass) < 1e-3 and (apart < 1e-4 or self.mass < 1e-3)
+
 
 @dataclass(frozen=True)
 class SagMasses:

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 from ur10_bench import RIG, ROBOT
 
+from truearm.cli.map_text import lines as map_lines
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
@@ -33,7 +34,7 @@ from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 from truearm.workflows.curve_table import curve_table
-from truearm.workflows.error_map import Section, mapped
+from truearm.workflows.error_map import Mapped, Section, mapped
 from truearm.workflows.export import ExportOptions, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.validate import validated
@@ -339,7 +340,12 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     due = true_points(q, np.full(50, 6.0)) - true_points(q, np.zeros(50))
     assert np.linalg.norm(due, axis=1).max() > 1e-4
     np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
-    assert "payload of 6 kg" in again.carrying(6.0).doubt_of_payload
+    assert "payload of 6 kg; it was measured under 0, 4 kg." in again.carrying(6.0).doubt_of_payload
+    judged = validated(again, RIG, table.select(np.arange(260) >= 200))
+    assert judged.document["payload"] == [
+        "The sag of the joints is that under the payload of each row; it was measured under 0, 4 kg."
+    ]
+    assert judged.document["payload"][0] in str(judged)
     with pytest.raises(InputError, match="plausible"):
         again.carrying(-1.0)
 
@@ -359,7 +365,14 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert any("holds for the payload of these rows, 4 kg" in line for line in law_sentences(found.document))
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
-    assert "payload of the calibration" in again.doubt_of_payload
+    sentence = "The sag of the joints is that under the payload of the calibration, 4 kg."
+    assert again.doubt_of_payload == sentence
+    assert sentence in map_lines(Mapped(mapped(again, Section(cell=0.2)), None, again.doubt_of_payload), 0.2, None)
+    assert validated(again, rig, replace(table, more={})).document["payload"] == [sentence]
+    masses = np.where(np.arange(160) < 30, 4.0, 0.0)
+    light = validated(again, rig, replace(table, more={**table.more, "payload": masses}))
+    assert light.document["payload"][0] == sentence
+    assert "130 rows of 160 have another payload (0 kg) than the rows of the calibration (4 kg)" in str(light)
     with pytest.raises(InputError, match="does not know how a payload acts"):
         again.carrying(2.0)
     bad = replace(table, more={"payload": np.full(160, -1.0)})

@@ -31,6 +31,8 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
         text.append(
             f"In {counted(error.size - sigma.size, 'cell')} it is unknown: unidentifiable combinations of parameters move the end."
         )
+    if mapped.payload:
+        text.append(mapped.payload)
     if task:
         text.append(_task_line(found, mapped.region, task))
     return text
@@ -62,6 +64,7 @@ def document(mapped: Mapped, cell: float) -> dict[str, Any]:
         "sigma_min_mm": sigma.min() if sigma.size else None,
         "sigma_max_mm": sigma.max() if sigma.size else None,
         "sigma_unknown_cells": error.size - sigma.size,
+        "payload": mapped.payload or None,
         "best_region": None
         if region is None
         else {

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, Table, Whole, as_table, at
-from truearm.types import CurveKnots, JointLaws, Law, LawStep, SagMasses, TriedLaw
+from truearm.types import CurveKnots, JointLaws, Law, LawStep, Payload, SagMasses, TriedLaw
 from truearm.units import DEG, MM, MRAD, key, shown
 
 MAX_LAWS = 200
@@ -118,4 +118,12 @@ KEYS: Mapping[str, tuple[Key, ...]] = {
     ),
 }
 _MAKE: Mapping[str, Callable[..., Law]] = {"curve": _curve, "sag": _sag}
-LAWS: Table[dict[str, Any]] = Table((Key("laws", List(_LawValue(), least=0, most=MAX_LAWS)),), dict, unknown_keys=True)
+PAYLOAD = Table((Key("mass", Number("kg", least=0.0)), Key("centre", List(Number("m"), 3))), Payload, unknown_keys=True)
+LAWS: Table[dict[str, Any]] = Table(
+    (
+        Key("laws", List(_LawValue(), least=0, most=MAX_LAWS)),
+        Key("payloads", List(PAYLOAD, least=0), optional=True),
+    ),
+    dict,
+    unknown_keys=True,
+)

@@ -38,6 +38,7 @@ from truearm.types import (
     NullDirection,
     Observability,
     ObservationTable,
+    Payload,
     PoseError,
     PredictedError,
     Relabelling,
@@ -117,6 +118,7 @@ class StoredResult:
     laws: tuple[Law, ...]  # joint laws; their parameters follow the robot's own
     document: Mapping[str, Any]  # the whole file as parsed
     joint_range: JointRange | None = None  # None: written by an earlier version
+    payloads: tuple[Payload, ...] = ()  # the different ones of the fitted rows, empty if joint laws were not tried
 
 
 def document_of(
@@ -637,6 +639,7 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
     n_joints = len(fields["robot"].joint_units)
     if joint_range is not None and (len(joint_range.lower), len(joint_range.upper)) != (n_joints, n_joints):
         raise SchemaError(f"joint_range: needs {n_joints} numbers each, one per joint")
+    laws = fields.get("joint_laws") or {}
     return StoredResult(
         status=fields["status"],
         robot=fields["robot"],
@@ -653,7 +656,8 @@ def stored_result(document: Mapping[str, Any]) -> StoredResult:
         frames=frames,
         still=defaults.get("still", ()),
         lost=defaults.get("lost", ()),
-        laws=(fields.get("joint_laws") or {}).get("laws", ()),
+        laws=laws.get("laws", ()),
         document=document,
         joint_range=joint_range,
+        payloads=laws.get("payloads", ()),
     )

@@ -20,6 +20,7 @@ from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.report.parameter_cells import parameter_cells
+from truearm.text import counted
 from truearm.types import Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
@@ -141,9 +142,35 @@ class Calibration:
         """A sentence about the payload that the joints' sag holds for; "" if the result has no sag."""
         if not any(isinstance(law, SagMasses) for law in self.stored.laws):
             return ""
+        masses = self._masses()
         if has_payload_law(self.chain):
-            return f"The sag of the joints is that under a payload of {self.chain.payload.mass:g} kg."
-        return "The sag of the joints is that under the payload of the calibration."
+            measured = f"; it was measured under {masses}" if masses else ""
+            return f"The sag of the joints is that under a payload of {self.chain.payload.mass:g} kg{measured}."
+        which = f", {masses}" if masses else ""
+        return f"The sag of the joints is that under the payload of the calibration{which}."
+
+    def doubt_of_payloads(self, payloads: Sequence[Payload]) -> list[str]:
+        """Return sentences about rows under these ``payloads`` (n); empty if neither the result nor the rows show any effect.
+
+        A result that does not know how a payload acts predicts all rows under the payload of the calibration.
+        """
+        masses = self._masses()
+        if has_payload_law(self.chain):
+            measured = f"; it was measured under {masses}" if masses else ""
+            return [f"The sag of the joints is that under the payload of each row{measured}."]
+        doubt = [self.doubt_of_payload] if self.doubt_of_payload else []
+        others = [one for one in payloads if not any(map(one.is_like, self.stored.payloads))]
+        if self.stored.payloads and others:
+            number, have = counted(len(others), "row"), "has" if len(others) == 1 else "have"
+            doubt.append(
+                f"{number} of {len(payloads)} {have} another payload ({_masses(others)}) than the rows of the calibration "
+                f"({masses}), which does not know how a payload acts on the robot: identify with rows under different payloads."
+            )
+        return doubt
+
+    def _masses(self) -> str:
+        """Return the payloads of the rows that were fitted; "" if unknown."""
+        return _masses(self.stored.payloads)
 
     @property
     def chain(self) -> Chain:
@@ -249,6 +276,12 @@ def check_joints(argument: str, given: Sequence[float] | None, joint_units: tupl
     if np.abs(q).max() > LARGEST_JOINT:
         raise InputError(Argument(argument), ": no joint reaches that far")
     return q
+
+
+def _masses(payloads: Sequence[Payload]) -> str:
+    """Return the different masses, as "0, 2.5 kg"; "" without any payload."""
+    masses = sorted({one.mass for one in payloads})
+    return f"{', '.join(f'{mass:g}' for mass in masses)} kg" if masses else ""
 
 
 def covariance_of(stored: StoredResult, names: Sequence[str]) -> Floats:

@@ -62,10 +62,14 @@ class MapFiles(NamedTuple):
 
 
 class Mapped(NamedTuple):
-    """A map, and the best region for the task; None if there is no task, or no place for it."""
+    """A map, and the best region for the task; None if there is no task, or no place for it.
+
+    ``payload`` is a sentence about the payload that the map holds for; "" if the result has no sag.
+    """
 
     map: ErrorMap
     region: Region | None
+    payload: str = ""
 
 
 @step("mapping the errors")
@@ -88,7 +92,7 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
         write_atomic(files.out, _table(found, calibration.joint_units))
     if files.picture is not None:
         write_atomic(files.picture, _picture(found, region, calibration))
-    return Mapped(found, region)
+    return Mapped(found, region, calibration.doubt_of_payload)
 
 
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:

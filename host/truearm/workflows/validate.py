@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError
 from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
+from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
 from truearm.files.result_file import Input, systematic_entries
@@ -180,6 +181,7 @@ def validated(
     document: dict[str, Any] = {
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
+        "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
         "settled": n_settled,
         "kept": n_kept,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
@@ -474,7 +476,7 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
-    return [*lines, one_line(document["verdict"])]
+    return [*lines, *document["payload"], one_line(document["verdict"])]
 
 
 def _error_lines(document: Mapping[str, Any], unit: Scale) -> list[str]:
