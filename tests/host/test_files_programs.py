@@ -236,6 +236,8 @@ RAPID_REFUSALS = {
     "axis 4 locked": ([], [r"SingArea\LockAxis4;", f"MoveL {T1},v10,fine,tool0;"], "axis 4 is not at 0"),
     "expressions": ([], [f"MoveL [[x,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v10,fine,tool0;"], "x has no value"),
     "guided by a camera": ([], ["MoveL GetTarget(),v10,fine,tool0;"], "gettarget is not defined in this file"),
+    "joints of a robtarget": ([f"CONST robtarget a:={T1};"], ["MoveAbsJ CalcJointT(a,tool0),v10,fine,tool0;"], "move to the robtarget with MoveJ"),
+    "no value": (["VAR robtarget a{3};"], ["MoveL a{2},v10,fine,tool0;"], "a is declared without a value; declare it with its values"),
     "changed component": ([f"VAR robtarget a:={T1};"], ["a.trans.z:=a.trans.z+d;", "MoveL a,v10,fine,tool0;"], "d has no value"),
 }  # fmt: skip
 
@@ -251,6 +253,18 @@ def test_moves_of_rapid_that_cannot_be_corrected(what):
 def test_a_function_that_a_person_answers_for():
     assert script("gripper_go(3)", f"movel({P})", harmless=frozenset({"gripper_go"}))[1].refused == ()
     assert module("GripGo 3;", f"MoveL {T1},v10,fine,tool0;", harmless=frozenset({"GripGo"}))[1].refused == ()
+
+
+def test_texts_that_are_no_moves_are_sent():
+    lines = [
+        r'SocketSend s\Str:="moved to " + ValToStr(n);',
+        r'SocketSend s\Str:="MoveL";',
+        'TPWrite "MoveL p10";',
+        f"MoveL {T1},v10,fine,tool0;",
+    ]
+    assert module(*lines)[1].refused == ()
+    sent = r'SocketSend s\Str:="MoveL p10";'
+    assert module(sent, lines[-1], harmless=frozenset({"SocketSend"}))[1].refused == ()
 
 
 def test_an_external_axis_that_does_not_move_the_base():
@@ -648,6 +662,7 @@ UNKNOWN_SCRIPT = [
 UNKNOWN_RAPID = [
     "MoveL CRobT(),v10,fine,tool0;", "MoveJ Offs(CRobT(),0,0,5),v10,fine,tool0;", f"MoveJ Offs({T1},0,0,AInput(ai1)),v10,fine,tool0;", f"MoveJ RelTool({T1},0,0,d),v10,fine,tool0;",
     f"MoveL {T1},v10,fine,tNobody;", rf"MoveL {T1},v10,fine,tool0\WObj:=wNobody;", "MoveL pNobody,v10,fine,tool0;", "MoveAbsJ jNobody,v10,fine,tool0;", "MoveAbsJ CJointT(),v10,fine,tool0;",
+    r'SocketSend s\Str:="MoveL p10,v100,fine,tool0";', r'SocketSend s\Str:="movel(p[" + ValToStr(x) + "])";', r'SocketSendTo s,"host",1\Str:="move" + "j([0,0,0,0,0,0])";',
     "MoveAbsJ CalcJointT(pNobody,tool0),v10,fine,tool0;", "MoveL CalcRobT(jNobody,tool0),v10,fine,tool0;", "MoveL MirPos(pNobody,mirror),v10,fine,tool0;", rf"MoveL\Conc,{T1},v10,fine,tool0\Corr;",
     "EGMRunPose egm,10;", "EGMRunJoint egm,10;", r"IndAMove STN,1\ToAbsNum:=5,20;", "ContactL 5,p,v10,tool0;", "FCPress1LStart p,v10,fine,tool0;", "Weld 3;", '%"go"%;', 'CallByVar "go",2;', 'SetDataVal "a",b;',
     "SetAllDataVal robtarget;", r"SearchL\Stop,di1,sp,pNobody,v10,tool0;", f"MoveC CRobT(),{T1},v10,fine,tool0;", "TriggL pNobody,v10,tr,fine,tool0;", "ArcL pNobody,v10,sm,wd,fine,tool0;",

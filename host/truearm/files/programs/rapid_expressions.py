@@ -121,15 +121,21 @@ class ExpressionReader(Reader):
                 left = Operation(text, (inner,), start, self.end)
         else:
             left = self.postfix()
+        links = 0
         while (binds := _BINDS.get(self.text.lower(), -1)) > least and self.kind in ("sign", "word"):
+            links += 1
+            self.longer(links)
             sign = self.step().lower()
             left = Operation(sign, (left, self.expression(binds)), start, self.end)
         return left
 
     def postfix(self) -> Expression:
         found = self.atom()
+        links = 0
         while self.kind == "sign" and self.text in "{.":
             start = self.start
+            links += 1
+            self.longer(links)
             if self.step() == ".":
                 found = Element(found, self.word("a component"), start, self.end)
                 continue

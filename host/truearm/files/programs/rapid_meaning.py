@@ -31,8 +31,10 @@ from truearm.files.programs.rapid_words import (
     QUIET,
     READERS,
     SEARCHES,
+    SENDERS,
     STRAIGHT,
 )
+from truearm.files.programs.sent_moves import why_sent
 from truearm.files.programs.syntax import Assign, Call, Expression, Number, Source, Taught, Truth
 from truearm.files.programs.tree_walks import calls_in, root_of, statements_in
 from truearm.files.programs.values import (
@@ -135,6 +137,13 @@ class Rapid:
         if name == "reltool" and len(arguments) == 4:
             turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
             return combined(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
+        if name in SENDERS and name not in self.harmless:
+            sent = why_sent(value for values in (*arguments, *named.values()) for value in values)
+            if sent is not None:
+                flow.uncertain(name, at, call.end, sent, "harmless")
+        if name == "calcjointt":
+            why = "its joint readings are those of CalcJointT, known at run time only; move to the robtarget with MoveJ"
+            return (Unknown(why, at),)
         if name in QUIET or name in FUNCTIONS or name in self.harmless:
             return (Unknown(f"what {name} gives is known at run time only", at),)
         return None
@@ -228,7 +237,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
                 what = f"{datum.name} is declared here, so its pose cannot be given besides"
                 raise source.wrong(datum.start, what)
             if datum.value is None:
-                why = f"{datum.name} is declared without a value"
+                why = f"{datum.name} is declared without a value; declare it with its values"
                 begin[datum.name] = (Unknown(why, datum.start),)
             else:
                 begin[datum.name] = flow.value(datum.value)

@@ -51,6 +51,7 @@ MOVES: Mapping[str, Move] = {
 _LINEAR = ("movel", "triggl", "searchl", "arcl", "arcmovel", "spotl", "spotml", "paintl", "displ", "capl", "nutl")
 STRAIGHT = frozenset(name for name in MOVES if name.startswith(_LINEAR))
 BY_JOINTS = frozenset(name for name in MOVES if "j" in name.removeprefix("moveabsj"))
+SENDERS = words("socketsend socketsendto rmqsendmessage rmqsendwait")  # of texts to other programs
 AIMLESS = words(
     """
     calibj calibl contactl cssdeactmovel egmmovec egmmovel egmrunjoint egmrunpose fcact fcpress1lstart fcpressc fcpressend

@@ -19,6 +19,7 @@ from truearm.schema import quoted
 
 _BRACKETS = dict.fromkeys(map(ord, "p[]"))
 MAX_DEPTH = 60  # nesting depth of brackets and blocks
+MAX_LINKS = 1_000  # of a chain of fields, indexes or operators
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 NUMBERS = re.compile(rf"[+-]?{NUMBER}")
 
@@ -303,6 +304,11 @@ class Reader:
         self.depth += 1
         if self.depth > MAX_DEPTH:
             raise self.wrong(f"is nested more than {MAX_DEPTH} deep")
+
+    def longer(self, links: int) -> None:
+        """Check the length of a chain of fields, indexes or operators, each of which contains the one before."""
+        if links > MAX_LINKS:
+            raise self.wrong("an expression is nested too deeply to follow; split it")
 
 
 def words(text: str) -> frozenset[str]:

@@ -192,7 +192,10 @@ class _Reader(Reader):
             left = self.postfix()
         if self.open and self.kind == "newline":
             self.spaces()
+        links = 0
         while (binds := _BINDS.get(self.text, -1)) > least and self.kind in ("sign", "word"):
+            links += 1
+            self.longer(links)
             sign = self.step()
             if self.open:
                 self.spaces()
@@ -214,8 +217,11 @@ class _Reader(Reader):
 
     def postfix(self) -> Expression:
         found = self.atom()
+        links = 0
         while self.kind == "sign" and self.text in "[.":
             start = self.start
+            links += 1
+            self.longer(links)
             if self.step() == ".":
                 found = Element(found, self.word("a field"), start, self.end)
                 if self.text == "(":  # a method, for instance of an RPC handle

@@ -7,11 +7,11 @@ joints that a pose requires. A function that is not listed may move the robot, a
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from truearm.files.programs.dataflow import TOOL, Flow
+from truearm.files.programs.sent_moves import text_of, why_sent
 from truearm.files.programs.syntax import (
     Block,
     Call,
@@ -42,7 +42,6 @@ from truearm.files.programs.values import (
 )
 
 _SENDERS = ("socket_send_line", "socket_send_string")
-_MOVE_IN_TEXT = re.compile(rf"\b(?:{'|'.join(sorted(frozenset(MOVES) | AIMLESS))})[ \t]*\(")
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
 TRACKED = "tracked conveyor"  # variable names contain no spaces
 
@@ -81,9 +80,11 @@ class UrScript(NamedTuple):
             )
             return (Truth(True),)
         if name in _SENDERS and name not in self.harmless:
-            _watch_text(flow, call, [*arguments, *named.values()])
+            why = why_sent(value for values in (*arguments, *named.values()) for value in values)
+            if why is not None:
+                flow.uncertain(name, at, call.end, why, "harmless")
         if name == "str_cat" and arguments:
-            return combined(at, lambda *given: _text_of(given, at), arguments)
+            return combined(at, lambda *given: text_of(given, at), arguments)
         if name == "set_tcp":
             given = arguments[0] if arguments else named.get("pose", ())
             flow.set(TOOL, tuple(_tool(value, at) for value in given))
@@ -177,23 +178,6 @@ def _target(value: Value, at: int) -> Value:
     if numbers is not None and len(numbers) == SIX and all(map(math.isfinite, numbers)):
         return Taught(Form.COMPUTED, f"[{','.join(map(repr, numbers))}]", at)
     return unknown_in(value) or Unknown("its joint readings are not six plain numbers in one list", at)
-
-
-def _watch_text(flow: Flow, call: Call, given: Sequence[Values]) -> None:
-    """Refuse a statement that sends a move as text: whoever runs that text runs it uncorrected."""
-    texts = (value.text for values in given for value in values if isinstance(value, Text))
-    found = next((match for text in texts if (match := _MOVE_IN_TEXT.search(text))), None)
-    if found is not None:
-        why = f"it sends a {found[0].rstrip('( ')} as text, which is not corrected where it is run"
-        flow.uncertain(call.function, call.start, call.end, why, "harmless")
-
-
-def _text_of(given: Sequence[Value], at: int) -> Value:
-    """Texts put together; where only the run knows one, what is known of the others."""
-    texts = [one.text for one in given if isinstance(one, Text)]
-    if len(texts) < len(given) and not any(map(_MOVE_IN_TEXT.search, texts)):
-        return Unknown("a text is put together at run time", at)
-    return Text("".join(texts))
 
 
 def _tool(value: Value, at: int) -> Value:
