@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from puma_bench import (
+    CHAIN,
     DESIGN,
     RIG,
     SIGMA,
@@ -25,7 +26,9 @@ from truearm.cli import main as cli
 from truearm.estimate.solvers import SOLVERS
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
-from truearm.types import ObservationTable
+from truearm.model.chain import point_forward
+from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.workflows.identify import Selection, _check_rows
 
 UNITS = ("rad",) * 6
 
@@ -216,6 +219,27 @@ def test_a_reading_that_never_changes(tmp_path, capsys):
     rows = random_table(60, np.random.default_rng(11), SIGMA)
     err = refused(tmp_path, capsys, replace(rows, value=np.full(60, 0.46)), RIG)
     assert "length is the same in all 60 ball_bar rows though the joints move" in err
+
+
+def test_a_coordinate_that_never_changes(tmp_path, capsys):
+    """It may while the end moves in a plane; while it moves in space, the column was filled with one value."""
+    q = random_poses(60, np.random.default_rng(13))
+    xyz = point_forward(CHAIN, TRUTH, q, np.array([0.05, 0.0, 0.1]))
+    rows = ObservationTable(
+        q=q, kind=np.full(60, "position"), xyz=xyz, tracker=np.full(60, "t"), target=np.full(60, "ball")
+    )
+    tracker = Device("t", tuple(map(tuple, 1e-10 * np.eye(3))))
+    rig = Rig(targets={"ball": Point("ball", (0.05, 0.0, 0.1), None)}, trackers={"t": tracker})
+    for at, said in (([0], "x is"), ([1], "y is"), ([1, 2], "y and z are")):
+        same = xyz.copy()
+        same[:, at] = 0.25
+        err = refused(tmp_path, capsys, replace(rows, xyz=same), rig)
+        assert f"{said} the same in all 60 position rows though the joints move the end in space" in err
+        assert "check what the device wrote to the column" in err
+    turned = np.zeros((60, 6))
+    turned[:, 0] = q[:, 0]
+    flat = replace(rows, q=turned, xyz=np.where(np.arange(3) == 2, 0.25, xyz))
+    _check_rows(CHAIN, flat, Selection(np.ones(len(CHAIN.parameters), dtype=bool)))
 
 
 def test_an_empty_column(tmp_path, capsys):

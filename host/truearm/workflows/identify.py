@@ -34,13 +34,14 @@ from truearm.files.result_file import (
     write_result,
 )
 from truearm.files.robot_file import RobotChoice, load_robot
-from truearm.kinds.quantities import Quantity
+from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.builtin import builtin_names
+from truearm.model.chain import Chain, forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
-from truearm.types import Estimate, ObservationTable, PredictedError
+from truearm.types import Estimate, Floats, ObservationTable, PredictedError
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
@@ -50,6 +51,7 @@ from truearm.workflows.selection import free_parameters, held_out_rows, matching
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
+IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
 LEAST_ROWS = 5  # of a kind, which must not all be equal
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
@@ -221,9 +223,11 @@ def _held_out_facts(table: ObservationTable, held: Mask | None) -> dict[str, Any
     }
 
 
-def _check_rows(table: ObservationTable, selection: Selection) -> None:
+def _check_rows(chain: Chain, table: ObservationTable, selection: Selection) -> None:
     """Raise ProblemError for rows without information: a single row, or readings that never change though the robot
     moves.
+
+    A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
     """
     rows = np.ones(len(table), dtype=bool) if selection.held_out is None else ~selection.held_out
     if rows.sum() == 1:
@@ -238,6 +242,20 @@ def _check_rows(table: ObservationTable, selection: Selection) -> None:
                 are = "are" if " and " in quantity.words else "is"
                 text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"
                 raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
+            same = [one for one, span in zip(quantity.columns, np.ptp(values, axis=0), strict=False) if not span]
+            if quantity == POINT and same and _moves_in_space(chain, mine.q):
+                are = "are" if len(same) > 1 else "is"
+                text = f"{' and '.join(same)} {are} the same in all {len(mine)} {name} rows though the joints move the end in space"
+                column = f"column{'s' if len(same) > 1 else ''} of {' and '.join(same)}"
+                raise ProblemError(f"{mine.source[0]}: {text}; check what the device wrote to the {column}")
+
+
+def _moves_in_space(chain: Chain, q: Floats) -> bool:
+    """Return whether the nominal end moves in all three directions, at readings q (n, j)."""
+    if q.shape[1] != len(chain.joints) or not np.isfinite(q).all():
+        return False  # ``build_problem`` names these errors
+    points = forward(chain, chain.params_nominal, q)[:, :3, 3]
+    return bool(np.sqrt(np.linalg.eigvalsh(np.cov(points.T))[0]) > IN_SPACE)
 
 
 def _other_robots() -> dict[str, Candidate]:
@@ -287,7 +305,7 @@ def identified(
     observations and robot do not form a problem that can be solved.
     """
     chain = robot.chain
-    _check_rows(table, selection)
+    _check_rows(chain, table, selection)
     prior = Prior(options.prior or default_prior(robot, options.solver))
     named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
     fitted = table if selection.held_out is None else table.select(~selection.held_out)
