@@ -118,6 +118,8 @@ def test_iterations_count_on_over_the_stages():
     short = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss="cauchy", max_iterations=2))
     assert (short.status, short.iterations) == ("max_iterations", 6)  # two for each of three stages
     assert short.message == "cauchy loss: 2 iterations were not enough"
+    single = identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(max_iterations=1))
+    assert single.message == "1 iteration was not enough"
 
 
 @pytest.mark.parametrize("solver", ["lm", "map"])

@@ -15,6 +15,7 @@ import numpy as np
 from truearm import __version__
 from truearm.errors import Argument, ConfigError, InputError
 from truearm.schema import raising
+from truearm.text import counted
 from truearm.types import rms
 from truearm.units import MM, UM
 
@@ -63,14 +64,15 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
 
     x, y = _readings(places), _references(places)
     if (distinct := distinct_places(x)) < FEWEST_PLACES:
-        again = f", some of them more than once ({len(places)} readings)" if len(places) > distinct else ""
+        again = f", some of them more than once ({counted(len(places), 'reading')})" if len(places) > distinct else ""
         raise InputError(
             f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
         )
     tried = fits(x, y, 1 if linear else MAX_ORDER)
     if order is not None and not linear and order > tried[-1].order:
         raise InputError(
-            Argument("order"), f" {order} needs more places; {len(places)} places allow order {tried[-1].order}"
+            Argument("order"),
+            f" {order} needs more places; {counted(len(places), 'place allows', 'places allow')} order {tried[-1].order}",
         )
     taken = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
     return replace(taken, sigma=max(taken.sigma, _of_means(places, taken))), tried
@@ -99,7 +101,7 @@ def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], ch
         for f in tried
     ]
     lines.append(
-        f"{len(places)} places, sigma {UM.text(result.sigma, '.2f')}, largest residual {UM.text(_largest(result), '.2f')}"
+        f"{counted(len(places), 'place')}, sigma {UM.text(result.sigma, '.2f')}, largest residual {UM.text(_largest(result), '.2f')}"
     )
     before = _before(places, channel)
     if before is not None:
@@ -191,7 +193,7 @@ def write_page(
 
     page = GaugePage(
         title=f"Calibration of {of.channel}",
-        subtitle=f"{len(places)} places, {datetime.now(UTC).date().isoformat()}",
+        subtitle=f"{counted(len(places), 'place')}, {datetime.now(UTC).date().isoformat()}",
         unit=channel.unit,
         reference=_references(places),
         reading=_readings(places),

@@ -17,7 +17,7 @@ from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.losses import COUNTERS
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, US
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _stream_rows(stream: Stream, window: Window | None) -> Rows:
     if window is None:
         return [(stream.name, "no samples yet")]
     rate = f"{NS.factor / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"
-    rows = [(stream.name, f"{rate}, {window.lost} samples lost")]
+    rows = [(stream.name, f"{rate}, {counted(window.lost, 'sample')} lost")]
     counts = np.concatenate(window.blocks)
     return rows + [(one_line(c.name), value_of(counts[:, k], c, stream)) for k, c in enumerate(stream.channels)]
 
@@ -218,7 +218,10 @@ def clock_words(watch: Watch) -> str:
 def losses(watch: Watch, box: BoxControl) -> str:
     """Return the counts of everything that went wrong, including zeros."""
     beat = watch.heartbeat
-    parts = [f"{box.lost_frames} frames on the link", f"{beat.get('overruns', 0)} samples in the box"]
+    parts = [
+        f"{counted(box.lost_frames, 'frame')} on the link",
+        f"{counted(beat.get('overruns', 0), 'sample')} in the box",
+    ]
     words = {"crc_errors": "wrong CRCs of the converter", "bad_frames": "bad frames received"}
     parts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
     parts += [f"{watch.restarts} restarts"] * (watch.restarts > 0) + [f"{watch.edges} trigger edges"] * (

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any
 
+from truearm.text import counted
 from truearm.units import MM, MRAD, MS, UM, S, Scale
 
 
@@ -13,7 +14,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """The lines to print; every figure with its interval of 95 %."""
     of, settling, noise = document["repeatability"], document["settling"], document["noise"]
     yield (
-        f"{name}: {document['visits']} visits of {document['poses']} poses from {document['sides']} different sides, "
+        f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses from {document['sides']} different sides, "
         f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""
@@ -36,7 +37,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         if band["visits"]:
             yield (
                 f"settled within {MM.text(band['within_m'])} after: median {_range(band['median_s'], S)}, "
-                f"95th percentile {_range(band['share_95_s'], S)}; {band['visits']} visits"
+                f"95th percentile {_range(band['share_95_s'], S)}; {counted(band['visits'], 'visit')}"
             )
     own = settling["dwells_begin_s"]
     yield f"dwells begin {own['median']:.2f} s after the joints stand, {own['largest']:.2f} s at most"
@@ -49,7 +50,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """What stands at the head of the noise file."""
     noise = document["noise"]
-    yield f"{name}: {document['visits']} visits of {document['poses']} poses; intervals of 95 %"
+    yield f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses; intervals of 95 %"
     for joint, sigma in zip(document["joints"], noise["joint_sigma_si"], strict=True):
         yield f"{joint}: {_range(sigma, MRAD)}"
     yield f"bar {document['bar']}: {_range(noise['bar_sigma_m'], MM)}"

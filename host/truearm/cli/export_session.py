@@ -16,7 +16,7 @@ from truearm.cli.options import (
     out_folder,
 )
 from truearm.cli.output import print_json, print_lines, warn_of_further_parts
-from truearm.text import one_line
+from truearm.text import counted, one_line
 
 
 def export_session(
@@ -59,5 +59,5 @@ def export_session(
     if as_json:
         print_json({"folder": str(out), "rows": dict(tables)})
     else:
-        print_lines(f"{one_line(str(out))}/{name}: {rows} rows" for name, rows in tables.items())
+        print_lines(f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
     warn_of_further_parts(session, "export each by itself, its clocks are its own")

@@ -136,7 +136,7 @@ def headline(document: Document) -> str:
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} to fit" + (f", {held} held out" if held else "")
-    end = f"{document['status']} in {document['iterations']} iterations"
+    end = f"{document['status']} in {counted(document['iterations'], 'iteration')}"
     return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
 
@@ -288,7 +288,7 @@ def predicted(document: Document) -> list[str]:
         ]
     where = " (without the pose of the base)" if error["relative"] else ""
     return [
-        f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {error['n']} poses{where}, at most "
+        f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {counted(error['n'], 'pose')}{where}, at most "
         f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
     ]
 

@@ -71,7 +71,9 @@ def _session(document: Mapping[str, Any]) -> Iterator[str]:
     session = document["metadata"]["session"]
     if recovered := document["metadata"]["recovered"]:
         lost = recovered.get("messages_lost", "?")
-        yield "  " + one_line(f"recovered from {recovered.get('source', '?')}: {lost} messages known to be lost")
+        yield "  " + one_line(
+            f"recovered from {recovered.get('source', '?')}: {counted(lost, 'message')} known to be lost"
+        )
     lines = [f"truearm {session['version']}"] if "version" in session else []
     lines += [f"{session['clock']} clock"] if "clock" in session else []
     lines += [f"firmware {', '.join(document['firmware'])}"] if document["firmware"] else []
@@ -91,21 +93,23 @@ def _topics(topics: Mapping[str, Any]) -> Iterator[str]:
 def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
     for stream in streams:
         yield (
-            f"stream {one_line(stream['name'])} ({one_line(', '.join(stream['channels']))}): {stream['samples']} samples, "
+            f"stream {one_line(stream['name'])} ({one_line(', '.join(stream['channels']))}): {counted(stream['samples'], 'sample')}, "
             f"{_number(stream['rate_nominal_hz'], '.4f')} Hz nominal, {_number(stream['rate_measured_hz'], '.4f')} by the "
             f"box's stamps, {_number(stream['rate_by_host_hz'], '.4f')} by the host's clock; uninterrupted pieces: {stream['pieces']}"
         )
 
 
 def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
-    yield f"frames: {losses['frames']} received, {losses['samples']} samples in {losses['blocks']} blocks"
+    yield f"frames: {losses['frames']} received, {counted(losses['samples'], 'sample')} in {counted(losses['blocks'], 'block')}"
     box = losses["box"]
     counts = [(losses[key], text) for key, text in LOSSES]
     counts += [(box[key], BOX_WORDS.get(key, f"{key} by the box's count")) for key in COUNTERS if key != "sent"]
     wrong = [f"  {count:>6} {text}" for count, text in counts if count]
     wrong += [f"  the box was silent from {gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
     if losses["samples_missing"]:
-        wrong.append(f"  {losses['samples_missing']:>6} samples missing by the nominal rate while it was silent")
+        wrong.append(
+            f"  {losses['samples_missing']:>6} {'sample' if losses['samples_missing'] == 1 else 'samples'} missing by the nominal rate while it was silent"
+        )
     yield from wrong or ["  nothing lost, nothing doubled, no restart"]
     if box["heartbeats"]:
         worst = ((key, box[key]) for _, key in EXTREMES.values() if box[key] is not None)
@@ -118,7 +122,7 @@ def _console(document: Mapping[str, Any]) -> Iterator[str]:
     if not losses["console_runs"]:
         return
     yield (
-        f"not frames: {losses['console_runs']} runs, {losses['console_bytes']} bytes; "
+        f"not frames: {counted(losses['console_runs'], 'run')}, {counted(losses['console_bytes'], 'byte')}; "
         f"{losses['console_text_runs']} of them text"
     )
     for run in document["console"]:
@@ -142,7 +146,7 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
     for report in reports:
         yield (
             f"clock, segment {report['segment']}: {report['exchanges']} exchanges ({report['rejected']} rejected) in "
-            f"{report['windows']} windows; host − device {NS.to_si(report['offset_ns']):.6f} s, {report['rate_ppm']:+.3f} ppm "
+            f"{counted(report['windows'], 'window')}; host − device {NS.to_si(report['offset_ns']):.6f} s, {report['rate_ppm']:+.3f} ppm "
             f"(range {report['rate_range_ppm']:.3f})"
         )
         yield (
@@ -160,11 +164,15 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     if not robot["readings"]:
-        sent = f"; {robot['console_bytes']} bytes that are none" if robot["console_bytes"] else ""
+        sent = (
+            f"; {counted(robot['console_bytes'], 'byte that is none', 'bytes that are none')}"
+            if robot["console_bytes"]
+            else ""
+        )
         yield f"robot: no joint readings{sent}"
         return
     yield (
-        f"robot: {robot['readings']} readings of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
+        f"robot: {counted(robot['readings'], 'reading')} of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
         f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
         f"{robot['malformed']} malformed, {robot['restarts']} restarts"
     )
@@ -197,7 +205,7 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     ]
     counts = "; ".join([f"{edges['used']} of {edges['edges']} edges used", *wrong])
     if not edges["used"]:
-        yield f"  trigger: no input follows the box's output ({edges['edges']} edges); is it wired, and are the readings' inputs recorded?"
+        yield f"  trigger: no input follows the box's output ({counted(edges['edges'], 'edge')}); is it wired, and are the readings' inputs recorded?"
         return
     use = "in use" if edges["in_use"] else "not in use, arrivals are more accurate"
     inverted = "inverted, " if edges["inverted"] else ""
@@ -213,11 +221,11 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
     dwells, passes = document["dwells"], document["passes"]
     if passes["found"] and not document["plan_poses"] and not any("bar" in row for row in dwells["table"]):
-        yield f"dwells: {dwells['found']} stops, none with a ball-bar"
+        yield f"dwells: {counted(dwells['found'], 'stop')}, none with a ball-bar"
         yield from _passes(passes)
         yield from _events(document)
         return
-    became = f", {dwells['observations']} observations" if dwells["observations"] is not None else ""
+    became = f", {counted(dwells['observations'], 'observation')}" if dwells["observations"] is not None else ""
     mountings = f"; {counted(dwells['mountings'], 'stop')} for mounting" * bool(dwells["mountings"])
     planned = f" ({document['plan_poses']} poses planned)" if document["plan_poses"] else ""
     yield f"dwells: {dwells['found'] - dwells['mountings']} found{planned}{became}{mountings}"
@@ -242,7 +250,7 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
     if passes["found"] is None:
         yield f"lines: {passes['planned']} planned; not paired"
         return
-    yield f"lines: {passes['planned']} planned, {passes['found']} driven, {passes['points']} points"
+    yield f"lines: {passes['planned']} planned, {passes['found']} driven, {counted(passes['points'], 'point')}"
     for reason, count in passes["rejected"].items():
         yield f"  {count:>6} rejected: {reason}"
     good = [row for row in passes["table"] if not row["reason"]]
@@ -265,7 +273,7 @@ def _pass_line(row: Mapping[str, Any]) -> str:
     noise = " ".join(_number(value, ".1f", UM) for value in row["noise_m"])
     joints = _number(max(row["joint_noise"], default=None), ".1f", URAD)
     way = {1: ", up", -1: ", down"}.get(row["direction"], "")
-    dropped = "".join(f", {count} points not made: {reason}" for reason, count in row["dropped"].items())
+    dropped = "".join(f", {counted(count, 'point')} not made: {reason}" for reason, count in row["dropped"].items())
     became = f", {row['reason']}" if row["reason"] else ""
     return (
         f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', MM_S):>7} {row['points']:>6} {noise:>17} "

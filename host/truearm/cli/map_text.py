@@ -19,7 +19,7 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
     error = MM.of(found.error[~np.isnan(found.error)])
     rms = Figures.of(error).rms
     text = [
-        f"{error.size} cells of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
+        f"{counted(error.size, 'cell')} of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
         f"RMS {rms:.3f} mm."
     ]
     sigma = MM.of(found.sigma[np.isfinite(found.sigma)])

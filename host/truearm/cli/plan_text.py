@@ -40,8 +40,8 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
 def approach_lines(document: Mapping[str, Any]) -> list[str]:
     """Return what ``plan characterize`` planned."""
     return [
-        f"{document['poses']} poses of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
-        f"{document['via_points']} approach points, {document['minutes']:.0f} minutes",
+        f"{counted(document['poses'], 'pose')} of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
+        f"{counted(document['via_points'], 'approach point')}, {document['minutes']:.0f} minutes",
         *_written(document),
     ]
 
@@ -54,7 +54,7 @@ def visit_lines(document: Mapping[str, Any]) -> list[str]:
     """Return what is visited, how long it takes, and what can be held out."""
     if "lines" not in document:
         return [
-            f"{document['poses']} poses, {document['via_points']} via points, {document['mounts']} mounts of the bar: "
+            f"{counted(document['poses'], 'pose')}, {counted(document['via_points'], 'via point')}, {counted(document['mounts'], 'mount')} of the bar: "
             f"{document['minutes']:.0f} minutes",
             *_against_drift(document),
             *_pairing_lines(document),
@@ -66,7 +66,7 @@ def visit_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; expected error {place['a_priori_mm']:.1f} mm"
         )
-    return [*lines, f"{len(document['lines'])} lines: {document['minutes']:.0f} minutes"]
+    return [*lines, f"{counted(len(document['lines']), 'line')}: {document['minutes']:.0f} minutes"]
 
 
 def _pairing_lines(document: Mapping[str, Any]) -> list[str]:
@@ -100,7 +100,7 @@ def _against_drift(document: Mapping[str, Any]) -> list[str]:
 
 
 def _known_after(document: Mapping[str, Any]) -> list[str]:
-    lines = [f"rank {document['rank']}; predicted sigmas after {document['rows']} observations:"]
+    lines = [f"rank {document['rank']}; predicted sigmas after {counted(document['rows'], 'observation')}:"]
     lines += [f"  {parameter['name']:<24}{_in_words(parameter)}" for parameter in document["parameters"]]
     defaults = document["defaults"]
     for names, what in (
@@ -115,7 +115,7 @@ def _known_after(document: Mapping[str, Any]) -> list[str]:
             lines.append(f"{what}: {_direction(direction)}")
     if "poses" in document and document["poses"] < document["rank"] + len(document["null_space"]):
         lines.append(
-            f"Next: {document['poses']} poses are fewer than the unknowns; plan more poses, or fewer mounts with --bar NAME."
+            f"Next: {counted(document['poses'], 'pose is', 'poses are')} fewer than the unknowns; plan more poses, or fewer mounts with --bar NAME."
         )
     return lines
 

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from truearm.record.status import RecordSummary
+from truearm.text import counted
 from truearm.workflows.record import Recorded
 
 
@@ -22,7 +23,11 @@ def lines(recorded: Recorded) -> list[str]:
 
 def _totals(summary: RecordSummary) -> str:
     counters = summary.counters
-    parts = [f"{summary.duration_s:.1f} s", f"{counters.samples} samples", f"{counters.lost_frames} frames lost"]
+    parts = [
+        f"{summary.duration_s:.1f} s",
+        f"{counted(counters.samples, 'sample')}",
+        f"{counted(counters.lost_frames, 'frame')} lost",
+    ]
     if counters.robot_lines or counters.robot_console_bytes:
         parts.append(f"{counters.robot_lines} robot lines")
     if counters.robot_other_joints:

@@ -10,7 +10,7 @@ import typer
 
 from truearm.cli.options import ForceOption, JsonOption, SessionArgument, out_file
 from truearm.cli.output import print_json, print_lines, warn_of_further_parts
-from truearm.text import one_line
+from truearm.text import counted, one_line
 
 if TYPE_CHECKING:
     from truearm.record.recover import Recovered
@@ -56,7 +56,9 @@ def lines(found: Recovered) -> list[str]:
     from truearm.session.session_file import words_of
 
     messages = sum(account.saved for account in found.topics.values())
-    text = [f"saved  {messages} messages of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"]
+    text = [
+        f"saved  {counted(messages, 'message')} of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"
+    ]
     width = max((len(topic) for topic in found.topics), default=0)
     for topic, account in found.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
@@ -65,10 +67,10 @@ def lines(found: Recovered) -> list[str]:
         words = words_of(damage.at, damage.lost_s, damage.of_s)
         text.append(f"lost   {words}" + ("" if damage.at is None else f", from {damage.from_s:.1f} s on"))
     if len(found.damage) > SHOWN:
-        text.append(f"lost   and in {len(found.damage) - SHOWN} places more")
+        text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
     if found.cut_off:
         text.append("lost   the end: what followed (a second, if the recorder was killed) cannot be counted")
-    text.append(f"       {found.unread_bytes} bytes are in no intact record")
+    text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} in no intact record")
     return text
 
 

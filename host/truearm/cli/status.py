@@ -11,7 +11,7 @@ from truearm.cli.options import JsonOption
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
-from truearm.text import page
+from truearm.text import counted, page
 
 if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState
@@ -41,7 +41,8 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"project   {project.name or state.home.name}, {os.path.relpath(state.home)}"
     yield f"robot     {project.model}{f', serial {project.serial}' * bool(project.serial)}, {project.address or 'no address'}"
     yield f"rig       {os.path.relpath(state.rig) if state.rig else 'none'}"
-    yield f"plan      {f'{os.path.relpath(state.plan)}, {state.poses} poses' if state.plan else 'none'}"
+    plan = f"{os.path.relpath(state.plan)}, {counted(state.poses, 'pose')}" if state.plan else "none"
+    yield f"plan      {plan}"
     yield f"sessions  {len(state.sessions) or 'none'}"
     for session in state.sessions:
         whole = (

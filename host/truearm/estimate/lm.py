@@ -35,6 +35,7 @@ import numpy as np
 
 from truearm.estimate.information import Information, Spectrum, seen, spectrum
 from truearm.estimate.parameter_update import Step, added
+from truearm.text import counted
 from truearm.types import Floats
 
 DAMPING_START = 1e-4
@@ -115,7 +116,11 @@ def minimise(
         x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
-    return Minimum(x, "max_iterations", f"{max_iterations} iterations were not enough", max_iterations, here)
+    return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, here)
+
+
+def _too_few(iterations: int) -> str:
+    return f"{counted(iterations, 'iteration was', 'iterations were')} not enough"
 
 
 def after_refusal(damping: float) -> float:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, chdtri, fdtrc, stdtrit
 
 from truearm.errors import ProblemError
+from truearm.text import counted
 from truearm.types import Floats
 
 LEVEL = 0.95
@@ -99,7 +100,7 @@ def repeatability(visited: Visited) -> Repeatability:
     n, n_poses, n_sides = len(pose), len(np.unique(pose)), len(np.unique(approach))
     if n - n_sides < 3:
         raise ProblemError(
-            f"too few repetitions: {n} visits of {n_poses} poses with known approach directions, {n_sides} of them different; "
+            f"too few repetitions: {counted(n, 'visit')} of {n_poses} poses with known approach directions, {n_sides} of them different; "
             "record a plan of truearm plan characterize"
         )
     jac = _group_means(visited.jac, pose)

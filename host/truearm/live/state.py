@@ -19,7 +19,7 @@ from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
 from truearm.session.joint_readings import JointLine
 from truearm.session.samples import extension, railed, with_ratios
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import MM, MM_S, NS, UM, US
 
@@ -348,7 +348,7 @@ class LiveState:
             if k in streams and w.period_ns
         ]
         lost = (counters.lost_frames, counters.overruns_in_box)
-        text = f"{', '.join(rates) or 'no samples'}; {counters.samples} samples, {lost[0]} frames lost"
+        text = f"{', '.join(rates) or 'no samples'}; {counted(counters.samples, 'sample')}, {counted(lost[0], 'frame')} lost"
         more = (
             (lost[1], "samples lost in the box"),
             (counters.restarts, "restarts"),

@@ -22,7 +22,7 @@ from truearm.live.keyboard import Typed, may_ask, typed_lines
 from truearm.live.state import CONTRADICTION, HELP, LiveState, ViewLine
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent
-from truearm.text import one_line
+from truearm.text import counted, one_line
 
 if TYPE_CHECKING:
     from truearm.record.status import Status
@@ -219,7 +219,7 @@ class _Watch:
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             messages.append(
-                f"warning: {status.counters.lost_frames} frames lost on the link, {status.counters.overruns_in_box} samples in the box"
+                f"warning: {counted(status.counters.lost_frames, 'frame')} lost on the link, {counted(status.counters.overruns_in_box, 'sample')} in the box"
             )
         self._lost = lost
         return messages

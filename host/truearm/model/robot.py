@@ -39,6 +39,7 @@ from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.slots import chain_from_slots
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
 from truearm.schema import Key, List, Number, SchemaError, Text, raising
+from truearm.text import counted
 from truearm.types import Floats
 
 MAX_TEXT = 1_000_000  # characters; the PUMA's file has 3,000
@@ -81,8 +82,8 @@ class Robot:
     def __str__(self) -> str:
         chain = self.chain
         return (
-            f"{chain.name}: {len(chain.joints)} joints, {chain.base_frame} to {chain.end_frame}, "
-            f"{len(chain.parameters)} parameters, {int(self.free.sum())} free"
+            f"{chain.name}: {counted(len(chain.joints), 'joint')}, {chain.base_frame} to {chain.end_frame}, "
+            f"{counted(len(chain.parameters), 'parameter')}, {int(self.free.sum())} free"
         )
 
     @property

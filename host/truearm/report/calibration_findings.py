@@ -116,7 +116,7 @@ def _suggested(e: Estimate, names: Sequence[str]) -> str:
     if len(names) == int(e.free[: e.n_robot_parameters].sum()):
         return ""
     listed = escape(", ".join(names), 4000)
-    return f"<details><summary>the {len(names)} parameters that can be distinguished</summary><p>{listed}</p></details>"
+    return f"<details><summary>the {counted(len(names), 'parameter')} that can be distinguished</summary><p>{listed}</p></details>"
 
 
 def addition_list(additions: Sequence[Addition]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from truearm.kinds.registry import NAMES, kinds
-from truearm.text import with_article
+from truearm.text import counted, with_article
 from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
@@ -41,7 +41,7 @@ def unexplained_words(errors: Mapping[str, MeanError]) -> str:
         low, high = (number(value, si) for value in (error.low, error.high))
         parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
-    of = f"{n} poses held out" if held_out else f"{n} poses, each predicted without its own rows"
+    of = f"{counted(n, 'pose')} held out" if held_out else f"{counted(n, 'pose')}, each predicted without its own rows"
     return (
         f"The declared noise does not explain the residuals. Expect errors of {' and '.join(parts)}, the mean of {of}."
     )
@@ -65,7 +65,7 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool) -> str:
 def pose_error_words(error: PoseError) -> str:
     """Return a sentence about the error shared by the rows of one pose, which the sigmas include."""
     return (
-        f"Rows of one pose share an error of {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {error.n} poses with several rows). "
+        f"Rows of one pose share an error of {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {counted(error.n, 'pose')} with several rows). "
         "The sigmas include it."
     )
 

@@ -18,7 +18,7 @@ from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms
 from truearm.units import MM
 from truearm.workflows.calibration import Calibration, check_names, mounting_lines, read_calibration
@@ -99,7 +99,7 @@ def cost_lines(found: ExportedRobot) -> list[str]:
     if fitted.refitted:
         return [
             *lines,
-            f"Refitted over {fitted.left.size} poses. Error without what the file cannot hold or you do not adjust: {_of(fitted.dropped)};",
+            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without what the file cannot hold or you do not adjust: {_of(fitted.dropped)};",
             f"with the other parameters refitted to compensate: {_of(fitted.left)}.",
         ]
     if found.exact:

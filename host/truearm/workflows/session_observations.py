@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from truearm.errors import Argument, RigError, SessionError
-from truearm.text import one_line
+from truearm.text import counted, one_line
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
@@ -91,7 +91,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
     refuse_unfinished(session)
     if session.damage:
         said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
-        more = f" and in {len(session.damage) - SAID} places more" if len(session.damage) > SAID else ""
+        more = f" and in {counted(len(session.damage) - SAID, 'place')} more" if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or attached_rig(session, path)
     if rig is None:

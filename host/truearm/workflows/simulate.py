@@ -15,6 +15,7 @@ from truearm.box.readiness import LVDT_DRIFT
 from truearm.errors import Argument, InputError, LinkError
 from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
+from truearm.text import counted
 from truearm.units import MM
 from truearm.workflows.demo_steps import record_virtually
 from truearm.workflows.session_observations import Say
@@ -269,7 +270,9 @@ def _visits_of(world: World) -> str:
     """Return the robot, its visits, and their duration."""
     plan = world.controller.plan
     dwells, driven = int(plan.dwells.sum()), int(plan.lines.sum())
-    what = " and ".join([f"{dwells} poses"] * (dwells > 0) + [f"{driven} drives along lines"] * (driven > 0))
+    what = " and ".join(
+        [f"{counted(dwells, 'pose')}"] * (dwells > 0) + [f"{counted(driven, 'drive')} along lines"] * (driven > 0)
+    )
     return f"{world.chain.name}: {what}, {world.duration / 60:.0f} minutes"
 
 
