@@ -29,6 +29,7 @@ OUT = ROOT / "out" / "bench"
 WORKERS = ROOT / "bench" / "workers"
 VENVS = {"pybotics": ROOT / "build/bench-venv/pybotics", "figaroh": ROOT / "build/bench-venv/figaroh"}
 SMALL, LARGE, HUGE = (100, 800, 8_000), 80_000, 1_000_000
+MANY = 12_000
 LIMIT_S = 1800  # wall clock of one run
 ENV = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 FIELDS = ("problem", "program", "poses", "seconds", "us_a_pose", "peak_mb", "held_out_mm", "iterations", "status")
@@ -92,12 +93,12 @@ def row_of(case: Case, n: int, found: dict) -> dict:
     return row | {name: found.get(name) for name in FIELDS if name not in row}
 
 
-def run(venv: str, worker: str, what: str, kind: str, source: object, runs: int) -> dict:
+def run(venv: str, worker: str, *arguments: object) -> dict:
     """Return what a worker reports; seconds are inf if its venv is missing, it fails or it takes too long."""
     python = ROOT / venv / "bin" / "python"
     if not python.exists():
         return {"seconds": float("inf"), "status": "not installed"}
-    command = [str(python), f"{WORKERS / worker}.py", what, kind, str(source), str(runs)]
+    command = [str(python), f"{WORKERS / worker}.py", *map(str, arguments)]
     try:
         done = subprocess.run(command, env=ENV, capture_output=True, text=True, timeout=LIMIT_S)
     except subprocess.TimeoutExpired:
@@ -167,7 +168,12 @@ def commands() -> list[str]:
         write_inputs(*files)
         identify = [truearm, "identify", files[0], "--model", "puma560", "--rig", files[1]]
         seconds = {"truearm --help": least([truearm, "--help"]), "truearm identify, 800 rows": least(identify)}
-    return [f"- whole process, {name}: {s:.2f} s" for name, s in seconds.items()]
+    lines = [f"- whole process, {name}: {s:.2f} s" for name, s in seconds.items()]
+    for laws in ("none", "auto"):
+        found = run(".venv", "run_command", laws, MANY)
+        figures = f"{found['seconds']:.1f} s, {found.get('peak_mb', float('nan')):.0f} MB"
+        lines.append(f"- truearm identify --joint-laws {laws}, 3 positions at each of {MANY:,} poses: {figures}")
+    return lines
 
 
 def least(command: list[str], runs: int = 10) -> float:
