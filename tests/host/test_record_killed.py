@@ -25,7 +25,7 @@ LONGEST_S = 6.0
 
 
 def killed(folder, after_s):
-    """Return a recording that was killed this long after its file was created, what the box sent, and when it was killed."""
+    """Return a recording that was killed this long after the first byte in its file, what the box sent, and when it was killed."""
     out = folder / "s.mcap"
     (folder / "rig.toml").write_text(RIG)
     with box_on_a_socket() as (box, device):
@@ -43,7 +43,7 @@ def killed(folder, after_s):
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 30
-        while not out.exists() and time.monotonic() < deadline:
+        while not (out.exists() and out.stat().st_size) and time.monotonic() < deadline:
             time.sleep(0.002)
         time.sleep(after_s)
         at_ns = HostClock().now_ns()

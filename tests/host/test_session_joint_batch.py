@@ -12,7 +12,16 @@ from test_session_joint_readings import assert_same
 
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_readings import COLUMNS, JOINTS, JointReader, concatenate, pack, parse_lines, unpack
+from truearm.session.joint_readings import (
+    COLUMNS,
+    JOINTS,
+    JointReader,
+    concatenate,
+    pack,
+    parse_line,
+    parse_lines,
+    unpack,
+)
 from truearm.session.message_columns import columns_of
 from truearm.session.session_file import open_session
 from truearm.types import Message
@@ -63,6 +72,13 @@ def test_a_line_alone_says_the_same():
     assert {key: values.tolist() for key, values in batch.more.items()} == {"qd": [[0.0, 0.0]], "robot_mode": [7.0]}
 
 
+@pytest.mark.parametrize("more", ["", ', "current": [NaN]'], ids=["usual", "unusual"])
+@pytest.mark.parametrize("q", ["1e308", "-1e9", str(10**15)])
+def test_numbers_whose_differences_would_overflow_are_no_reading(q, more):
+    assert parse_line(f'{{"t": 1.0, "q": [{q}]{more}}}'.encode()) is None
+    assert parse_line(f'{{"t": 1.0, "q": [9e8]{more}}}'.encode()) is not None
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -73,6 +89,8 @@ def test_a_line_alone_says_the_same():
         {"q": np.array([1.0, 2.0, 3.0])},
         {"q": np.array([])},
         {"q": np.array([1.0, np.inf])},
+        {"q": np.array([1.0, 1e308])},
+        {"q_cmd": np.array([1.0, -1e308])},
         {"q": np.zeros(66)},
         {"seq": np.array([1.0, 2.0])},
         {"seq": np.array([2**62, 1])},

@@ -34,9 +34,12 @@ from truearm.types import Floats
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
 MAX_SEQ = 2**62
 MAX_JOINTS = 32
+MAX_Q = 1e9  # rad or m, and whatever else joints report: differences and squares of such numbers are finite
 UNNUMBERED = -MAX_SEQ  # seq of a reading without a number
 
-Joints = Annotated[list[float], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)]
+Joints = Annotated[
+    list[Annotated[float, msgspec.Meta(gt=-MAX_Q, lt=MAX_Q)]], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)
+]
 
 
 class Reading(NamedTuple):
@@ -71,7 +74,7 @@ _usual_line = msgspec.json.Decoder(JointLine).decode
 def parse_line(line: bytes) -> JointLine | None:
     """Parse a line; None if it is not a reading. Takes about 0.8 µs for six joints.
 
-    A reading is an object with finite numbers ``t`` and ``q``; ``seq`` is an integer if present. Other keys are
+    A reading is an object with a number ``t`` and numbers ``q`` below MAX_Q; ``seq`` is an integer if present. Other keys are
     ignored.
     """
     try:
@@ -127,8 +130,12 @@ def _unusual_line(line: bytes) -> JointLine | None:
 
 
 def are_joints(value: object) -> TypeGuard[list[float]]:
-    """Return whether a value is a list of 1 to MAX_JOINTS finite numbers."""
-    return isinstance(value, list) and 1 <= len(value) <= MAX_JOINTS and all(map(_finite, value))
+    """Return whether a value is a list of 1 to MAX_JOINTS numbers below MAX_Q."""
+    return (
+        isinstance(value, list)
+        and 1 <= len(value) <= MAX_JOINTS
+        and all(_finite(one) and abs(one) < MAX_Q for one in value)
+    )
 
 
 def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object) -> bytes:
@@ -288,7 +295,7 @@ def unpack(data: bytes) -> JointBatch | None:
     if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
         return None
     good = np.all((t >= 0.0) & (t < MAX_T_S)) and np.all((seq >= UNNUMBERED) & (seq < MAX_SEQ))
-    good &= np.all(np.isfinite(q)) and np.all(inputs >= NO_INPUTS)
+    good &= np.all(np.abs(q) < MAX_Q) and not np.any(np.abs(q_cmd) >= MAX_Q) and np.all(inputs >= NO_INPUTS)
     return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None
 
 
