@@ -6,10 +6,14 @@ import shutil
 import sys
 
 import pytest
+from hypothesis import settings
 
 # The matrices are small: threads inside the linear algebra cost several times what they gain. Set before numpy is
 # imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A busy machine is no failure: what is fast enough is measured in bench/.
+settings.register_profile("no deadline", settings(), deadline=None)
+settings.load_profile("no deadline")
 # Folders with long files, about a minute each. They run first, so that no worker is left alone with one at the end.
 LONG = ("recipes", "end_to_end", "chip", "firmware")
 
