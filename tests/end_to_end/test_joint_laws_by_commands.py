@@ -67,7 +67,9 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
 
     def corrected(result, *method):
         """Return errors of the true tool [mm] and their expected values, k = 1 [mm]."""
-        document = json.loads(run("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--json"))
+        document = json.loads(
+            run("correct", result, "targets.csv", *method, "--out", "corrected.csv", "--force", "--json")
+        )
         with open("corrected.csv", encoding="utf-8") as file:
             rows = [[float(row[f"q{k}_deg"]) for k in range(1, 7)] for row in csv.DictReader(file)]
         error = ((true_end(np.radians(rows)) - targets) @ TOOL)[:, :3]
