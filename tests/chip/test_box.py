@@ -7,6 +7,7 @@ import cbor2
 import numpy as np
 import pytest
 
+from tests.host.test_box_config import default
 from tests.wire_frames import command
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, make_flash, read_flash
@@ -261,7 +262,9 @@ def test_time_goes_on_where_counters_wrap(power_on, wrap):
 
 
 def test_a_host_that_stalls_or_leaves_costs_what_the_ring_does_not_hold_and_it_is_counted(power_on):
-    chip = power_on()
+    chip = power_on(
+        config=default() | {"trigger_ms": [0, 0]}
+    )  # an edge sent between frames lets the ring fill once more
     chip.boot()
     chip.ask(CONFIGURE, 1, 0, ms=20)
     chip.ask(START, ms=10)

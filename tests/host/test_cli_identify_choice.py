@@ -65,11 +65,11 @@ def test_the_seed_decides_the_draw() -> None:
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        (["place=d"], r"no row has that place; there is a, b, c"),
-        (["d"], r"no place or shell has that name; there is place=a, place=b, place=c"),
+        (["place=d"], r"the table has no row with that place; it has a, b, c"),
+        (["d"], r"no place or shell has that name; it has place=a, place=b, place=c"),
         (["shell=s61"], "the observations have no shell column"),
         (["colour=a"], "'colour' is not a group"),
-        (["place="], "no row has that place"),
+        (["place="], "the table has no row with that place"),
         ([""], "no place or shell has that name"),
         (["0.2", "a"], "not both"),
         (["0.2", "0.3"], "not both"),

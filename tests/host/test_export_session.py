@@ -286,7 +286,9 @@ class TestRefusals:
         assert "create it first" in self.refused(capsys, made[1], "--out", tmp_path / "a" / "b")
 
     def test_a_format_that_is_none(self, made, tmp_path, capsys):
-        assert "none of csv, npz, parquet" in self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx")
+        assert "'xlsx' is not one of csv, npz, parquet" in self.refused(
+            capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx"
+        )
 
     def test_parquet_without_its_library(self, made, tmp_path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "pyarrow", None)
