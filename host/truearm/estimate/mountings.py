@@ -36,7 +36,7 @@ from scipy import special
 from scipy.linalg import cho_factor, cho_solve
 
 from truearm.estimate.prior import weak_prior, wide_prior
-from truearm.estimate.problem import build_problem
+from truearm.estimate.problem import blocks, build_problem
 from truearm.model.chain import Chain
 from truearm.progress import steps_of
 from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig
@@ -340,11 +340,11 @@ class _Fit:
         self._linearise()
 
     def _linearise(self) -> None:
-        (group,) = (group for group in self.problem.groups if group.row is not None)
-        assert group.row is not None
-        lin = group.evaluate(self.problem.chain, self.x)
         residual, jac = np.empty(self.n * self.k), np.empty((self.n * self.k, int(self.columns.sum())))
-        residual[group.row], jac[group.row] = lin.residual, lin.jac_params[:, self.columns]
+        for group in blocks(self.problem):
+            if group.row is not None:
+                lin = group.evaluate(self.problem.chain, self.x)
+                residual[group.row], jac[group.row] = lin.residual, lin.jac_params[:, self.columns]
         self.residual, self.jac = residual.reshape(self.n, self.k), jac.reshape(self.n, self.k, -1)
 
     def _weighted(self, probability: Floats) -> tuple[Indices, Floats]:

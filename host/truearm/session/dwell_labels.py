@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.session.dwells import MOUNTING, Dwell
-from truearm.session.plan_matching import Marks, Plan, match_plan, nearest_pose
+from truearm.session.plan_matching import Marks, Plan, match_plan, near_poses, nearest_pose
 from truearm.types import BAR_MOUNTED, DwellLabel
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
@@ -41,9 +41,10 @@ def may_be_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> tu
     """Return the numbers of the stops that are complete and, if there is a plan, at one of its poses."""
     plan = marks.plan()
     whole = [i for i, dwell in enumerate(dwells) if not dwell.reason]
-    if plan is None:
+    if plan is None or not whole:
         return tuple(whole)
-    return tuple(i for i in whole if 0.0 <= nearest_pose(dwells[i].q, plan)[1] <= tolerance)
+    near = near_poses(np.array([dwells[i].q for i in whole]), plan, tolerance)
+    return tuple(i for i, (poses, _) in zip(whole, near, strict=True) if poses.size)
 
 
 def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> list[Said]:
@@ -52,12 +53,12 @@ def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
     near, planned = _of_plan(dwells, plan, tolerance)
     times = [t for t, _ in marks.mountings]
     ends = [bisect_right(times, dwell.start_host_ns) for dwell in dwells]
+    words = [pairing_of(mounted) for _, mounted in marks.mountings]
     said = []
     for k, end in enumerate(ends):
-        words = [pairing_of(mounted) for _, mounted in marks.mountings[:end]]
-        since = words[ends[k - 1] if k else 0 :]
+        since = words[ends[k - 1] if k else 0 : end]
         typed = tuple(pairing for pairing in since if pairing is not None)
-        confirmed = words[-1] if words else None
+        confirmed = words[end - 1] if end else None
         said.append(Said(tuple(rows[pose] for pose in near[k]), planned[k], typed, confirmed))
     return said
 
@@ -72,9 +73,9 @@ def _of_plan(
     q = np.array([dwell.q for dwell in dwells])
     matches = match_plan(q, plan, tolerance, [{}] * len(dwells))
     near, planned = [], nothing
-    for k, pose in enumerate(matches.poses):
-        away = np.max(np.abs(plan.q - q[k]), axis=1)
-        poses = [int(p) for p in np.argsort(away, kind="stable") if away[p] <= tolerance]
+    found_near = near_poses(q, plan, tolerance)
+    for k, (pose, (within, away)) in enumerate(zip(matches.poses, found_near, strict=True)):
+        poses: list[int] = within[np.argsort(away, kind="stable")].tolist()
         near.append(sorted(poses, key=lambda p: p != pose))
         if pose is not None:
             alike = poses if k in matches.ambiguous else [pose]

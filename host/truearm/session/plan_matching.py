@@ -20,12 +20,13 @@ Legs are assigned to lines in the same way, by the plan or by what was said to b
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import RigError
 from truearm.session.joint_readings import MAX_JOINTS
@@ -33,6 +34,7 @@ from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, Pass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig
 
+Indices = NDArray[np.intp]
 NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)
 FITTINGS = (*NAMED, "shell")
 MAX_NAME = 64
@@ -158,21 +160,32 @@ def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
     return int(np.argmin(distance)), float(np.min(distance))
 
 
-def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
-    """Return the near pairs by dwell, then by pose."""
+def near_poses(q: Floats, plan: Plan, tolerance: float) -> Iterator[tuple[Indices, Floats]]:
+    """Yield the planned poses within ``tolerance`` of each mean reading q (d, j), in the plan's order, and their distances.
+
+    The distance is that of the joint that is farthest away. There are none if the plan has another number of joints.
+    """
     if not len(q) or q.shape[1] != plan.q.shape[1]:
-        return []
-    order = np.argsort(plan.q[:, 0])
+        yield from [(np.zeros(0, dtype=np.intp), np.zeros(0))] * len(q)
+        return
+    order = np.argsort(plan.q[:, 0])  # candidates are within tolerance at the first joint
     first, last = (
         np.searchsorted(plan.q[order, 0], q[:, 0] + side) for side in (-WIDER * tolerance, WIDER * tolerance)
     )
-    scale = REPEAT / (tolerance * (len(q) + 1))
-    pairs = []
     for dwell in range(len(q)):
         poses = np.sort(order[first[dwell] : last[dwell]])
         away = np.max(np.abs(plan.q[poses] - q[dwell]), axis=1, initial=0.0)
+        near = away <= tolerance
+        yield poses[near], away[near]
+
+
+def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
+    """Return the near pairs by dwell, then by pose."""
+    scale = REPEAT / (tolerance * (len(q) + 1))
+    pairs = []
+    for dwell, (poses, away) in enumerate(near_poses(q, plan, tolerance)):
         for pose, distance in zip(poses.tolist(), away.tolist(), strict=True):
-            if distance <= tolerance and not contradict(said[dwell], plan.mounted[pose]):
+            if not contradict(said[dwell], plan.mounted[pose]):
                 pairs.append(_Pair(dwell, pose, scale * (tolerance - distance)))
     return pairs
 

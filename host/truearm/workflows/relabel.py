@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -172,22 +173,27 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
     return parts, rig, Readings(*map(np.concatenate, zip(*((r.q, r.extension, r.beyond) for r in some), strict=True)))
 
 
-def _of_survey(rig: Rig, found: Survey) -> tuple[tuple[int, ...], tuple[Said, ...], Readings]:
+def _of_survey(
+    rig: Rig, found: Survey, parts: Sequence[range] | None = None
+) -> tuple[tuple[int, ...], tuple[Said, ...], Readings]:
     """Return the stops that may be dwells of the plan, the statements about each, and the sensor readings.
 
-    Every stop is measured as if one bar had been mounted all the time: the sensor readings do not depend on it.
+    ``parts``: only of stops with these numbers. Each is measured as if one bar had been mounted all the time: the sensor
+    readings do not depend on it.
     """
     from truearm.session.dwells import DwellRules
     from truearm.session.observations import observations
 
     tolerance = DwellRules().pose_tolerance
-    good = may_be_dwells(found.dwells, found.marks, tolerance)
-    said = said_of_dwells([found.dwells[i] for i in good], found.marks, tolerance)
+    every = may_be_dwells(found.dwells, found.marks, tolerance)
+    of_every = said_of_dwells([found.dwells[i] for i in every], found.marks, tolerance)
+    some = [k for k, i in enumerate(every) if parts is None or any(i in part for part in parts)]
+    good, said = tuple(every[k] for k in some), tuple(of_every[k] for k in some)
     longest = max(rig.bars.values(), key=lambda bar: bar.travel).name
     mounted = dict(zip(BAR_MOUNTED, (longest, next(iter(rig.chucks)), next(iter(rig.spheres))), strict=True))
     labels = [DwellLabel(found.dwells[i].start_host_ns, found.dwells[i].end_host_ns, mounted) for i in good]
     measured = observations(lambda: iter(()), rig, found=found, labels=labels)
-    return good, tuple(said), readings_of(rig, [measured.dwells[i] for i in good])
+    return good, said, readings_of(rig, [measured.dwells[i] for i in good])
 
 
 def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
@@ -301,8 +307,8 @@ def _row(part: Part, k: int, label: DwellLabel, readings: Readings, at: int) -> 
 def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.bool_]:
     """Return the rows (n,) of a session's table with labels that the readings support, given the nominal robot.
 
-    Rows that are not dwells are included. If all dwells fit their labels, nothing else is checked. Otherwise all
-    evidence must support a label, weighed as in ``relabel``.
+    Rows that are not dwells are included. A session is judged AT_ONCE dwells at a time. If all of these fit their labels,
+    nothing else is checked. Otherwise all evidence about them must support a label, weighed as in ``relabel``.
     """
     from truearm.workflows.identify import default_free
 
@@ -313,12 +319,18 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     dwells = [result.dwells[i] for i in used]
     labels = [(d.mounted["bar"], d.mounted["chuck"], d.mounted["sphere"]) for d in dwells]
     readings, free = readings_of(rig, dwells), default_free(robot)
-    parts = [slice(first, first + AT_ONCE) for first in range(0, len(used), AT_ONCE)]
-    support = [label_support(robot.chain, rig, readings.take(part), labels[part], free) for part in parts]
-    if (np.concatenate(support) >= FITS).all():
+    doubtful = list[slice]()
+    for first in range(0, len(used), AT_ONCE):
+        rows = slice(first, min(first + AT_ONCE, len(used)))
+        if (label_support(robot.chain, rig, readings.take(rows), labels[rows], free) < FITS).any():
+            doubtful.append(rows)
+    if not doubtful:
         return out
-    good, said, every = _of_survey(rig, result.survey)
-    found = _evidence(robot, rig, every, said)
-    for row, (i, label) in enumerate(zip(used, labels, strict=True)):
-        out[row] = found.supports(good.index(i), label)
+    spans = [range(used[rows.start], used[rows.stop - 1] + 1) for rows in doubtful]
+    good, said, every = _of_survey(rig, result.survey, spans)
+    for rows, span in zip(doubtful, spans, strict=True):
+        part = slice(bisect_left(good, span.start), bisect_left(good, span.stop))
+        found = _evidence(robot, rig, every.take(part), said[part])
+        at = {i: k for k, i in enumerate(good[part])}
+        out[rows] = [found.supports(at[i], label) for i, label in zip(used[rows], labels[rows], strict=True)]
     return out
