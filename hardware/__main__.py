@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from hardware import kicad, outputs, spice_check
+from hardware import kicad, outputs, part_check, spice_check
 from hardware.box import sheets
 from hardware.netlist import Netlist, from_kicad
 from hardware.netlist_check import findings
@@ -49,6 +49,7 @@ def check() -> int:
     """Run all checks. Returns 0 if all pass, 1 if one fails, 3 if those that need KiCad or ngspice could not be run."""
     made = netlist(sheets())
     failed = [f"netlist: {text}" for text in findings(made)]
+    failed += [f"part number: {text}" for text in part_check.findings(made)]
     failed += [
         f"{path.relative_to(outputs.ROOT)} is not what python -m hardware make writes" for path in outputs.stale()
     ]

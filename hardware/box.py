@@ -19,6 +19,8 @@ from hardware.parts import (
     NPN_SOT223,
     OPA2388,
     PICO,
+    PNP_SOT23,
+    PNP_SOT223,
     TERMINALS,
     TS5A23159,
     TVS,
@@ -74,22 +76,25 @@ def pico() -> Sheet:
     s.via("RAIL_5V", (80, 26), (85, 26))
     s.note((78, 19), "5 V monitor: a third of VBUS")
 
-    s.note((70, 46), "Thermometers: DS18B20, any number on one wire")
-    s.add("R3", R, "4.7k", (76, 52), ("+3V3", "THERMOMETER"), down=True)
+    s.note((70, 54), "Thermometers: DS18B20, up to eight on one wire")
     s.add("D1", BAT54S, "BAT54S", (82, 57), {"1": "GND", "2": "+3V3", "3": "THERMOMETER"})
-    s.via("THERMOMETER", (76, 58))
     s.add("R4", R, "220R", (90, 62), ("THERMOMETER", "DQ_CLAMPED"))
-    s.via("THERMOMETER", (76, 62))
+    s.via("THERMOMETER", (81, 62))
+    s.add("R3", R, "4.7k", (95, 57), ("+3V3", "DQ_CLAMPED"), down=True)
+    s.via("DQ_CLAMPED", (95, 62), (97, 62))
     s.add("D2", TVS, "SMAJ5.0A", (97, 65), ("DQ_CLAMPED", "GND"), down=True)
-    s.via("DQ_CLAMPED", (97, 62))
-    s.add("F1", FUSE, "0.1A 60V", (101, 62), ("DQ_CLAMPED", "DQ"))
-    s.add("D3", DIODE, "BAT54", (82, 74), ("THERMOMETER_5V", "VBUS"), flip=True)
-    s.add("R5", R, "100R", (89, 74), ("THERMOMETER_5V", "TV_CLAMPED"))
-    s.add("D4", TVS, "SMAJ5.0A", (97, 77), ("TV_CLAMPED", "GND"), down=True)
-    s.via("TV_CLAMPED", (97, 74))
-    s.add("C2", C, "100n", (94, 77), ("TV_CLAMPED", "GND"), down=True)
-    s.via("TV_CLAMPED", (94, 74))
-    s.add("F2", FUSE, "0.1A 60V", (101, 74), ("TV_CLAMPED", "TV"))
+    s.add("R51", R, "499R 3W", (101, 62), ("DQ_CLAMPED", "DQ"))
+    s.note((70, 72), "Their supply: 13 mA at most, however it is shorted; D3 blocks a higher voltage")
+    s.add("R5", R, "47R", (70, 75), ("VBUS", "TV_SENSE"))
+    s.add("Q4", PNP_SOT23, "BC857C", (78, 78), {"1": "TV_SENSE", "2": "VBUS", "3": "TV_BASE"})
+    s.add(
+        "Q3", PNP_SOT223, "BCP53-16", (88, 74), {"1": "TV_BASE", "3": "TV_SENSE", "2": "TV_LIMITED", "4": "TV_LIMITED"}
+    )
+    s.add("R52", R, "10k", (82, 84), ("TV_BASE", "GND"), down=True)
+    s.add("D3", DIODE, "SS16", (96, 76), ("TV", "TV_LIMITED"), flip=True)
+    s.add("D4", TVS_BOTH, "SMAJ33CA", (102, 79), ("TV", "GND"), down=True)
+    s.add("C2", C, "100n", (109, 79), ("TV", "GND"), down=True)
+    s.via("TV", (102, 76), (109, 76))
     s.add("J1", *terminals(3), (112, 66), {"1": "TV", "2": "DQ", "3": "GND"}, note="thermometers: supply, data, 0 V")
     return s
 
@@ -167,15 +172,19 @@ def lvdt() -> Sheet:
     s.add("R21", R, "10k", (8, 19), ("HALF", "GND"), down=True)
     s.add("C16", C, "1u", (13, 19), ("HALF", "GND"), down=True)
     s.via("HALF", (8, 18), (13, 18))
-    s.note((30, 18), "Excitation: three poles at 2.4 kHz make the Pico's square wave a sine of 1 V peak")
+    s.note(
+        (30, 18),
+        "Excitation: a pole at 1 kHz and a resonance at 2.5 kHz make the Pico's square wave a sine of 1 V peak",
+    )
     s.add("R22", R, "6.8k", (8, 30), ("EXCITATION", "EXC_1"))
-    s.add("C17", C, "10n C0G", (13, 32), ("EXC_1", "GND"), down=True)
+    s.add("R55", R, "10k", (6, 32), ("EXCITATION", "GND"), down=True, note="without a Pico")
+    s.add("C17", C, "22n C0G", (13, 32), ("EXC_1", "GND"), down=True)
     s.via("EXC_1", (13, 30))
     s.add("R23", R, "20k", (15, 30), ("EXC_1", "EXC_2"))
     s.via("EXC_2", (20, 30))
-    s.add("C18", C, "4.7n C0G", (20, 26), ("EXC_OUT", "EXC_2"), down=True)
+    s.add("C18", C, "10n C0G", (20, 26), ("EXC_OUT", "EXC_2"), down=True)
     s.add("R24", R, "20k", (22, 30), ("EXC_2", "EXC_3"))
-    s.add("C19", C, "2.2n C0G", (27, 32), ("EXC_3", "GND"), down=True)
+    s.add("C19", C, "1n C0G", (27, 32), ("EXC_3", "GND"), down=True)
     s.via("EXC_3", (27, 30))
     amplifier = {"3": "EXC_3", "2": "EXC_OUT", "1": "EXC_OUT", "5": "HALF", "6": "MIDDLE", "7": "MIDDLE"}
     s.add("U4", OPA2388, "OPA2388", (37, 29), amplifier | {"8": "AVDD", "4": "GND"})
@@ -214,7 +223,7 @@ def lvdt() -> Sheet:
     for k, y in ((1, 64), (2, 80)):
         wire, inner = f"LVDT_S{k}", f"SEC_{k}"
         s.add(f"D{15 + 2 * k}", TVS_BOTH, "SMAJ33CA", (8, y + 2), (wire, "GND"), down=True)
-        s.add(f"R{29 + 2 * k}", R, "100k", (15, y + 2), (wire, "MIDDLE"), down=True)
+        s.add(f"R{29 + 2 * k}", R, "1M", (15, y + 2), (wire, "MIDDLE"), down=True)
         s.via(wire, (8, y), (15, y))
         s.add(f"R{30 + 2 * k}", R, "10k 0.1%", (19, y), (wire, inner))
         s.add(f"C{21 + 2 * k}", C, "100p C0G", (25, y + 2), (inner, "GND"), down=True)
@@ -229,6 +238,8 @@ def lvdt() -> Sheet:
     s.add("C24", C, "100n", (60, 76), ("AVDD", "GND"), down=True, note="close to U5")
 
     s.note((90, 46), "Reversing switches: a square wave turns the signal's sign, the filter takes its mean")
+    for k, clock in enumerate(("DEMODULATE_S", "DEMODULATE_P")):
+        s.add(f"R{53 + k}", R, "10k", (98, 66 + 24 * k), (clock, "GND"), down=True, note="without a Pico")
     for ref, y, hot, cold, clock, channel, first in (
         ("U6", 52, "BUF_1", "BUF_2", "DEMODULATE_S", 0, 36),
         ("U7", 76, "CURRENT", "MIDDLE", "DEMODULATE_P", 3, 38),
@@ -295,7 +306,7 @@ def triggers() -> Sheet:
     s.note((8, 62), "Trigger out: conducts from 1 to 2 while TRIGGER_OUT is high, 20 mA at most")
     s.add("R45", R, "510R", (40, 71), ("TRIGGER_OUT", "OPTO_A"))
     s.add("U11", VO615A, "VO615A-3", (50, 70), {"1": "OPTO_A", "2": "GND", "4": "TO_OPTO_C", "3": "TO_BASE"})
-    s.add("R46", R, "4.7k", (62, 68), ("TO_SWITCHED", "TO_OPTO_C"), down=True)
+    s.add("R46", R, "10k", (62, 68), ("TO_SWITCHED", "TO_OPTO_C"), down=True)
     s.via("TO_OPTO_C", (59, 71), (62, 71))
     s.add(
         "Q1",

@@ -19,10 +19,47 @@ ADC_OHM = 330e3  # ADS131M04, gains 1, 2 and 4, typical
 ADC_OHM_TOLERANCE = 0.2  # assumed: the data sheet gives only a typical value
 ADC_NOISE_V = 3.38e-6  # rms at gain 1, OSR 4096
 ADC_REFERENCE_V = 1.2
-# For the simulated LVDT at full travel; hardware/spice_check.py compares them with the simulation.
-SECONDARY_V, PRIMARY_V = 0.151, 0.140
-RATIO_PER_50_OHM = 0.0003  # maximum change of the ratio by 50 Ω in the primary
-RATIO_PER_EXCITATION = 0.00005  # maximum change by 20 % of excitation
+# Limits of the ratio's errors, relative to full travel: hardware/lvdt_check.py holds all LVDTs of the range against them.
+RATIO_LINEARITY = 0.0005
+RATIO_PER_50_OHM = 0.0005  # 10 → 60 Ω in the primary
+RATIO_PER_EXCITATION = 0.0001  # ±20 % of excitation
+
+
+@dataclass(frozen=True)
+class Lvdt:
+    """An LVDT: inductances [H] and resistances [Ω] of the primary and of each secondary; simulated voltages at full
+    travel.
+    """
+
+    name: str
+    primary_h: float
+    primary_ohm: float
+    secondary_h: float
+    secondary_ohm: float
+    primary_v: float
+    secondary_v: float
+
+    @property
+    def primary_impedance(self) -> float:
+        """Ω at the excitation's frequency."""
+        return math.hypot(self.primary_ohm, 2 * math.pi * EXCITATION_HZ * self.primary_h)
+
+    @property
+    def secondary_impedance(self) -> float:
+        """Ω of one secondary at the excitation's frequency."""
+        return math.hypot(self.secondary_ohm, 2 * math.pi * EXCITATION_HZ * self.secondary_h)
+
+
+# The range that docs/how-to/hardware.md states: its ends and its middle. The first is the one of the error budget.
+LVDTS = (
+    Lvdt("of 300 Ω", 20e-3, 40, 30e-3, 150, 0.1618, 0.1732),
+    Lvdt("of 100 Ω, small secondaries", 6.3e-3, 10, 10e-3, 50, 0.1494, 0.0515),
+    Lvdt("of 100 Ω, large secondaries", 6.3e-3, 10, 60e-3, 300, 0.1494, 0.1266),
+    Lvdt("of 200 Ω", 12e-3, 60, 30e-3, 150, 0.15, 0.124),
+    Lvdt("of 1 kΩ, large secondaries", 62e-3, 60, 60e-3, 300, 0.1169, 0.3115),
+    Lvdt("of 2 kΩ, small secondaries", 125e-3, 60, 10e-3, 50, 0.0641, 0.0983),
+    Lvdt("of 2 kΩ, large secondaries", 125e-3, 60, 60e-3, 300, 0.064, 0.2411),
+)
 
 
 def value(netlist: Netlist, ref: str) -> float:

@@ -2,8 +2,8 @@
 
 The pin tables come from KiCad 9's own symbol libraries where ``symbol`` names one (``make hardware-check`` compares
 them again), and otherwise from the sources in ``source``. No manufacturer's site could be reached when this was
-written. Compare with the data sheets before ordering the first board, starting with LTC2863, BCP56 and BC847, which
-have no independent symbol here.
+written. Compare with the data sheets before ordering the first board, starting with LTC2863 and the transistors,
+which have no independent symbol here.
 """
 
 from __future__ import annotations
@@ -118,6 +118,11 @@ DATA_SHEETS = {
         pins("1 B, 2 C, 3 E, 4 C"), "Nexperia BCP56: 80 V, 1 A (SOT-223)", ground="E", limits={"C": (-5.0, 80.0)}
     ),
     "BC847": DataSheet(pins("1 B, 2 E, 3 C"), "Nexperia BC847: 45 V (SOT-23)", ground="E", limits={"C": (-5.0, 45.0)}),
+    # the supply of the thermometers ends at +-30 V: limits of a PNP are those of its collector
+    "BCP53": DataSheet(
+        pins("1 B, 2 C, 3 E, 4 C"), "Nexperia BCP53: 80 V, 1 A (SOT-223)", ground="E", limits={"C": (-80.0, 5.0)}
+    ),
+    "BC857": DataSheet(pins("1 B, 2 E, 3 C"), "Nexperia BC857: 45 V (SOT-23)", ground="E", limits={"C": (-45.0, 5.0)}),
     "BAT54S": DataSheet(
         pins("1 A1, 2 K2, 3 MID"), "two diodes in series, 30 V, 200 mA: 1 to 3 and 3 to 2", "Diode:BAT54S"
     ),

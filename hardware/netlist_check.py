@@ -37,7 +37,6 @@ KINDS = (
     ("SMAJ33CA", "TVS_BOTH"),
     ("SMAJ5.0A", "TVS"),
     ("SS", "DIODE"),
-    ("BAT54L", "DIODE"),
 )
 POLARISED = ("DIODE", "TVS")
 

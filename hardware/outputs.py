@@ -62,11 +62,16 @@ def parts_list(made: list[Sheet]) -> str:
         rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["quantity", "references", "value", "manufacturer", "part number", "source and date", "price"])
+    writer.writerow(
+        ["quantity", "references", "value", "manufacturer", "part number", "package", "source and date", "price"]
+    )
+    for refs in rows.values():
+        refs.sort(key=lambda ref: (ref[0], int(ref[1:])))
     for (kind, value, fitted), refs in sorted(rows.items(), key=lambda item: item[1][0]):
         maker, number = CATALOGUE[kind, value]
         quantity = str(len(refs)) if fitted else f"0 ({len(refs)} for 4-20 mA)"
-        writer.writerow([quantity, " ".join(refs), value, maker, number, tables.SOURCE, "unpriced"])
+        package, source = tables.package_of(number), tables.source_of(number)
+        writer.writerow([quantity, " ".join(refs), value, maker, number, package, source, "unpriced"])
     return out.getvalue()
 
 

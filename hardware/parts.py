@@ -121,6 +121,8 @@ ISO1211 = chip(
 VO615A = chip("VO615A-3", "1 A passive\n2 K passive", "4 C passive\n3 E passive", 5)
 NPN_SOT223 = chip("BCP56-16", "1 B input", "2 C passive\n3 E passive\n4 TAB passive", 3)
 NPN_SOT23 = chip("BC847C", "1 B input", "3 C passive\n2 E passive", 3)
+PNP_SOT223 = chip("BCP53-16", "1 B input", "3 E passive\n2 C passive\n4 TAB passive", 3)
+PNP_SOT23 = chip("BC857C", "1 B input", "2 E passive\n3 C passive", 3)
 
 _PICO_GROUNDS = ("8", "13", "18", "23", "28", "38")
 
@@ -165,7 +167,7 @@ CATALOGUE: dict[tuple[str, str], tuple[str, str]] = {
     ("R", "10R pulse"): ("Panasonic", "ERJ-P08F10R0V"),
     ("R", "22R"): ("Panasonic", "ERJ-6ENF22R0V"),
     ("R", "33R"): ("Panasonic", "ERJ-6ENF33R0V"),
-    ("R", "100R"): ("Panasonic", "ERJ-6ENF1000V"),
+    ("R", "47R"): ("Panasonic", "ERJ-6ENF47R0V"),
     ("R", "220R 0.1%"): ("Panasonic", "ERA-6AEB221V"),
     ("R", "120R"): ("Panasonic", "ERJ-6ENF1200V"),
     ("R", "220R"): ("Panasonic", "ERJ-6ENF2200V"),
@@ -180,12 +182,9 @@ CATALOGUE: dict[tuple[str, str], tuple[str, str]] = {
     ("R", "10k"): ("Panasonic", "ERJ-6ENF1002V"),
     ("R", "10k 0.1%"): ("Panasonic", "ERA-6AEB103V"),
     ("R", "20k"): ("Panasonic", "ERJ-6ENF2002V"),
-    ("R", "100k"): ("Panasonic", "ERJ-6ENF1003V"),
     ("R", "1M"): ("Panasonic", "ERJ-6ENF1004V"),
     ("C", "100p C0G"): ("Murata", "GRM2165C1H101JA01D"),
     ("C", "1n C0G"): ("Murata", "GRM2165C1H102JA01D"),
-    ("C", "2.2n C0G"): ("Murata", "GRM2165C1H222JA01D"),
-    ("C", "4.7n C0G"): ("Murata", "GRM2165C1H472JA01D"),
     ("C", "10n C0G"): ("Murata", "GRM2195C1H103JA01D"),
     ("C", "10n C0G 100V"): ("Murata", "GRM3195C2A103JA01D"),
     ("C", "22n C0G"): ("Murata", "GRM21B5C1H223JA01L"),
@@ -194,13 +193,11 @@ CATALOGUE: dict[tuple[str, str], tuple[str, str]] = {
     ("C", "1u"): ("Murata", "GRM21BR71E105KA99L"),
     ("C", "10u 25V"): ("Murata", "GRM31CR71E106KA12L"),
     ("C", "10u 50V"): ("Murata", "GRM32ER71H106KA12L"),
-    ("FUSE", "0.1A 60V"): ("Bourns", "MF-MSMF010-2"),
-    ("FUSE", "0.2A 60V"): ("Bourns", "MF-SM020/60-2"),
-    ("FUSE", "0.5A 60V"): ("Bourns", "MF-SM050/60-2"),
+    ("FUSE", "0.2A 60V"): ("Bourns", "MF-MSMF020/60-2"),
+    ("FUSE", "0.5A 60V"): ("Bourns", "MF-SM050-2"),
     ("BEAD", "600R"): ("Murata", "BLM21AG601SN1D"),
     ("DIODE", "SS36"): ("onsemi", "SS36"),
     ("DIODE", "SS16"): ("onsemi", "SS16"),
-    ("DIODE", "BAT54"): ("onsemi", "BAT54LT1G"),
     ("TVS", "SMAJ5.0A"): ("Littelfuse", "SMAJ5.0A"),
     ("TVS_BOTH", "SMAJ33CA"): ("Littelfuse", "SMAJ33CA"),
     ("BAT54S", "BAT54S"): ("onsemi", "BAT54SLT1G"),
@@ -213,6 +210,8 @@ CATALOGUE: dict[tuple[str, str], tuple[str, str]] = {
     ("VO615A-3", "VO615A-3"): ("Vishay", "VO615A-3"),
     ("BCP56-16", "BCP56-16"): ("Nexperia", "BCP56-16,115"),
     ("BC847C", "BC847C"): ("Nexperia", "BC847C,215"),
+    ("BCP53-16", "BCP53-16"): ("Nexperia", "BCP53-16,115"),
+    ("BC857C", "BC857C"): ("Nexperia", "BC857C,215"),
     ("RASPBERRY_PI_PICO", "Raspberry Pi Pico H"): ("Raspberry Pi", "SC0917"),
     **{
         (f"TERMINAL_{ways}", f"MKDS 1,5/{ways}-5,08"): ("Phoenix Contact", number)

@@ -17,6 +17,7 @@ from pathlib import Path
 from hardware.datasheets import DataSheet, data_sheet
 from hardware.kicad import Tools
 from hardware.netlist import Netlist, quantity
+from hardware.part_numbers import Rating, decode
 
 ADC_OHM = 330e3  # ADS131M04 between the inputs of a channel, gains 1, 2 and 4
 MODELS = """
@@ -27,6 +28,8 @@ MODELS = """
 .model DTVS33 D(IS=1e-12 N=1.1 RS=0.3 BV=37.5 IBV=1m CJO=300p)
 .model QSMALL NPN(IS=2e-14 BF=250 VAF=80 RB=20 CJE=8p CJC=4p TF=0.4n)
 .model QPOWER NPN(IS=5e-14 BF=130 VAF=100 RB=5 CJE=60p CJC=15p TF=1n)
+.model QPSMALL PNP(IS=2e-14 BF=250 VAF=80 RB=20 CJE=8p CJC=4p TF=0.4n)
+.model QPPOWER PNP(IS=5e-14 BF=130 VAF=100 RB=5 CJE=60p CJC=15p TF=1n)
 .model LED D(IS=1e-13 N=2 RS=3)
 .model SWITCH SW(VT=1.65 VH=0.1 RON=1 ROFF=1e9)
 .subckt OPAMP inp inn out vcc vee
@@ -60,12 +63,18 @@ R1 sense fgnd 1e6
 """
 
 
+TRANSISTORS = {"BCP56": "QPOWER", "BC847": "QSMALL", "BCP53": "QPPOWER", "BC857": "QPSMALL"}
+
+
 @dataclass(frozen=True)
 class Circuit:
-    """A netlist for simulation. ``fitted``: positions that are empty on the board and filled here."""
+    """A netlist for simulation. ``fitted``: positions that are empty on the board and filled here. ``tripped``: fuses
+    that have tripped; the others have their lowest resistance.
+    """
 
     netlist: Netlist
     fitted: frozenset[str] = frozenset()
+    tripped: frozenset[str] = frozenset()
 
     def node(self, ref: str, function: str) -> str:
         """Return the SPICE node of a pin, by the data sheet's name or a terminal's number."""
@@ -91,13 +100,16 @@ class Circuit:
             return [f"C{ref} {a} {b} {quantity(value):g}"]
         if mpn.startswith(("ER", "RS02", "BLM")):
             return [f"R{ref} {a} {b} {quantity(value) if mpn[0] != 'B' else 0.5:g}"]
-        if mpn.startswith("MF-"):  # cold, the lowest resistance
-            return [f"R{ref} {a} {b} 0.7"]
+        if mpn.startswith("MF-"):
+            fuse = rating_of(mpn)
+            return [
+                f"R{ref} {a} {b} {fuse.volts**2 / fuse.tripped_watts if ref in self.tripped else fuse.lowest_ohm:g}"
+            ]
         if mpn == "SMAJ33CA":
             return [f"D{ref}a {ref}m {a} DTVS33", f"D{ref}b {ref}m {b} DTVS33"]
         if mpn == "SMAJ5.0A":
             return [f"D{ref} {b} {a} DTVS5"]
-        if mpn.startswith(("SS", "BAT54L")):
+        if mpn.startswith("SS"):
             return [f"D{ref} {b} {a} DSCH"]
         if mpn.startswith("17157"):  # terminals
             return []
@@ -131,10 +143,8 @@ class Circuit:
             return [f"X{ref} {at('SENSE', 'IN', 'FGND')} INPUT24", f"R{ref}g {at('FGND')} 0 1e12"]
         if mpn.startswith("VO615A"):
             return [f"X{ref} {at('A', 'K', 'C', 'E')} OPTO", f"R{ref}g {at('E')} 0 1e12"]
-        if mpn.startswith("BCP56"):
-            return [f"Q{ref} {at('C', 'B', 'E')} QPOWER"]
-        if mpn.startswith("BC847"):
-            return [f"Q{ref} {at('C', 'B', 'E')} QSMALL"]
+        if mpn.startswith("BC"):
+            return [f"Q{ref} {at('C', 'B', 'E')} {TRANSISTORS[mpn[:5]]}"]
         if mpn.startswith("SC0917"):  # protection of the pins; 3.3 V and 5 V
             found = [f"V{ref} {at('3V3')} 0 3.3", f"V{ref}b {at('VBUS')} 0 5"]
             used = [n for n in range(29) if not at(f"GP{n}").startswith("open_")]
@@ -143,6 +153,14 @@ class Circuit:
                 found.append(f"R{ref}i{n} {at(f'GP{n}')} 0 1e7")
             return found
         raise ValueError(f"{ref}: no model for {mpn}")
+
+
+def rating_of(mpn: str) -> Rating:
+    """Return what a part number says. Raises ValueError if nothing knows it."""
+    rating = decode(mpn)
+    if rating is None:
+        raise ValueError(f"{mpn} is in no ordering code or table of hardware/part_numbers.py")
+    return rating
 
 
 def node_of(net: str) -> str:

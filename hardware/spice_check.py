@@ -1,36 +1,16 @@
-"""Requirements for the simulated box: scales, corners, faults, LVDT, triggers, RS-422.
-
-Returns rows (what, measured, wanted, passed).
+"""Requirements for the simulated box: scales, corners, thermometers, triggers, RS-422; those of LVDTs and of faults are in
+hardware/lvdt_check.py and hardware/stress.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
-from hardware import budget
+from hardware import budget, lvdt_check, stress
 from hardware.kicad import Tools
-from hardware.netlist import Netlist
-from hardware.spice import Circuit, limited_nodes, run, within_limits
-
-PERIOD = 1 / budget.EXCITATION_HZ
-# Delay of the demodulators' clocks relative to the excitation's, in periods. The primary's is a quarter of a period
-# behind the secondary's, since the current lags the voltage that it induces: a change of the primary's resistance
-# rotates both, and cancels.
-PHASE_S = 0.25
-PHASE_P = 0.50
-FAULT_V = 30.0
-
-
-@dataclass(frozen=True)
-class Row:
-    """One check."""
-
-    what: str
-    measured: str
-    wanted: str
-    passed: bool
+from hardware.netlist import Component, Netlist
+from hardware.rows import Row, near
+from hardware.spice import Circuit, run
 
 
 def check(tools: Tools, netlist: Netlist) -> list[Row]:
@@ -39,7 +19,16 @@ def check(tools: Tools, netlist: Netlist) -> list[Row]:
     with ThreadPoolExecutor(2) as pool:
         jobs = [
             pool.submit(job, tools, circuit)
-            for job in (lvdt, transducers, triggers_in, trigger_out, receiver, *faults(netlist))
+            for job in (
+                *lvdt_check.jobs(),
+                transducers,
+                thermometers,
+                without_pico,
+                triggers_in,
+                trigger_out,
+                receiver,
+                *stress.jobs(netlist),
+            )
         ]
         return [row for job in jobs for row in job.result()]
 
@@ -63,9 +52,9 @@ def transducers(tools: Tools, circuit: Circuit) -> list[Row]:
              "let lag = -cph(h)/(2*pi*frequency)", "meas ac delay find lag at=100"],
         )  # fmt: skip
         rows += [
-            _near(f"transducer {k}: volts at the converter a volt", got["scale"], wanted.scale, 1e-3),
-            _near(f"transducer {k}: -3 dB, Hz", got["corner"], wanted.corner_hz, 0.02),
-            _near(f"transducer {k}: delay, us", got["delay"] * 1e6, wanted.delay_s * 1e6, 0.02),
+            near(f"transducer {k}: volts at the converter a volt", got["scale"], wanted.scale, 1e-3),
+            near(f"transducer {k}: -3 dB, Hz", got["corner"], wanted.corner_hz, 0.02),
+            near(f"transducer {k}: delay, us", got["delay"] * 1e6, wanted.delay_s * 1e6, 0.02),
         ]
     loop = Circuit(circuit.netlist, frozenset({"R12"}))
     p, n, ap, an = (loop.node(*pin) for pin in (("J3", "1"), ("J3", "2"), ("U3", "AIN1P"), ("U3", "AIN1N")))
@@ -74,138 +63,57 @@ def transducers(tools: Tools, circuit: Circuit) -> list[Row]:
     )
     return [
         *rows,
-        _near("4-20 mA: volts at the converter an ampere", got["scale"], budget.loop_scale(circuit.netlist), 1e-3),
+        near("4-20 mA: volts at the converter an ampere", got["scale"], budget.loop_scale(circuit.netlist), 1e-3),
     ]
 
 
-def _near(what: str, measured: float, wanted: float, tolerance: float) -> Row:
-    ok = abs(measured / wanted - 1) <= tolerance
-    return Row(what, f"{measured:.6g}", f"{wanted:.6g} ± {tolerance:.1%}", ok)
+# ---- thermometers; the box without its Pico
+
+PULL_UPS = (4700, 2200)  # R3, and the value that the document gives for long cables
 
 
-# ---- LVDT
+def thermometers(tools: Tools, circuit: Circuit) -> list[Row]:
+    """Check the levels on the thermometers' wire in both directions, and their supply with eight of them."""
+    dq, tv, pin = circuit.node("J1", "2"), circuit.node("J1", "1"), circuit.node("U1", "GP9")
+    rows = []
+    for ohm in PULL_UPS:
+        parts = dict(circuit.netlist.components)
+        parts["R3"] = Component("R3", f"{ohm}R", parts["R3"].mpn)
+        box = Circuit(Netlist(parts, circuit.netlist.pins))
+        # a DS18B20 sinks 4 mA at 0.4 V: 100 Ω; the Pico's pin 50 Ω
+        for what, bench, node, limit in (
+            ("a thermometer pulls the wire low: V at GP9", f"Rt {dq} 0 100", pin, 0.8),
+            ("the Pico pulls it low: V at the thermometer", f"Rt {pin} 0 50", dq, 0.8),
+        ):
+            got = run(tools, box, [bench], ["op", f"let level = v({node})", "print level"])
+            rows.append(Row(f"{what}, R3 {ohm} Ω", f"{got['level']:.2f}", f"below {limit}", got["level"] < limit))
+    got = run(tools, circuit, [f"It {tv} 0 12m"], ["op", f"let level = v({tv})", "print level"])
+    rows.append(
+        Row("thermometers: V of the supply at 12 mA (eight)", f"{got['level']:.2f}", "above 3.0", got["level"] > 3.0)
+    )
+    return rows
 
 
-def lvdt_ratio(
-    tools: Tools, circuit: Circuit, cases: list[tuple[float, float, float]], phase: float = PHASE_S, lead_s: float = 0.0
-) -> list[tuple[float, float]]:
-    """Return demodulated (secondary, primary) [V] for cases of core position -1..1, excitation high level, primary's
-    ohms.
-
-    The LVDT: 20 mH primary, secondaries of 30 mH, couplings 0.5 ± 0.3 x, their wires 150 Ω each, secondaries in
-    opposition.
+def without_pico(tools: Tools, circuit: Circuit) -> list[Row]:
+    """Check that no input of a chip that is supplied without the Pico floats: 10 µA into it must not raise it above a
+    low level.
     """
-    found = []
-    for x, high, ohm in cases:
-        s1, s2, p1, p2 = (circuit.node("J5", n) for n in "3512")
-        exc, ds, dp = (circuit.node("U1", f"GP{n}") for n in (10, 12, 14))
-        half = PERIOD / 2
-
-        def pulse(level: float, delay: float) -> str:
-            return f"PULSE(0 {level:g} {delay:.9g} 20n 20n {half - 20e-9:.9g} {PERIOD:.9g})"  # noqa: B023
-
-        bench = [
-            f"Vexc exc0 0 {pulse(high, 0)}",
-            f"Vmean {exc} exc0 PWL(0 {high / 2:g} 1n 0)",  # the capacitors start at the mean
-            f"Vds {ds} 0 {pulse(3.3, phase * PERIOD)}",
-            f"Vdp {dp} 0 {pulse(3.3, (phase + PHASE_P - PHASE_S) * PERIOD)}",
-            f"Rp {p1} lp1 {ohm:g}",
-            f"Lp lp1 {p2} 20m",
-            f"Rs1 {s1} ls1 150",
-            "Ls1 ls1 mid 30m",
-            "Ls2 lx mid 30m",
-            f"Rs2 lx {s2} 150",
-            f"K1 Lp Ls1 {0.5 + 0.3 * x:g}",
-            f"K2 Lp Ls2 {0.5 - 0.3 * x:g}",
-        ]
-        start = SETTLING * PERIOD
-        end = (SETTLING + 4) * PERIOD
-        a0, a3 = ([circuit.node("U3", f"AIN{k}{s}") for s in "PN"] for k in (0, 3))
-        control = [
-            f"tran {PERIOD / 120:.6g} {end:.9g} {start:.9g} {PERIOD / 120:.6g}",
-            f"let s = v({a0[0]})-v({a0[1]})",
-            f"let p = v({a3[0]})-v({a3[1]})",
-            f"meas tran secondary avg s from={start:.9g} to={end:.9g}",
-            f"meas tran primary avg p from={start:.9g} to={end:.9g}",
-        ]
-        got = run(tools, circuit, bench, control)
-        found.append((got["secondary"], got["primary"]))
-    return found
-
-
-SETTLING = 20  # periods: 2.6 time constants of the coupling capacitors, which start almost charged
-POSITIONS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-
-
-def lvdt(tools: Tools, circuit: Circuit) -> list[Row]:
-    cases = [(x, 3.3, 40.0) for x in POSITIONS]
-    cases += [(1.0, 3.3 * 0.8, 40.0), (1.0, 3.3 * 1.2, 40.0), (1.0, 3.3, 10.0), (1.0, 3.3, 60.0)]
-    signals = lvdt_ratio(tools, circuit, cases)
-    ratios = [s / p for s, p in signals]
-    line = ratios[: len(POSITIONS)]
-    slope = sum(x * r for x, r in zip(POSITIONS, line, strict=True)) / sum(x * x for x in POSITIONS)
-    mean = sum(line) / len(line)
-    off = max(abs(r - mean - slope * x) for x, r in zip(POSITIONS, line, strict=True)) / abs(slope)
-    full = ratios[len(POSITIONS) - 1]
-    low, high, cold, hot = ratios[len(POSITIONS) :]
-    excitation = max(abs(low / full - 1), abs(high / full - 1))
-    resistance = abs(hot / cold - 1)
-    signal = abs(signals[-1][0] / signals[-2][0] - 1)
-    s, p = signals[len(POSITIONS) - 1]
-    return [
-        _near("LVDT: secondary at full travel, V", s, budget.SECONDARY_V, 0.02),
-        _near("LVDT: primary, V", p, budget.PRIMARY_V, 0.02),
-        Row("LVDT: ratio, largest deviation from a line", f"{off:.4%}", "0.05 %", off <= 5e-4),
-        Row(
-            "LVDT: ratio, excitation ±20 %",
-            f"{excitation:.4%}",
-            f"{budget.RATIO_PER_EXCITATION:.3%}",
-            excitation <= budget.RATIO_PER_EXCITATION,
-        ),
-        Row(
-            f"LVDT: ratio, primary 10 → 60 Ω (its signal: {signal:.1%})",
-            f"{resistance:.4%}",
-            f"{budget.RATIO_PER_50_OHM:.3%}",
-            resistance <= budget.RATIO_PER_50_OHM,
-        ),
-    ]
-
-
-# ---- faults
-
-
-FAULT_TERMINALS = {
-    "J1": "12",
-    "J2": "1",
-    "J3": "124",
-    "J4": "124",
-    "J5": "12345",
-    "J6": "13456",
-}
-
-
-def faults(netlist: Netlist) -> Iterator:
-    for ref, ways in FAULT_TERMINALS.items():
-        for way in ways:
-            for volt in (FAULT_V, -FAULT_V):
-                yield lambda tools, circuit, ref=ref, way=way, volt=volt: [fault(tools, circuit, ref, way, volt)]
-
-
-def fault(tools: Tools, circuit: Circuit, ref: str, way: str, volt: float) -> Row:
-    """Step a terminal to ±30 V relative to the box's ground, and check every chip's pins in the first 50 ms."""
-    nodes = limited_nodes(circuit)
-    supplies = {circuit.node("U3", "AVDD"): 3.3, circuit.node("U1", "3V3"): 3.3}
-    bench = [f"Vfault {circuit.node(ref, way)} 0 PWL(0 0 10u 0 11u {volt:g} 1 {volt:g})"]
-    control = ["tran 20u 50m 0 200u"]
-    for k, node in enumerate(nodes):
-        control += [f"meas tran max{k} max v({node})", f"meas tran min{k} min v({node})"]
-    got = run(tools, circuit, bench, control)
-    found = set()
-    for name in ("max", "min"):
-        values = {node: got[f"{name}{k}"] for k, node in enumerate(nodes)}
-        found |= set(within_limits(circuit, values, supplies))
-    what = f"{volt:+.0f} V on {ref}.{way}"
-    return Row(what, "; ".join(sorted(found)) or "within absolute maximum", "within absolute maximum", not found)
+    parts = {ref: part for ref, part in circuit.netlist.components.items() if ref != "U1"}
+    pins = {pin: net for pin, net in circuit.netlist.pins.items() if pin[0] != "U1"}
+    box = Circuit(Netlist(parts, pins))
+    rows = []
+    for ref, function in (("U6", "IN1"), ("U7", "IN1"), ("U4", "+A")):
+        node = box.node(ref, function)
+        got = run(tools, box, ["Vusb vbus 0 5", f"Ileak 0 {node} 10u"], ["op", f"let level = v({node})", "print level"])
+        rows.append(
+            Row(
+                f"Pico out of its sockets, 10 µA into {ref}.{function}: V",
+                f"{got['level']:.2f}",
+                "below 0.8",
+                abs(got["level"]) < 0.8,
+            )
+        )
+    return rows
 
 
 # ---- triggers
@@ -324,5 +232,5 @@ def receiver(tools: Tools, circuit: Circuit) -> list[Row]:
         bench,
         ["tran 5n 12u 0 5n", f"meas tran width trig v({out}) val=1.65 rise=1 targ v({out}) val=1.65 fall=1"],
     )
-    rows.append(_near("RS-422: width of a pulse of 3 us through the termination, us", got["width"] * 1e6, 3.02, 0.03))
+    rows.append(near("RS-422: width of a pulse of 3 us through the termination, us", got["width"] * 1e6, 3.02, 0.03))
     return rows

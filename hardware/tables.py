@@ -8,10 +8,22 @@ from collections.abc import Iterable, Sequence
 from hardware import budget
 from hardware.datasheets import data_sheet
 from hardware.netlist import Netlist
+from hardware.part_numbers import UNVERIFIED, decode
 from hardware.parts import CATALOGUE
 from hardware.sheet import Part, Sheet, netlist
 
-SOURCE = "part number from the maker's ordering code, 2026-11; no distributor was reached"
+REACHED = "2026-11; no distributor was reached"
+
+
+def source_of(number: str) -> str:
+    """Return the data sheet behind a part number, with the date; "unverified" is among its words if no copy was found."""
+    rating = decode(number)
+    return f"{rating.source if rating else UNVERIFIED}, {REACHED}"
+
+
+def package_of(number: str) -> str:
+    rating = decode(number)
+    return rating.package if rating else UNVERIFIED
 
 
 def blocks(made: list[Sheet]) -> dict[str, str]:
@@ -24,6 +36,7 @@ def blocks(made: list[Sheet]) -> dict[str, str]:
         "parts": parts_table(parts),
         "drawings": "\n".join(f"![{sheet.title}](../images/hardware/{sheet.name}.svg)\n" for sheet in made),
         "inputs": inputs(circuit),
+        "lvdt-range": lvdt_range(),
         "lvdt-budget": lvdt_budget(circuit),
         "transducer-budget": transducer_budget(circuit),
         "head-budget": head_budget(),
@@ -70,11 +83,15 @@ def parts_table(parts: list[Part]) -> str:
     for part in parts:
         rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
     found = []
-    for (kind, value, fitted), refs in sorted(rows.items(), key=lambda item: (item[1][0][0], int(item[1][0][1:]))):
+    for (kind, value, fitted), refs in sorted(
+        rows.items(), key=lambda item: min((ref[0], int(ref[1:])) for ref in item[1])
+    ):
         maker, number = CATALOGUE[kind, value]
         count = str(len(refs)) if fitted else "0"
-        found.append((count, " ".join(refs) + ("" if fitted else " (for 4-20 mA)"), value, maker, number))
-    return table(("quantity", "references", "value", "manufacturer", "part number"), found)
+        doubt = UNVERIFIED if UNVERIFIED in source_of(number) else ""
+        where = " ".join(sorted(refs, key=lambda ref: int(ref[1:]))) + ("" if fitted else " (for 4-20 mA)")
+        found.append((count, where, value, maker, number, package_of(number), doubt))
+    return table(("quantity", "references", "value", "manufacturer", "part number", "package", ""), found)
 
 
 def inputs(circuit: Netlist) -> str:
@@ -124,6 +141,23 @@ def _us(value: float) -> str:
     return f"{value * 1e6:.0f} µs"
 
 
+def lvdt_range() -> str:
+    """Return the LVDTs that the checks simulate: the range that the document states."""
+    rows = [
+        (
+            f"{lvdt.primary_h * 1e3:g} mH, {lvdt.primary_ohm:g} Ω",
+            f"{lvdt.primary_impedance:.0f} Ω",
+            f"{lvdt.secondary_h * 1e3:g} mH, {lvdt.secondary_ohm:g} Ω",
+            f"{lvdt.secondary_impedance:.0f} Ω",
+            f"{lvdt.primary_v * 1e3:.0f} mV",
+            f"{lvdt.secondary_v * 1e3:.0f} mV",
+        )
+        for lvdt in budget.LVDTS
+    ]
+    head = ("primary", "at 2543 Hz", "each secondary", "at 2543 Hz", "AIN3", "AIN0 at the travel's end")
+    return table(head, rows)
+
+
 # ---- error budgets. Sensor data without a data sheet are marked "assumed".
 
 TRAVEL_M = 0.0375  # half the stroke of the LVDT
@@ -141,15 +175,17 @@ def _rows(rows: Iterable[tuple[str, float, str]]) -> str:
 
 
 def lvdt_budget(circuit: Netlist) -> str:
-    noise = TRAVEL_M * math.hypot(budget.ADC_NOISE_V / budget.SECONDARY_V, budget.ADC_NOISE_V / budget.PRIMARY_V)
+    worst = max(budget.LVDTS, key=lambda lvdt: 1 / lvdt.secondary_v**2 + 1 / lvdt.primary_v**2)
+    noise = TRAVEL_M * math.hypot(budget.ADC_NOISE_V / worst.secondary_v, budget.ADC_NOISE_V / worst.primary_v)
     rows = [
-        ("converter noise, one sample at OSR 4096", noise, f"{budget.ADC_NOISE_V * 1e6:.2f} µV in {budget.SECONDARY_V:g} V and in {budget.PRIMARY_V:g} V, at the travel's end"),
+        ("converter noise, one sample at OSR 4096", noise, f"{budget.ADC_NOISE_V * 1e6:.2f} µV in {worst.secondary_v:g} V and in {worst.primary_v:g} V, at the travel's end: the weakest LVDT of the range"),
         ("R28, per K", RESISTOR_PER_K * TRAVEL_M, "25 ppm/K at the travel's end"),
         ("LVDT's coefficient, per K", LVDT_PER_K * TRAVEL_M, "assumed 100 ppm/K; measure it"),
         ("steel bar, per K", STEEL_PER_K * BAR_M, f"11.5 ppm/K of {BAR_M:g} m"),
         ("LVDT's linearity ●", 0.0025 * 2 * TRAVEL_M, "0.25 % of the stroke, assumed"),
-        ("primary's copper, per K", budget.RATIO_PER_50_OHM * TRAVEL_M * 40 * COPPER_PER_K / 50, f"40 Ω · 0.39 %/K; {budget.RATIO_PER_50_OHM:.2%} for 50 Ω (simulated)"),
-        ("excitation ±20 %", budget.RATIO_PER_EXCITATION * TRAVEL_M, f"{budget.RATIO_PER_EXCITATION:.3%} of the ratio (simulated)"),
+        ("primary's copper, per K", budget.RATIO_PER_50_OHM * TRAVEL_M * 40 * COPPER_PER_K / 50, f"40 Ω · 0.39 %/K; at most {budget.RATIO_PER_50_OHM:.2%} for 50 Ω (simulated over the range)"),
+        ("box's linearity ●", budget.RATIO_LINEARITY * TRAVEL_M, f"at most {budget.RATIO_LINEARITY:.2%} of the travel (simulated over the range)"),
+        ("excitation ±20 %", budget.RATIO_PER_EXCITATION * TRAVEL_M, f"at most {budget.RATIO_PER_EXCITATION:.2%} of the ratio (simulated over the range)"),
         ("ripple at OSR 4096", budget.ripple(4096, circuit) * TRAVEL_M, f"{2 * budget.EXCITATION_HZ:.2f} Hz is the fifth null of {budget.CONVERTER_HZ / 8192:.2f} Hz"),
         ("ripple at OSR 1024", budget.ripple(1024, circuit) * TRAVEL_M, "peak; no null there: use OSR 4096 for an LVDT"),
         ("filter's delay at 100 mm/s", 0.1 * budget.demodulator(circuit).delay_s, "constant, part of the delay τ; nothing in a dwell"),

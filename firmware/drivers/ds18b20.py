@@ -15,8 +15,8 @@ wire.
 
 Times from the datasheet: a reset is low for at least 480 µs; 60 to 75 µs later every thermometer holds the wire low (15
 to 60 µs until its presence pulse, which lasts at least 60 µs). A 1 is low for 1 to 15 µs and a 0 for 60 to 120. Data
-are valid until 15 µs after the falling edge, so the wire is sampled at 14 µs, 12 after the release: enough for 4.7 kΩ
-and 2.7 nF of cable and protection. A slot takes 70 µs.
+are valid until 15 µs after the falling edge, so the wire is sampled at 14 µs, 12 after the release: enough for 5.2 kΩ
+and 2.4 nF of cable and protection. A slot takes 70 µs.
 """
 
 # ruff: noqa: F821  (the state machine's instructions are names that asm_pio brings)

@@ -3,8 +3,8 @@
 hardware/box.py has the circuit. The excitation becomes a sine that drives the primary. Two switches reverse the
 secondary's voltage and the primary's current, and the converter averages them. A period is 49152 system clocks, so that
 twice the frequency falls on a null of the converter's filter: its clock is the system's divided by 15, a result at OSR
-4096 takes 2 · 4096 of it, and five times that are two periods. The secondary's clock is a quarter of a period behind
-the excitation, the primary's half a period (docs/how-to/hardware.md).
+4096 takes 2 · 4096 of it, and five times that are two periods. The secondary's clock is a third of a period behind the
+excitation, the primary's a quarter of a period behind the secondary's (docs/how-to/hardware.md).
 
 One write starts the slices together, with different counter values; nothing else is needed after that.
 """
@@ -12,7 +12,11 @@ One write starts the slices together, with different counter values; nothing els
 from .registers import poke
 
 PERIOD = 49152  # system clocks
-BEHIND = (0, PERIOD // 4, PERIOD // 2)  # delays of the excitation, the secondary's clock and the primary's clock
+BEHIND = (
+    0,
+    PERIOD // 3,
+    PERIOD // 3 + PERIOD // 4,
+)  # delays of the excitation, the secondary's clock and the primary's clock
 
 
 class Excitation:

@@ -11,7 +11,7 @@ thermometers_missing  those named in the configuration but not found
 
 LIMITS = {  # name: unit, low, high
     "converter_id": ("", 0x2400, 0x24FF),
-    "excitation": ("uV", 50000, 1200000),
+    "excitation": ("uV", 40000, 1200000),
     "noise_0": ("nV", 1, 20000),
     "noise_1": ("nV", 1, 20000),
     "noise_2": ("nV", 1, 20000),

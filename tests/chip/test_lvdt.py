@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from hardware import budget, spice_check
+from hardware import budget, lvdt_check
 
 from .bench import run_steps
 
@@ -62,7 +62,7 @@ def test_all_are_square_waves_of_that_frequency_and_half_the_time_high(run):
 
 def test_the_demodulators_clocks_are_behind_as_in_the_simulated_circuit(run):
     excitation = cmath.phase(spectrum(run, 0)[1])
-    for bit, behind in ((2, spice_check.PHASE_S), (4, spice_check.PHASE_P)):
+    for bit, behind in ((2, lvdt_check.PHASE_S), (4, lvdt_check.PHASE_P)):
         late = (excitation - cmath.phase(spectrum(run, bit)[1])) / (2 * math.pi) % 1
         assert abs(late - behind) < 0.01
 

@@ -3,9 +3,11 @@
 import pytest
 
 from hardware import __main__ as commands
-from hardware import kicad, outputs, spice_check
+from hardware import budget, kicad, lvdt_check, outputs, spice_check, stress
 from hardware.box import sheets
+from hardware.netlist import Component, Netlist
 from hardware.sheet import netlist
+from hardware.spice import Circuit
 
 
 @pytest.fixture(scope="module")
@@ -36,4 +38,65 @@ def test_the_data_sheets_pins_are_those_of_kicads_symbols(tools):
 def test_the_simulated_box_does_what_the_document_says(tools):
     rows = spice_check.check(tools, netlist(sheets()))
     assert [(row.what, row.measured, row.wanted) for row in rows if not row.passed] == []
-    assert len(rows) > 70
+    assert len(rows) > 200
+
+
+def changed(**values):
+    """Return the box with other values, by reference."""
+    made = netlist(sheets())
+    parts = dict(made.components)
+    for ref, value in values.items():
+        parts[ref] = Component(ref, value, parts[ref].mpn)
+    return Circuit(Netlist(parts, made.pins))
+
+
+def failed(tools, circuit, name):
+    state = next(state for state in stress.states(circuit) if state.name == name)
+    return "; ".join(row.measured for row in stress.check(tools, circuit, state) if not row.passed)
+
+
+@pytest.mark.parametrize(
+    ("values", "state", "words"),
+    [
+        ({"R46": "4.7k"}, "+30 V across J9", "R46 power 12"),
+        ({"R8": "4.7k"}, "-30 V on J3.1", "R8 power"),
+        ({"R51": "220R"}, "-30 V on J1.2", "R51 power"),
+        ({"R5": "10R"}, "-30 V on J1.1", "Q3 power"),
+        ({"R35": "4.7k"}, "+30 V on J5.4", "R35 power"),
+    ],
+)
+def test_a_part_that_burns_is_found(tools, values, state, words):
+    assert words in failed(tools, changed(**values), state)
+
+
+def test_a_fuse_that_may_not_interrupt_30_v_is_found(tools):
+    made = netlist(sheets())
+    weak = Component("F4", "0.2A 60V", "MF-MSMF020-2")  # 30 V
+    circuit = Circuit(Netlist({**made.components, "F4": weak}, made.pins))
+    assert failed(tools, circuit, "-30 V on J6.1").startswith("F4 voltage")
+
+
+@pytest.mark.parametrize(
+    ("lvdt", "words"),
+    [
+        (budget.Lvdt("beyond", 300e-3, 60, 60e-3, 300, 0.064, 0.24), "self-test"),
+        (budget.Lvdt("beyond", 125e-3, 60, 400e-3, 2000, 0.064, 0.6), "10 → 60"),
+    ],
+)
+def test_an_lvdt_beyond_the_range_is_found(tools, lvdt, words):
+    rows = lvdt_check.check(tools, Circuit(netlist(sheets())), lvdt)
+    assert any(words in row.what for row in rows if not row.passed)
+
+
+def test_a_filter_that_passes_the_harmonics_is_found(tools):
+    """As it was, with an LVDT of 200 Ω, the worst for it."""
+    circuit = changed(C17="10n", C18="4.7n", C19="2.2n")
+    rows = lvdt_check.check(tools, circuit, budget.LVDTS[3])
+    assert any("10 → 60" in row.what for row in rows if not row.passed)
+
+
+def test_an_input_that_floats_without_the_pico_is_found(tools):
+    circuit = changed(R53="10M")
+    assert [row.what for row in spice_check.without_pico(tools, circuit) if not row.passed] == [
+        "Pico out of its sockets, 10 µA into U6.IN1: V"
+    ]
