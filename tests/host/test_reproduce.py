@@ -62,7 +62,7 @@ def test_every_difference_is_explained(made, paper):
 
 def test_goswami_numbers(made):
     numbers, _ = made["goswami"]
-    ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters seen by")]
+    ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters identifiable with")]
     assert ranks == [30, 32, 33, 32, 34, 35, 33, 35, 36]
     assert named(numbers, "subsets whose rank")["ours"] == 511
     assert named(numbers, "sets of six pairings")["ours"] == 78
@@ -86,7 +86,9 @@ def test_goswami_numbers(made):
 def test_renders_numbers(made):
     numbers, _ = made["renders"]
     unseen = [
-        c["ours"] for c in claims(numbers) if c["what"].startswith(("parameters that no", "of these", "left when"))
+        c["ours"]
+        for c in claims(numbers)
+        if c["what"].startswith(("parameters that lines cannot", "of these", "left when"))
     ]
     assert unseen == [4, 0, 7, 3]
     assert named(numbers, "batch (12)")["ours"] < 1e-7
@@ -124,10 +126,10 @@ def test_lengths_improve_what_offsets_leave(made):
 
 
 def test_two_experiments_do_not_judge_figure_four(made):
-    for what in ("steps at which ML", "the same, P₀ chosen", "ML over LS at the end"):
+    for what in ("fraction of steps at which ML", "the same, P₀ chosen", "ML divided by LS at the end"):
         claim = named(made["renders"][0], what, "Fig. 4")
         assert claim["verdict"] == NOT_JUDGED, claim
-        assert "too few to judge: a full run makes" in claim["why"]
+        assert "too few for a verdict; a full run makes" in claim["why"]
     assert made["renders"][0]["counts"][NOT_JUDGED] == 4
     assert NOT_JUDGED not in made["goswami"][0]["counts"]
     assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
