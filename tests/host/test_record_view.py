@@ -195,7 +195,7 @@ class TestView:
             view.box_temperature(degc)
         (text,) = view.take()[0]
         assert text.startswith("warning: the box is 5.0 °C warmer than when lvdt was calibrated")
-        assert "may be off by some 0.05 mm" in text
+        assert "may be off by about 0.05 mm" in text
         unknown = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
         unknown.approve(box())
         unknown.take()
