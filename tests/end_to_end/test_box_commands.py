@@ -74,6 +74,8 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == f"{device}: stored; the box uses it from now on"
     assert box("config", "get", "--box", device) == 0
     assert "osr = 2048  # 2034.51 samples per second" in capsys.readouterr().out
+    assert box("config", "set", "trigger_ms=[50,150]", "--box", device) == 0
+    assert "trigger_ms: [0, 0] → [50, 150]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
