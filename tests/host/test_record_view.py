@@ -147,7 +147,7 @@ class TestCheck:
             "stream adc samples at osr 4096, not 128 as asked for",
         )
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
-        assert "still to come" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
+        assert "which is in the future" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
         assert "no channel of the box" in check_box(box(calibration={}), Purpose(), TODAY).warned[0]
 
     def test_a_line_needs_its_sensors(self):

@@ -16,8 +16,8 @@ from truearm.report.reproduce_page import (
     IN_KIND,
     NOT_JUDGED,
     NOT_REPRODUCED,
-    OURS,
     REPRODUCED,
+    TRUEARM_ONLY,
     Chapter,
     Claim,
     ReproducePage,
@@ -110,14 +110,17 @@ def test_every_sigma_that_renders_prints_has_its_line(made):
         assert {c["verdict"] for c in lines} == {IN_KIND}
         assert min(c["paper"] for c in lines if c["unit"] == "rad") == smallest
         for line in lines:
-            once = float(re.search(r"claims ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
+            once = float(re.search(r"once and gives ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
             # Data counted k times claim σ/√k where the data decide, and the prior of each run more where they do not.
             assert line["ours"] < 1.01 * once, line
 
 
 def test_lengths_improve_what_offsets_leave(made):
     sure, none = (
-        named(made["renders"][0], f"reduction of the mean error by the lengths, a robot with the errors of {c}")
+        named(
+            made["renders"][0],
+            f"reduction of the mean error by fitting the lengths, for a robot with the errors of {c}",
+        )
         for c in ("III-F", "III-E")
     )
     assert 0.5 < sure["ours"] < 1.0
@@ -179,7 +182,12 @@ def test_bad_input(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("paper", "ours", "tolerance", "verdict"),
-    [(1.0, 1.1, 0.2, REPRODUCED), (1.0, 1.3, 0.2, NOT_REPRODUCED), (1.0, 9.0, None, IN_KIND), (None, 1.0, 0.0, OURS)],
+    [
+        (1.0, 1.1, 0.2, REPRODUCED),
+        (1.0, 1.3, 0.2, NOT_REPRODUCED),
+        (1.0, 9.0, None, IN_KIND),
+        (None, 1.0, 0.0, TRUEARM_ONLY),
+    ],
 )
 def test_a_verdict_follows_from_the_numbers(paper, ours, tolerance, verdict):
     assert Claim("a", "mm", paper, ours, tolerance=tolerance).verdict == verdict
@@ -193,11 +201,11 @@ def test_the_terminal_lists_what_is_not_reproduced():
         Claim("d", "1", 1, 1),
     )
     head, *listed = lines(ReproducePage("t", "s", (Chapter("c", "", claims),)))
-    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 ours alone"
+    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 not in the paper"
     assert listed == [
-        "  a: paper 1 mm, ours 2 mm. W.",
-        "  b: paper 4, ours 7.",
-        "  c: paper 1, ours 0.5.",
+        "  a: paper 1 mm, truearm 2 mm. W.",
+        "  b: paper 4, truearm 7.",
+        "  c: paper 1, truearm 0.5.",
     ]
 
 
