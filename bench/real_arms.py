@@ -291,7 +291,7 @@ def by_pybotics(case: Case) -> str:
         try:
             done = subprocess.run(command, capture_output=True, text=True, cwd=workers, check=False, timeout=PATIENCE)
         except subprocess.TimeoutExpired:
-            return f"not ended in {PATIENCE} s"
+            return f"not finished in {PATIENCE} s"
     lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
     return f"{json.loads(lines[0][7:])['mean_mm']:.3f}" if lines else "failed"
 
@@ -344,7 +344,7 @@ run, because its calibration needs a URDF and a configuration file for each arm;
   `chuck_places()` puts them with seed 0. The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
 - **MUKCa** (ball in sockets): complete places are held out, which the table names.
-- **Constants.** The spacing of the curves' knots, the octaves and the hyperpriors were chosen on UR10 series C and on an IRB 120 that is not in this table. How a variance that fell to zero is restarted was chosen on
+- **Constants.** The knot spacing, the frequency bands and the hyperpriors of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. How a variance that fell to zero is restarted was chosen on
   simulated arms. Nothing was chosen on the other data sets. `auto` never uses held-out rows.
 """
 

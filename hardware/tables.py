@@ -128,7 +128,7 @@ def inputs(circuit: Netlist) -> str:
             ),
         ],
     ) + (
-        f"\n\nThe scale has the converter's 330 kΩ in it. Should it be {budget.ADC_OHM_TOLERANCE:.0%} less, the scale of ±10 V "
+        f"\n\nThe scale includes the converter's input impedance of 330 kΩ. If this is {budget.ADC_OHM_TOLERANCE:.0%} lower, the scale of ±10 V "
         f"changes by {low:.3%}; `truearm box gauge` removes that. A transducer sees {t.ohm / 1e3:.1f} kΩ."
     )
 
@@ -211,8 +211,12 @@ def transducer_budget(circuit: Netlist) -> str:
 def head_budget() -> str:
     tick = TICK_S * SOUND_M_S
     rows = [
-        ("counting 8 ns, rms", tick / math.sqrt(12), f"{tick * 1e6:.1f} µm a tick, uniform"),
-        ("start's place in a tick ●", tick / 2, "at most; constant for a head that answers after a constant time"),
+        ("resolution of 8 ns, RMS", tick / math.sqrt(12), f"{tick * 1e6:.1f} µm per tick, uniform"),
+        (
+            "position of the start edge within a tick ●",
+            tick / 2,
+            "at most; constant for a head that answers after a constant time",
+        ),
         ("1 ns of the receiver's jitter", 1e-9 * SOUND_M_S, "LTC2863-1: some ns"),
         ("Pico's crystal ●", 30e-6, "30 ppm of 1 m, constant"),
         ("velocity of sound, per K", 15e-6, "15 ppm/K of 1 m, assumed"),
@@ -227,7 +231,7 @@ def trigger_budget() -> str:
         ("source", "µs", "how"),
         [
             ("edge stamp", "1", "hardware timer of 1 MHz"),
-            ("trigger in", "about 10", "1 kΩ and 10 nF; each edge its own, constant"),
+            ("trigger in", "about 10", "1 kΩ and 10 nF; constant, but different for each edge"),
             ("trigger out, on", "1", "simulated into 3 kΩ, coupler of 3 µs"),
             ("trigger out, off", "13", "simulated into 3 kΩ; the robot's input filter comes on top"),
         ],

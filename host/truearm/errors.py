@@ -41,7 +41,7 @@ class Argument(str):
 
 
 class TruearmError(Exception):
-    """Base of all errors of truearm; its text is one line that states what is wrong and what to do.
+    """Base class of all truearm errors; the text is one line that states what is wrong and what to do.
 
     The text consists of its ``args`` one after the other.
 
@@ -63,7 +63,7 @@ class TruearmError(Exception):
 
 
 class InputError(TruearmError):
-    """What the user gave is wrong.
+    """An argument, an option or a file is invalid.
 
     Examples
     --------

@@ -23,10 +23,10 @@ class ExitCode(IntEnum):
         return member
 
     DONE = 0, "done"
-    FAILED = 1, "the box, the robot, the disk or the reader of the output failed"
+    FAILED = 1, "the box, the robot, the disk or the program that reads the output failed"
     INPUT = 2, "an option, a file or the data in it is wrong"
-    UNUSABLE = 3, "the fit is not usable (it is written all the same, and marked)"
-    INCOMPLETE = 4, "the recording is incomplete (what came is kept)"
+    UNUSABLE = 3, "the fit is not usable (the result is written anyway, marked as not usable)"
+    INCOMPLETE = 4, "the recording is incomplete (the received data are kept)"
     INTERRUPTED = 130, "interrupted"
 
 

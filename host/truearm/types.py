@@ -58,7 +58,7 @@ class DwellLabel(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One message of a session file (hop 3): topic, host arrival time [ns, monotonic], raw bytes."""
+    """One message of a session file: topic, host arrival time [ns, monotonic], raw bytes."""
 
     topic: str
     t_host_ns: int
@@ -160,7 +160,7 @@ class Device:
     --------
     >>> import truearm
     >>> covariance = ((4e-10, 0.0, 0.0), (0.0, 4e-10, 0.0), (0.0, 0.0, 4e-10))
-    >>> truearm.Device("tracker", covariance).xyz is None  # nothing is known of where it stands
+    >>> truearm.Device("tracker", covariance).xyz is None  # its position is not known
     True
     """
 
@@ -277,7 +277,7 @@ _NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of 
 
 @dataclass(frozen=True)
 class ObservationTable:
-    """Observations of one or several kinds, one per row (hop 5). Tables and sessions are both read into this type.
+    """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 
     - ``kind``: one of ``kinds.registry.NAMES``.
     - ``value`` [m]: the measured length of a ball-bar row, or the distance from the flat of a plane row (NaN: touched,

@@ -102,7 +102,8 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     assert main(["inspect", str(out)]) == 0
     said = capsys.readouterr().out
     assert (
-        "added afterwards from joints.csv, their arrival was not observed: their time is utc, its error unknown" in said
+        "added afterwards from joints.csv; their arrival was not observed. Their time is utc; its error is unknown"
+        in said
     )
     assert "above the fastest on average" not in said  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]

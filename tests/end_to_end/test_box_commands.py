@@ -32,7 +32,7 @@ def test_info_and_self_test_in_words(device, capsys):
     assert box("info", "--box", device) == 0
     said = capsys.readouterr().out
     assert f"firmware  {__version__} on vm" in said
-    assert "stream adc: 1017.25 samples a second, osr 4096, group delay 0.737 ms" in said
+    assert "stream adc: 1017.25 samples per second, osr 4096, group delay 0.737 ms" in said
     assert "calibrated to m by 2 coefficients (sim-lvdt 2026-01-01)" in said
     assert box("test", "--box", device) == 0
     said = capsys.readouterr().out
@@ -73,7 +73,9 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     assert box("config", "set", path, "channel.lvdt.gain=2", "--box", device) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{device}: stored; the box uses it from now on"
     assert box("config", "get", "--box", device) == 0
-    assert "osr = 2048  # 2034.51 samples a second" in capsys.readouterr().out
+    assert "osr = 2048  # 2034.51 samples per second" in capsys.readouterr().out
+    assert box("config", "set", "trigger_ms=[50,150]", "--box", device) == 0
+    assert "trigger_ms: [0, 0] → [50, 150]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

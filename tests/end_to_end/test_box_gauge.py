@@ -41,7 +41,7 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         said = capsys.readouterr().out
         assert "dropped place 13" in said
         assert "'seven' is not a reading of a reference; type a number of mm" in said
-        assert "order 2:" in said.split("← taken")[0].splitlines()[-1]
+        assert "order 2:" in said.split("← chosen")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored; the box uses it from now on"
         assert box("info", "--box", device, "--json") == 0
@@ -81,7 +81,7 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
         assert box("gauge", "lvdt", "--box", device, *options) == 0
         said = capsys.readouterr().out
         assert "1 of 6: set -20.0000 mm, then Enter" in said
-        assert "order 1: left-out error" in said
+        assert "order 1: cross-validation error" in said
         assert said.splitlines()[-1].endswith(f"{device}: unchanged")
         assert box("config", "get", "--box", device) == 0
         assert 'serial = "sim-lvdt"' in capsys.readouterr().out

@@ -60,6 +60,6 @@ KIND = Kind(
     needs=(ANGLE,),
     grouped_by=("place",),
     name="inclination",
-    residual={"rad": "measured less predicted inclination of the end's z axis"},
+    residual={"rad": "measured minus predicted inclination of the end's z axis"},
     groups="place",
 )

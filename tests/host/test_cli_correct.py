@@ -323,7 +323,7 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     out = tmp_path / "o.csv"
     code, said, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--out", out)
     assert code == 0, err
-    assert "did not see move the end" in said
+    assert "Unidentifiable combinations of parameters move the end" in said
     assert "searched for" not in said
     assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5
 

@@ -65,7 +65,7 @@ def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
     patterns = ("--adjust", "joint*.offset", "--adjust", "*.x,*.y,*.z")
     code, said, _ = run("export", result, "--format", "sheth-uicker", "--out", out, *patterns)
     assert code == 0
-    left = [float(line.split("adjust: ")[-1].split(" mm")[0]) for line in said.splitlines() if "adjust: " in line]
+    left = [float(line.split("adjusted: ")[-1].split(" mm")[0]) for line in said.splitlines() if "adjusted: " in line]
     assert left[0] > 1.0
     chain = load_robot(str(out)).chain
     gains = [value for name, value in zip(chain.parameter_names, chain.params_nominal, strict=True) if "gain" in name]

@@ -169,23 +169,23 @@ TARGETS = {
 }
 MODULES = {
     "expressions": (move(x="reg1,0,0"), "1 move of 1 cannot be corrected"),
-    "huge": (move(x="1e30,0,0"), "line 2: 1e+30 is not a place"),
+    "huge": (move(x="1e30,0,0"), "line 2: 1e+30 is beyond the reach"),
     "far": (move(x="90000,0,0"), "1 move of 1 cannot be corrected"),
     "no turn": (move(turn="0,0,0,0"), "line 2: the orientation is not a unit quaternion"),
     "configuration beyond": (move(cf="1e99,0,0,0"), "1 move of 1 cannot be corrected"),
     "configuration a name": (move(cf="a,0,0,0"), "1 move of 1 cannot be corrected"),
-    "open bracket": (move() + "[[[", "line 3: '[' stands where MODULE should"),
-    "closed bracket": ("MODULE m\n]", "line 2: ']' stands where a declaration or a routine should"),
+    "open bracket": (move() + "[[[", "line 3: expected MODULE, found '['"),
+    "closed bracket": ("MODULE m\n]", "line 2: expected a declaration or a routine, found ']'"),
     "in a comment": (move().replace("MoveL", "! MoveL").replace("ENDPROC", "\nENDPROC"), "nothing to correct"),
     "NUL": ("MODULE m\n\0", "line 2: holds a NUL"),
 }
 SCRIPTS = {
     "not a number": ("\nmovel(p[nan,0,0,0,0,0])", "1 move of 1 cannot be corrected"),
     "five": ("movel(p[1,0,0,0,0])", "1 move of 1 cannot be corrected"),
-    "infinite": ("movel(p[1e999,0,0,0,0,0])", "inf is not a place"),
+    "infinite": ("movel(p[1e999,0,0,0,0,0])", "inf is beyond the reach"),
     "far": ("movel(p[100,0,0,0,0,0])", "1 move of 1 cannot be corrected"),
-    "wound up": ("movel(p[0.5,0,0.5,1e9,0,0])", "1e+09 is not a place"),
-    "cut off": ("movel(p[1,0,0,0,0,0", "it is cut short"),
+    "wound up": ("movel(p[0.5,0,0.5,1e9,0,0])", "1e+09 is beyond the reach"),
+    "cut off": ("movel(p[1,0,0,0,0,0", "it is truncated"),
     "in a text": ('x = "p[1,2,3,4,5,6]"', "nothing to correct"),
 }
 VISITS = {

@@ -105,7 +105,7 @@ def test_every_solver_can_be_asked_for(
     result, text = identified(run, tmp_path, *noisy, "--solver", solver)
     assert (result["solver"], result["loss"], result["prior"]) == (solver, "linear", prior)
     check_schema(result)
-    assert ("solver map gives a covariance that holds" in " ".join(text.split())) == (solver == "renders-1991")
+    assert ("Use the solver map for a valid covariance" in " ".join(text.split())) == (solver == "renders-1991")
 
 
 @pytest.mark.parametrize("options", [("--loss", "huber"), ("--loss", "cauchy"), ("--solver", "recursive")])

@@ -89,7 +89,7 @@ def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run:
     run("identify", tmp_path / "clean.csv", "--model", "puma560", *files, "--out", tmp_path / "result.json")
     outcome = run("validate", tmp_path / "result.json", folder / "poses.csv", *files)
     assert f"Systematic error: chuck.{chuck} is off by 0." in outcome.out
-    assert "Correct what is off, or judge by rows without it. Without it, χ²" in outcome.out
+    assert "Correct the error at its source, or judge the result by rows without it. Without it, χ²" in outcome.out
     assert "allow" not in outcome.out
 
 

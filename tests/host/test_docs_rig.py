@@ -68,7 +68,9 @@ CASES = {
     "spheres known to 1 mm": points("spheres", 1e-3),
     "spheres not known at all": points("spheres", None),
     "chucks and spheres not known at all": points("chucks", None) | points("spheres", None),
-    "the same, and zero to 1 mm": points("chucks", None) | points("spheres", None) | changed(zero_sigma=1e-3),
+    "chucks and spheres not known at all, zero to 1 mm": points("chucks", None)
+    | points("spheres", None)
+    | changed(zero_sigma=1e-3),
 }
 
 

@@ -145,9 +145,9 @@ def test_forms_of_urscript(form):
 
 
 SCRIPT_REFUSALS = {
-    "where it is": (["movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))"], 2, "get_actual_tcp_pose gives is known at run time"),
-    "socket": (["q = socket_read_ascii_float(6)", "movej([q[1], q[2], q[3], q[4], q[5], q[6]])"], 3, "run time only"),
-    "changed in a loop": ([f"W = {P}", "while True:", "movel(W)", "W = pose_add(W, p[0,0,0.01,0,0,0])", "end"], 4, "changes from turn to turn"),
+    "where it is": (["movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))"], 2, "the result of get_actual_tcp_pose is known only at run time"),
+    "socket": (["q = socket_read_ascii_float(6)", "movej([q[1], q[2], q[3], q[4], q[5], q[6]])"], 3, "only at run time"),
+    "changed in a loop": ([f"W = {P}", "while True:", "movel(W)", "W = pose_add(W, p[0,0,0.01,0,0,0])", "end"], 4, "changes between iterations"),
     "shared under two tools": ([f"W = {P}", "set_tcp(p[0,0,0.1,0,0,0])", "movel(W)", "set_tcp(p[0,0,0.2,0,0,0])", "movel(W)"], 6, "other numbers in the target of line 2 than line 4"),
     "tool at run time": (["set_tcp(get_tcp_offset_of(1))", f"movel({P})"], 2, "not defined in this file; it may move the robot"),
     "numbers of names": (["x = 0.4", "movel(p[x,0.1,0.3,0,3,0])"], 3, "not written as plain numbers in one place"),
@@ -156,7 +156,7 @@ SCRIPT_REFUSALS = {
     "unknown function": (["gripper_go(3)"], 2, "gripper_go is not defined in this file"),
     "nobody's value": (["movel(Nowhere)"], 2, "Nowhere has no value in this file"),
     "recursion": (["def f(x):", "f(x)", f"movel({P})", "end", "f(1)"], 3, "calls itself"),
-    "thread": ([f"global W={P}", "thread T():", f"global W={Q}", "end", "t = run T()", "movel(W)"], 7, "changed by what runs beside"),
+    "thread": ([f"global W={P}", "thread T():", f"global W={Q}", "end", "t = run T()", "movel(W)"], 7, "changed by code that runs concurrently"),
 }  # fmt: skip
 
 
@@ -227,11 +227,11 @@ RAPID_REFUSALS = {
     "moving work object": ([f"PERS wobjdata w:={WORK.replace(chr(34) * 2, chr(34) + 'STN1' + chr(34))};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "moved by a mechanical unit"),
     "work object in the hand": ([f"PERS wobjdata w:={WORK.replace('FALSE', 'TRUE', 1)};"], [rf"MoveL {T1},v10,fine,tool0\WObj:=w;"], "held by the robot"),
     "stationary tool": ([f"PERS tooldata t:={TOOL.replace('TRUE', 'FALSE', 1)};"], [f"MoveL {T1},v10,fine,t;"], "not held by the robot"),
-    "where it is": ([], ["MoveL Offs(CRobT(),0,0,50),v10,fine,tool0;"], "crobt gives is known at run time"),
+    "where it is": ([], ["MoveL Offs(CRobT(),0,0,50),v10,fine,tool0;"], "the result of crobt is known only at run time"),
     "displaced": ([], ["PDispSet d;", f"MoveL {T1},v10,fine,tool0;"], "displaces the program at run time"),
     "offset and itself": ([f"CONST robtarget a:={T1};"], ["MoveL Offs(a,0,0,50),v10,fine,tool0;", "MoveL a,v10,fine,tool0;"], "other numbers in the target of line 2"),
     "unknown instruction": ([], ["Weld 3;"], "weld is not defined in this file; it may move the robot"),
-    "late binding": ([], ['%"go"+NumToStr(3,0)%;'], "which routine %…% calls is known at run time only"),
+    "late binding": ([], ['%"go"+NumToStr(3,0)%;'], "the routine that %…% calls is known only at run time"),
     "track": ([], ["MoveExtJ j,v10,fine;"], "may carry the robot"),
     "axis 4 locked": ([], [r"SingArea\LockAxis4;", f"MoveL {T1},v10,fine,tool0;"], "axis 4 is not at 0"),
     "expressions": ([], [f"MoveL [[x,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v10,fine,tool0;"], "x has no value"),
@@ -403,12 +403,12 @@ def test_moves_that_are_not_corrected_are_marked():
 # bad input
 
 BAD = [
-    ("", "rapid", "the file ends where MODULE should stand"),
+    ("", "rapid", "the file ends where MODULE is expected"),
     ("def f():\nend\n", "urscript", "contains no move"),
-    ("def f():\n  movel(p[1,2,3", "urscript", "line 2: the file ends where a comma or ] should stand; it is cut short"),
-    ("def f():\n  movel(W)\n", "urscript", "the file ends where the end of def f \\(line 1\\) should stand"),
+    ("def f():\n  movel(p[1,2,3", "urscript", "line 2: the file ends where a comma or ] is expected; it is truncated"),
+    ("def f():\n  movel(W)\n", "urscript", "the file ends where the end of def f \\(line 1\\) is expected"),
     ("MODULE m\nPROC main()\n", "rapid", "line 3: the file ends where ENDPROC"),
-    ("MODULE m\n]", "rapid", "line 2: ']' stands where a declaration or a routine should"),
+    ("MODULE m\n]", "rapid", "line 2: expected a declaration or a routine, found '\\]'"),
     (f"movel({'(' * (MAX_DEPTH + 1)}", "urscript", "nested more than"),
     (f"x = {'not ' * 5000}a", "urscript", "line 1: is nested more than"),
     (f"x = {'1+' * 5000}1\nmovel({P})", "urscript", "nested too deeply"),
@@ -416,9 +416,9 @@ BAD = [
     (f"MODULE m\nPROC main()\nx:={'-' * 5000}1;\nENDPROC ENDMODULE", "rapid", "line 3: is nested more than"),
     (f"MODULE m\nPROC main()\nx:=1{'+1' * 5000};\nENDPROC ENDMODULE", "rapid", "nested too deeply"),
     (f"MODULE m\nPROC main()\nx:={'(' * 5000}1;\nENDPROC ENDMODULE", "rapid", "line 3: is nested more than"),
-    ("movel(p[1,2,3000,4,5,6])", "urscript", "line 1: 3000 is not a place that a robot reaches"),
+    ("movel(p[1,2,3000,4,5,6])", "urscript", "line 1: 3000 is beyond the reach of any robot"),
     (f"MODULE m\nPROC main()\nMoveL [[1,2,3],[1,1,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "line 3: the orientation is not a unit quaternion"),
-    (f"MODULE m\nPROC main()\nMoveL [[1e9999,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "not a place that a robot reaches"),
+    (f"MODULE m\nPROC main()\nMoveL [[1e9999,2,3],[1,0,0,0],[0,0,0,0],{FREE}],v1,fine,tool0;\nENDPROC\nENDMODULE", "rapid", "beyond the reach of any robot"),
     ("a\0b", "rapid", "NUL"),
     ("movel(p[1,2,3,4,5,6]) ; halt", "urscript", "line 1: '; halt' is not known"),
     (b"# caf\xc3\xa9\nmovel(p[0,0,0,0,0,0])\n# caf\xe9\n", "urscript", "line 3 is not UTF-8 and line 1 is"),

@@ -98,7 +98,7 @@ def test_text_has_no_control_characters_of_the_file(stream, tmp_path, run):
 def test_a_clean_session_says_so(stream, tmp_path, run):
     code, out, _ = run("inspect", write(tmp_path / "s.mcap", stream, rig_toml(tmp_path)))
     assert code == 0
-    assert "nothing lost, nothing doubled, no restart" in out
+    assert "nothing lost, nothing duplicated, no restart" in out
     assert "5 observations" in out
 
 

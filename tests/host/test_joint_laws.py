@@ -343,7 +343,7 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     assert "payload of 6 kg; it was measured under 0, 4 kg." in again.carrying(6.0).doubt_of_payload
     judged = validated(again, RIG, table.select(np.arange(260) >= 200))
     assert judged.document["payload"] == [
-        "The sag of the joints is that under the payload of each row; it was measured under 0, 4 kg."
+        "The sag of the joints holds for the payload of each row; it was measured under 0, 4 kg."
     ]
     assert judged.document["payload"][0] in str(judged)
     with pytest.raises(InputError, match="plausible"):
@@ -365,7 +365,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert any("holds for the payload of these rows, 4 kg" in line for line in law_sentences(found.document))
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
-    sentence = "The sag of the joints is that under the payload of the calibration, 4 kg."
+    sentence = "The sag of the joints holds for the payload of the calibration, 4 kg."
     assert again.doubt_of_payload == sentence
     assert sentence in map_lines(Mapped(mapped(again, Section(cell=0.2)), None, again.doubt_of_payload), 0.2, None)
     assert validated(again, rig, replace(table, more={})).document["payload"] == [sentence]

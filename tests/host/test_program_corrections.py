@@ -200,7 +200,7 @@ def test_a_target_reached_with_either_wrist_is_refused(tmp_path, form):
         (program(f"movel({six(POSES[1])})"), {"tools": {"grip": TOOLS[1]}}, "no tools or work objects by name, such as grip"),
         (program(f"movel({six(POSES[1])})"), {"works": {"table": TOOLS[1]}}, "no tools or work objects by name, such as table"),
         ("MODULE m\nPROC main()\nMoveL p,v10,fine,tool0;\nENDPROC\nENDMODULE", {"tool": TOOLS[1]}, "each move of a RAPID program names its tool"),
-        ("MODULE m\nPERS tooldata grip:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nPROC main()\nMoveL p,v10,fine,grip;\nENDPROC\nENDMODULE", {"tools": {"Grip": TOOLS[1]}}, "p.mod line 2: grip is declared here"),
+        ("MODULE m\nPERS tooldata grip:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nPROC main()\nMoveL p,v10,fine,grip;\nENDPROC\nENDMODULE", {"tools": {"Grip": TOOLS[1]}}, "p.mod line 2: grip is declared in this program"),
     ],
 )  # fmt: skip
 def test_a_tool_that_would_not_be_used_is_refused(tmp_path, text, options, says):
@@ -262,7 +262,7 @@ def test_a_move_that_needs_several_values_has_no_remedy(tmp_path):
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
     assert {(one.line, one.remedy) for one in caught.value.refused} == {(6, "")}
-    assert "its tool, frame or offset differs from run to run" in caught.value.refused[0].why
+    assert "its tool, frame or offset differs between its calls" in caught.value.refused[0].why
 
 
 def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):

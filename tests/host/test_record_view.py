@@ -147,7 +147,7 @@ class TestCheck:
             "stream adc samples at osr 4096, not 128 as asked for",
         )
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
-        assert "still to come" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
+        assert "which is in the future" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]
         assert "no channel of the box" in check_box(box(calibration={}), Purpose(), TODAY).warned[0]
 
     def test_a_line_needs_its_sensors(self):
@@ -195,7 +195,7 @@ class TestView:
             view.box_temperature(degc)
         (text,) = view.take()[0]
         assert text.startswith("warning: the box is 5.0 °C warmer than when lvdt was calibrated")
-        assert "may be off by some 0.05 mm" in text
+        assert "may be off by about 0.05 mm" in text
         unknown = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True), unchecked=True)
         unknown.approve(box())
         unknown.take()

@@ -16,8 +16,8 @@ from truearm.report.reproduce_page import (
     IN_KIND,
     NOT_JUDGED,
     NOT_REPRODUCED,
-    OURS,
     REPRODUCED,
+    TRUEARM_ONLY,
     Chapter,
     Claim,
     ReproducePage,
@@ -62,7 +62,7 @@ def test_every_difference_is_explained(made, paper):
 
 def test_goswami_numbers(made):
     numbers, _ = made["goswami"]
-    ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters seen by")]
+    ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters identifiable with")]
     assert ranks == [30, 32, 33, 32, 34, 35, 33, 35, 36]
     assert named(numbers, "subsets whose rank")["ours"] == 511
     assert named(numbers, "sets of six pairings")["ours"] == 78
@@ -86,7 +86,9 @@ def test_goswami_numbers(made):
 def test_renders_numbers(made):
     numbers, _ = made["renders"]
     unseen = [
-        c["ours"] for c in claims(numbers) if c["what"].startswith(("parameters that no", "of these", "left when"))
+        c["ours"]
+        for c in claims(numbers)
+        if c["what"].startswith(("parameters that lines cannot", "of these", "left when"))
     ]
     assert unseen == [4, 0, 7, 3]
     assert named(numbers, "batch (12)")["ours"] < 1e-7
@@ -108,14 +110,17 @@ def test_every_sigma_that_renders_prints_has_its_line(made):
         assert {c["verdict"] for c in lines} == {IN_KIND}
         assert min(c["paper"] for c in lines if c["unit"] == "rad") == smallest
         for line in lines:
-            once = float(re.search(r"claims ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
+            once = float(re.search(r"once and gives ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
             # Data counted k times claim σ/√k where the data decide, and the prior of each run more where they do not.
             assert line["ours"] < 1.01 * once, line
 
 
 def test_lengths_improve_what_offsets_leave(made):
     sure, none = (
-        named(made["renders"][0], f"reduction of the mean error by the lengths, a robot with the errors of {c}")
+        named(
+            made["renders"][0],
+            f"reduction of the mean error by fitting the lengths, for a robot with the errors of {c}",
+        )
         for c in ("III-F", "III-E")
     )
     assert 0.5 < sure["ours"] < 1.0
@@ -124,10 +129,10 @@ def test_lengths_improve_what_offsets_leave(made):
 
 
 def test_two_experiments_do_not_judge_figure_four(made):
-    for what in ("steps at which ML", "the same, P₀ chosen", "ML over LS at the end"):
+    for what in ("fraction of steps at which ML", "the same, P₀ chosen", "ML divided by LS at the end"):
         claim = named(made["renders"][0], what, "Fig. 4")
         assert claim["verdict"] == NOT_JUDGED, claim
-        assert "too few to judge: a full run makes" in claim["why"]
+        assert "too few for a verdict; a full run makes" in claim["why"]
     assert made["renders"][0]["counts"][NOT_JUDGED] == 4
     assert NOT_JUDGED not in made["goswami"][0]["counts"]
     assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
@@ -177,7 +182,12 @@ def test_bad_input(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("paper", "ours", "tolerance", "verdict"),
-    [(1.0, 1.1, 0.2, REPRODUCED), (1.0, 1.3, 0.2, NOT_REPRODUCED), (1.0, 9.0, None, IN_KIND), (None, 1.0, 0.0, OURS)],
+    [
+        (1.0, 1.1, 0.2, REPRODUCED),
+        (1.0, 1.3, 0.2, NOT_REPRODUCED),
+        (1.0, 9.0, None, IN_KIND),
+        (None, 1.0, 0.0, TRUEARM_ONLY),
+    ],
 )
 def test_a_verdict_follows_from_the_numbers(paper, ours, tolerance, verdict):
     assert Claim("a", "mm", paper, ours, tolerance=tolerance).verdict == verdict
@@ -191,11 +201,11 @@ def test_the_terminal_lists_what_is_not_reproduced():
         Claim("d", "1", 1, 1),
     )
     head, *listed = lines(ReproducePage("t", "s", (Chapter("c", "", claims),)))
-    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 ours alone"
+    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 not in the paper"
     assert listed == [
-        "  a: paper 1 mm, ours 2 mm. W.",
-        "  b: paper 4, ours 7.",
-        "  c: paper 1, ours 0.5.",
+        "  a: paper 1 mm, truearm 2 mm. W.",
+        "  b: paper 4, truearm 7.",
+        "  c: paper 1, truearm 0.5.",
     ]
 
 

@@ -129,7 +129,7 @@ STATES = {
     "no positions": (joint_state(T0, NAMES, []), "does not have a finite position"),
     "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "does not have a finite position"),
     "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "which is not a valid time"),
-    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "is compressed by itself"),
+    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "this message is compressed"),
 }
 
 

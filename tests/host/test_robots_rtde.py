@@ -243,7 +243,7 @@ class TestClient:
 
         controller = Controller([], talk)
         tracemalloc.start()
-        with pytest.raises(ProtocolError, match="sends what is not RTDE"):
+        with pytest.raises(ProtocolError, match="sends data that are not RTDE"):
             RtdeLink(controller.url, HostClock())
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
         tracemalloc.stop()

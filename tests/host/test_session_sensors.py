@@ -134,7 +134,7 @@ class TestIdent:
     )
     def test_the_last_error_of_its_firmware(self, text, shown):
         (fault,) = parse_ident({**ident_document(), "last_error": text}).faults
-        assert fault.startswith("its firmware once ended by an error: " + shown)
+        assert fault.startswith("its firmware stopped with an error earlier: " + shown)
         assert len(fault) < 110
 
     def test_a_stream_of_flight_times(self):

@@ -90,12 +90,12 @@ MISTAKES = {
     "the fixture stood elsewhere for the first 60 rows": (
         lambda: other_set_up(slice(60)),
         WrongInput.SET_UP,
-        "60 rows from poses.csv row 2 to poses.csv row 61 belong to another set-up than the other 300",
+        "60 rows from poses.csv row 2 to poses.csv row 61 were measured with another set-up than the other 300",
     ),
     "the fixture was moved before the last 100 rows": (
         lambda: other_set_up(slice(260, None)),
         WrongInput.SET_UP,
-        "100 rows from poses.csv row 262 to poses.csv row 361 belong to another set-up than the other 260",
+        "100 rows from poses.csv row 262 to poses.csv row 361 were measured with another set-up than the other 260",
     ),
     "the encoder of joint 4 hung for a hundred rows": (
         lambda: stuck(3, slice(120, 220)),
@@ -110,7 +110,7 @@ MISTAKES = {
     "the chucks were numbered in a circle from another one": (
         lambda: renamed(chuck={"c1": "c2", "c2": "c3", "c3": "c1"}),
         WrongInput.LABELS,
-        "the names of the chucks are exchanged in a circle in all rows: c2 is c1, c3 is c2, c1 is c3",
+        "the names of the chucks are permuted in all rows: c2 is c1, c3 is c2, c1 is c3",
     ),
     "two chucks taken for each other": (
         lambda: renamed(chuck={"c1": "c2", "c2": "c1"}),

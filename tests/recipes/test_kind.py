@@ -87,7 +87,7 @@ def test_it_is_identified_judged_and_reported(copy):
     assert zero["unit"] == "rad"
     assert abs(zero["value"] - ZERO["i1"]) < 5 * zero["sigma"] < 1e-3
     page = (copy.folder / "page.html").read_text()
-    assert "Residual of an inclinometer observation: measured less predicted inclination." in page
+    assert "Residual of an inclinometer observation: measured minus predicted inclination." in page
     assert "By inclinometer" in page
     assert "<dt>inclinometers</dt><dd>i1, i2</dd>" in page
 

@@ -55,7 +55,9 @@ def format_config(config: Mapping[str, Any]) -> str:
     """Format a box's configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
     them.
     """
-    lines = ["# The configuration of a truearm box (truearm box config get, set). What is left out, the box keeps."]
+    lines = [
+        "# The configuration of a truearm box (truearm box config get, set). A key that is left out keeps its value in the box."
+    ]
     lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive", "thermometers"))
     for channel in _channels(config):
         lines += ["", "[[channel]]", *_lines(channel, CHANNEL, ("calibration",))]
@@ -73,7 +75,7 @@ def _lines(values: Mapping[str, Any], table: Table[Values], elsewhere: Sequence[
     keys = [key for key in config_keys(table) if key.called in values]
     comments = {key.name: key.comment for key in keys}
     if values.get("osr") in OSRS:
-        comments["osr"] = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples a second"
+        comments["osr"] = f"{NS.factor / MODULATOR_NS / values['osr']:.2f} samples per second"
     found = [key.line(values[key.called]) + f"  # {comments[key.name]}".removesuffix("  # ") for key in keys]
     known = {key.called for key in config_keys(table)} | set(elsewhere)
     return found + [f"# {_one_line(k)}: not known to this truearm; the box keeps it" for k in values if k not in known]

@@ -179,8 +179,14 @@ CALIBRATION = Table[dict[str, Any]](
         _key("poly", _POLY, "value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
         _key("serial", Words()),
         _key("date", Words()),
-        _key("sigma", Exact(), "standard deviation of what was left, in unit", judged=False),
-        _key("temperature_degc", _MILLIDEGREES, "of the box meanwhile", judged=False, field="temperature_mdegc"),
+        _key("sigma", Exact(), "standard deviation of the residuals, in unit", judged=False),
+        _key(
+            "temperature_degc",
+            _MILLIDEGREES,
+            "of the box during the calibration",
+            judged=False,
+            field="temperature_mdegc",
+        ),
     ),
     dict,
 )

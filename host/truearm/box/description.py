@@ -31,13 +31,13 @@ def ident_lines(ident: Ident) -> list[str]:
     for fault in ident.faults:
         lines += ["", f"warning: {one_line(fault)}"]
     if isinstance(document.get("last_error"), str):
-        lines += ["", "its last traceback (truearm box reset forgets it):"]
+        lines += ["", "its last traceback (truearm box reset clears it):"]
         lines += ["  " + one_line(line) for line in document["last_error"].splitlines()]
     return lines
 
 
 def _rate(stream: Stream) -> str:
-    rate = f"{NS.factor / stream.period_ns:.2f} samples a second" if stream.period_ns else "no fixed rate"
+    rate = f"{NS.factor / stream.period_ns:.2f} samples per second" if stream.period_ns else "no fixed rate"
     osr = f", osr {stream.osr}" if stream.osr else ""
     return f"{rate}{osr}, group delay {MS.text(NS.to_si(stream.group_delay_ns), '.3f')}"
 
@@ -46,7 +46,7 @@ def _channel(channel: Channel, entry: Any) -> str:
     if channel.fault:
         return f"{one_line(channel.name):<18}cannot be used: {channel.fault}"
     gain = entry.get("gain", 1)
-    text = f"{one_line(channel.name):<18}{channel.scale:.6g} {one_line(channel.unit)} a count, gain {gain!s:.6}"
+    text = f"{one_line(channel.name):<18}{channel.scale:.6g} {one_line(channel.unit)} per count, gain {gain!s:.6}"
     if not channel.poly:
         return text + ", not calibrated"
     calibration = entry.get("calibration", {})

@@ -58,7 +58,7 @@ def flash_box(options: FlashOptions) -> Iterator[str]:
         ident = _wait_for_box(options.device, others, options.timeout)
     yield f"it answers: {one_line_of(ident)}"
     if version and ident.firmware != version:
-        yield f"warning: the image has {version}; files of a firmware on the box's flash are found before it"
+        yield f"warning: the image has {version}, but the box runs {ident.firmware}: firmware files on its flash take precedence"
     for fault in ident.faults:
         yield f"warning: {fault}"
 
@@ -165,8 +165,8 @@ def _copy_files(device: str, stop: bool) -> Iterator[str]:
     copy_firmware(device, firmware, wire, mpremote, compiler)
     yield f"{device}: the firmware's files are copied; the box restarts"
     yield (
-        "clock: a stock MicroPython ties the box's clock to the host's to about 250 µs; "
-        "the image does to 100 µs, as it stamps requests in the USB interrupt"
+        "clock: with stock MicroPython, the error bound of the box's clock is about 250 µs; with the image it is "
+        "100 µs, because the image stamps requests in the USB interrupt"
     )
 
 

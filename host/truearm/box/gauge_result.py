@@ -97,7 +97,7 @@ def _references(places: Sequence[Place]) -> Floats:
 
 def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], channel: Channel) -> list[str]:
     lines = [
-        f"order {f.order}: left-out error {UM.text(f.press, '.2f')} RMS{' ← taken' if f.order == result.order else ''}"
+        f"order {f.order}: cross-validation error {UM.text(f.press, '.2f')} RMS{' ← chosen' if f.order == result.order else ''}"
         for f in tried
     ]
     lines.append(
@@ -105,7 +105,7 @@ def words(places: Sequence[Place], result: PolyFit, tried: Sequence[PolyFit], ch
     )
     before = _before(places, channel)
     if before is not None:
-        lines.append(f"the calibration before misses these references by {UM.text(before, '.2f')} RMS")
+        lines.append(f"the previous calibration is off by {UM.text(before, '.2f')} RMS")
     return lines
 
 
@@ -240,8 +240,8 @@ def _certificate(
         ("of a calibrated length, with the reference (k = 2)", whole),
         ("largest residual", UM.text(_largest(result), ".2f")),
         (
-            "the calibration before",
-            "none" if before is None else f"misses these references by {UM.text(before, '.2f')} RMS",
+            "the previous calibration",
+            "none" if before is None else f"off by {UM.text(before, '.2f')} RMS at these references",
         ),
     )
     curve = [

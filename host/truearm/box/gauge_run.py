@@ -50,7 +50,7 @@ class GaugeOptions:
     """How to calibrate a channel.
 
     ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: of samples at each position.
-    ``order``: of the polynomial, None for the one with the least left-out error. ``serial``: of the sensor, None to
+    ``order``: of the polynomial, None for the one with the smallest cross-validation error. ``serial``: of the sensor, None to
     keep it. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
     without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``Circumstances``.
     """

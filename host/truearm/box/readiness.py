@@ -77,7 +77,7 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
     error = abs(warmer) * (STEEL * USUAL_BAR + LVDT_DRIFT * 0.5 * USUAL_TRAVEL)
     return (
         f"the box is {DEGC.text(abs(warmer), '.1f')} {'warmer' if warmer > 0.0 else 'colder'} than when {channel} was calibrated, "
-        f"and reads no thermometer on the bar: lengths may be off by some {MM.text(error, '.2f')} (a steel bar of {MM.text(USUAL_BAR, '.0f')}); "
+        f"and reads no thermometer on the bar: lengths may be off by about {MM.text(error, '.2f')} (a steel bar of {MM.text(USUAL_BAR, '.0f')}); "
         "put a thermometer on the bar, or wait"
     )
 
@@ -111,7 +111,7 @@ def _old(name: str, described: Mapping[str, Any], today: date) -> list[str]:
     except ValueError:
         return []
     if days < 0:
-        return [f"channel {name} was calibrated on {made}, which is still to come; is this computer's date right?"]
+        return [f"channel {name} was calibrated on {made}, which is in the future; check the date of this computer"]
     return [f"channel {name} was calibrated {days} days ago, on {made}"] if days > OLD_DAYS else []
 
 
@@ -124,4 +124,4 @@ def _uncalibrated(ident: Ident) -> str:
     channels = [c for s in ident.streams.values() for c in s.channels]
     if any(c.length_unit is not None for c in channels):
         return ""
-    return "no channel of the box is calibrated to a length; truearm identify will not take this session"
+    return "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with truearm box gauge"

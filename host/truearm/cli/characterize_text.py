@@ -18,8 +18,8 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""
-    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar, one sigma; three are {MM.text(3.0 * of['along_m']['value'], '.3f')}"
-    yield f"  less what readings show  {_range(of['unexplained_m'], MM)}"
+    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
+    yield f"  without joint scatter    {_range(of['unexplained_m'], MM)}"
     yield ""
     yield f"{'joint':16} {'backlash/mrad':>24} {'readings differ/mrad':>24} {'spread/mrad':>22} {'S_q/mrad':>20}"
     columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
@@ -40,7 +40,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
                 f"95th percentile {_range(band['share_95_s'], S)}; {counted(band['visits'], 'visit')}"
             )
     own = settling["dwells_begin_s"]
-    yield f"dwells begin {own['median']:.2f} s after the joints stand, {own['largest']:.2f} s at most"
+    yield f"dwells begin {own['median']:.2f} s (median) after the joints stop, {own['largest']:.2f} s at most"
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
@@ -68,7 +68,7 @@ def _noise(document: Mapping[str, Any]) -> Iterator[str]:
         f"{_range(sensor['independent_after_s'], MS)}"
     )
     if sensor["floor"] is not None:
-        yield f"  Allan deviation least {_range(sensor['floor'], UM)} in means over {sensor['floor']['tau_s']:.2g} s"
+        yield f"  lowest Allan deviation {_range(sensor['floor'], UM)} in means over {sensor['floor']['tau_s']:.2g} s"
 
 
 def _range(interval: Mapping[str, float], scale: Scale, unit: bool = True) -> str:

@@ -1,6 +1,6 @@
 """``truearm demo``: a calibrated robot from a simulated box, with one command.
 
-Simulate → record → sync → identify → validate → one HTML page, each hop through the real thing: the firmware in MicroPython, the wire,
+Simulate → record → sync → identify → validate → one HTML page, each step through the real code: the firmware in MicroPython, the wire,
 the session file, the clocks. What is found is judged by rows that were not fitted, and against the simulator's truth.
 """
 
@@ -49,7 +49,7 @@ def what_is_planned(experiment: Experiment, poses: int) -> str:
         case Experiment.ballbar:
             return f"{poses} poses on the shells of each bar"
         case Experiment.line:
-            return "lines where the design errs"
+            return "lines where the nominal robot is inaccurate"
         case Experiment.both:
             return f"{poses} poses with each bar, and lines"
         case _:
@@ -61,7 +61,10 @@ def demo(
     poses: Annotated[
         int,
         typer.Option(
-            metavar="N", min=90, max=5000, help="Dwells with each of two bars: one is fitted, the other one validates."
+            metavar="N",
+            min=90,
+            max=5000,
+            help="Dwells with each of two bars. Those of the first bar are fitted, those of the second validate.",
         ),
     ] = 800,
     seed: SeedOption = 1,

@@ -55,7 +55,7 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Poses at which a refit is best: a table or a plan (.csv). Default: anywhere within the joint limits.",
+            help="Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits.",
         ),
     ] = None,
     curves: Annotated[
@@ -69,7 +69,7 @@ def export(
 ) -> None:
     """Write a calibrated robot for other programs.
 
-    If the format has no place for a parameter, or you do not adjust it, the other parameters are refitted to compensate. The
+    If the format has no place for a parameter, or --adjust excludes it, the other parameters are refitted to compensate. The
     remaining error is printed.
 
     \b

@@ -45,7 +45,7 @@ def export_session(
 
     Writes one file per stream; with --format mcap one file with one channel per stream, all on one time axis. A sample has the
     box's time, the synchronised host time with its error bound, the counts, and the value in the SI unit that its column names.
-    Gaps are marked, not filled. session.json lists losses and describes the columns. --model tells which joints are prismatic;
+    Gaps are marked, not filled. session.json lists losses and describes the columns. --model determines which joints are prismatic;
     without it all are revolute.
 
     \b

@@ -88,9 +88,9 @@ def identify(
     prior: Annotated[
         Prior | None,
         typer.Option(
-            help=f"Prior about the nominal values, with a sigma of {', '.join(tolerances('weak')[:2])} (weak) or {', '.join(tolerances('wide')[:2])} (wide); "
-            "default: weak, for weakly identifiable parameters only. If not given: weak for a URDF, otherwise wide for --solver map and "
-            "default for lm and recursive; ls has none."
+            help=f"Prior about the nominal values. weak: sigma of {' and '.join(tolerances('weak')[:2])}. wide: {' and '.join(tolerances('wide')[:2])}. "
+            "default: like weak, but for weakly identifiable parameters only. Without this option: weak for a URDF; otherwise wide for "
+            "--solver map, default for lm and recursive, none for ls."
         ),
     ] = None,
     solver: Annotated[

@@ -286,7 +286,7 @@ def predicted(document: Document) -> list[str]:
         return [
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
         ]
-    where = " (without the pose of the base)" if error["relative"] else ""
+    where = " (excluding the pose of the base)" if error["relative"] else ""
     return [
         f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {counted(error['n'], 'pose')}{where}, at most "
         f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
@@ -383,7 +383,7 @@ def held_out_notes(document: Document) -> list[str]:
     gone = [one_line(name) for name in document["all_held_out"] if name not in document["held_out_by"]]
     if held_out and gone:
         other = f" Instead{_proposal(document)}." * (document["hold_out_proposal"] is not None)
-        notes.append(f"The fit has no row of {_names(gone)} left.{other}")
+        notes.append(f"No row with {_names(gone)} is left in the fit.{other}")
     if held_out and held_out["n_settled"]:
         notes.append(
             f"{counted(held_out['n_settled'], 'unknown of the rig was', 'unknowns of the rig were')} estimated from the held-out rows themselves."

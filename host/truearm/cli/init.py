@@ -115,7 +115,7 @@ def init(
         branch=branch or "",
         name=ask(name, "What is calibrated, as reports call it (Enter for nothing)"),
         serial=ask(serial, "Serial number of the robot (Enter for none)"),
-        operator=ask(operator, "Who measures (Enter for nothing)"),
+        operator=ask(operator, "Name of the operator (Enter for none)"),
         address=ask(address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)"),
         box=ask(box, "Port of the box (Enter for the one that is plugged in)"),
     )
@@ -129,11 +129,13 @@ def init(
     lengths = _lengths(
         ask(bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)")
     )
-    places = _known(ask(known, f"How well are the places of chucks and spheres measured [mm], or {UNKNOWN}", UNKNOWN))
+    places = _known(
+        ask(known, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", UNKNOWN)
+    )
     length = (
         zero
         if zero is not None
-        else _number("--zero-sigma-mm", ask(None, "How well is the first bar's length measured [mm]", "0.1"))
+        else _number("--zero-sigma-mm", ask(None, "Standard deviation of the first bar's length [mm]", "0.1"))
     )
     bounds = branch_given(branch or None)
     wanted = Wanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)

@@ -33,7 +33,7 @@ BOX_WORDS = {  # of the box's counters; others are called by their names
     "bad_frames": "bad frames received by the box",
     "crc_errors": "damaged frames of the box's converter",
     "converter_resets": "resets of the box's converter by itself",
-    "missing_stops": "magnetostrictive shots without a stop",
+    "missing_stops": "magnetostrictive interrogations without a stop pulse",
 }
 EXTREME_WORDS = {
     "loop_max_us": "longest loop {} µs",
@@ -64,7 +64,7 @@ def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
     for piece in damage:
         yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])
     if damage:
-        yield "  these losses are counted below too, although no link lost them"
+        yield "  the losses below include these, although no link lost them"
 
 
 def _session(document: Mapping[str, Any]) -> Iterator[str]:
@@ -110,7 +110,7 @@ def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
         wrong.append(
             f"  {losses['samples_missing']:>6} {'sample' if losses['samples_missing'] == 1 else 'samples'} missing by the nominal rate while it was silent"
         )
-    yield from wrong or ["  nothing lost, nothing doubled, no restart"]
+    yield from wrong or ["  nothing lost, nothing duplicated, no restart"]
     if box["heartbeats"]:
         worst = ((key, box[key]) for _, key in EXTREMES.values() if box[key] is not None)
         worst_words = ", ".join(EXTREME_WORDS.get(key, key + " {}").format(value) for key, value in worst)
@@ -165,7 +165,7 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
 def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     if not robot["readings"]:
         sent = (
-            f"; {counted(robot['console_bytes'], 'byte that is none', 'bytes that are none')}"
+            f"; {counted(robot['console_bytes'], 'byte that is no reading', 'bytes that are no readings')}"
             if robot["console_bytes"]
             else ""
         )
@@ -173,13 +173,13 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
         return
     yield (
         f"robot: {counted(robot['readings'], 'reading')} of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
-        f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} doubled, "
+        f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} duplicated, "
         f"{robot['malformed']} malformed, {robot['restarts']} restarts"
     )
     if added:
         when = added.get("time", "?")
         yield "  " + one_line(
-            f"added afterwards from {added.get('source', '?')}, their arrival was not observed: their time is {when}, its error unknown"
+            f"added afterwards from {added.get('source', '?')}; their arrival was not observed. Their time is {when}; its error is unknown"
         )
         return
     for report in robot["clock"]:
@@ -196,7 +196,7 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     wrong = [
         f"{edges[key]} {text}"
         for key, text in (
-            ("unseen", "shown by no reading"),
+            ("unseen", "not visible in any reading"),
             ("unclear", "not distinguished"),
             ("rejected", "rejected by the others"),
             ("stray", "changes of the input without an edge"),

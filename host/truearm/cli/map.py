@@ -52,7 +52,7 @@ def map_(
     at: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,...", help="Values of the other joints [deg, mm]. Default: 0.")
     ] = None,
-    elbow: Annotated[Elbow, typer.Option(help="Which of the arm's two configurations.")] = Elbow.up,
+    elbow: Annotated[Elbow, typer.Option(help="Configuration of the elbow.")] = Elbow.up,
     cell: Annotated[float, typer.Option(metavar="MM", help="Size of a cell.", **bounded(CELL, MM))] = 25.0,
     task: Annotated[
         str | None, typer.Option(metavar="WxH", help="Find the best place for a task of this size [mm].")

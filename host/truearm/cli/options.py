@@ -50,7 +50,7 @@ def completed(names: Collection[str]) -> Callable[[str], list[str]]:
 # What is read
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
 InputsArgument = Annotated[
-    list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv); all are read as one.")
+    list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv), which are read as one table.")
 ]
 ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
 AllowDamagedOption = Annotated[
@@ -80,13 +80,17 @@ IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in rob
 BaseOption = Annotated[
     str | None,
     typer.Option(
-        "--base", metavar="LINK", help="First link of a URDF. Default: that of an earlier result, or the root."
+        "--base",
+        metavar="LINK",
+        help="First link of a URDF. Default: the one stored in the result, if a result is read; otherwise the root.",
     ),
 ]
 TipOption = Annotated[
     str | None,
     typer.Option(
-        "--tip", metavar="LINK", help="Last link of a URDF. Default: that of an earlier result, or the only leaf."
+        "--tip",
+        metavar="LINK",
+        help="Last link of a URDF. Default: the one stored in the result, if a result is read; otherwise the only leaf.",
     ),
 ]
 BranchOption = Annotated[

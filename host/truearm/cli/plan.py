@@ -57,7 +57,7 @@ CriterionOption = Annotated[
         metavar=choices(tuple(Criterion)),
         callback=one_of(tuple(Criterion)),
         autocompletion=completed(tuple(Criterion)),
-        help=". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion) + ".",
+        help="What to minimise. " + ". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion) + ".",
     ),
 ]
 RegionOption = Annotated[
@@ -145,7 +145,7 @@ def ballbar(
         ),
     ] = MM.of(option_defaults.SPREAD),
     dwell_s: Annotated[
-        float, typer.Option(metavar="S", help="Rest at a pose.", **bounded(DWELL))
+        float, typer.Option(metavar="S", help="Duration of the rest at each pose.", **bounded(DWELL))
     ] = option_defaults.DWELL,
     visits: Annotated[
         int,
@@ -165,7 +165,7 @@ def ballbar(
     ] = option_defaults.CHECK_POSES,
     joint_laws: Annotated[
         bool,
-        typer.Option("--joint-laws", help="Also predict what the poses will determine of the joints' error curves."),
+        typer.Option("--joint-laws", help="Also predict how well the poses will determine the joints' error curves."),
     ] = False,
     seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,
@@ -237,7 +237,7 @@ def line(
         int, typer.Option(min=1, max=20, metavar="N", help="Drive each line there and back, N times.")
     ] = option_defaults.PASSES,
     points: Annotated[
-        int, typer.Option(min=3, max=500, metavar="N", help="Points that count as measured in each direction.")
+        int, typer.Option(min=3, max=500, metavar="N", help="Number of points per direction that the forecast assumes.")
     ] = option_defaults.LINE_POINTS,
     target: Annotated[
         str | None, typer.Option(metavar="NAME", help="Target of the rig to measure. Default: its only one.")
@@ -314,16 +314,22 @@ def characterize(
         int, typer.Option(min=1, max=50, metavar="N", help="Number of poses; each is visited many times.")
     ] = option_defaults.APPROACH_POSES,
     rounds: Annotated[
-        int, typer.Option(min=2, max=100, metavar="N", help="Times each pose is reached from each of eight sides.")
+        int,
+        typer.Option(
+            min=2, max=100, metavar="N", help="Number of times that each pose is reached from each of eight sides."
+        ),
     ] = option_defaults.ROUNDS,
     long_s: Annotated[
-        float, typer.Option(min=2.0, max=60.0, metavar="S", help="Long rest at each pose, for the noise.")
+        float,
+        typer.Option(
+            min=2.0, max=60.0, metavar="S", help="Duration of one long rest at each pose, which measures the noise."
+        ),
     ] = option_defaults.LONG_DWELL,
     result: ResultOption = None,
     branch: BranchOption = None,
     reserve: ReserveOption = None,
     dwell_s: Annotated[
-        float, typer.Option(min=1.5, max=600.0, metavar="S", help="Rest at a pose.")
+        float, typer.Option(min=1.5, max=600.0, metavar="S", help="Duration of the rest at each pose.")
     ] = option_defaults.DWELL,
     seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,

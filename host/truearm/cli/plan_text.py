@@ -130,7 +130,7 @@ def _direction(weights: Mapping[str, float]) -> str:
 def _region(document: Mapping[str, Any]) -> list[str]:
     if document["cartesian_rms_mm"] is None:
         return ["error in the region: unknown, an unidentifiable combination moves the tool"]
-    relative = ", without the pose of the base" * document["cartesian_relative"]
+    relative = " (excluding the pose of the base)" * document["cartesian_relative"]
     return [
         f"error in the region: {document['cartesian_rms_mm']:.3f} mm RMS, "
         f"{document['cartesian_worst_mm']:.3f} mm at its worst pose{relative}"

@@ -41,7 +41,7 @@ def _totals(summary: RecordSummary) -> str:
     if counters.robot_held_up:
         parts.append("the robot sent more than could be stored")
     if counters.held_up:
-        parts.append(f"the reader had to wait {counters.held_up} times")
+        parts.append(f"storing fell behind {counters.held_up} times")
     return ", ".join(parts)
 
 

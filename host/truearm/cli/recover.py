@@ -27,7 +27,7 @@ def recover(
     """Write a new, complete session with all intact data of a damaged or unfinished one.
 
     For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
-    and lost data are listed by place, time and topic; lost data stay a gap. An intact file is left alone. Exit code 0 if there is
+    and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if there is
     a complete file in the end, 2 if nothing could be saved.
 
     \b
@@ -69,7 +69,7 @@ def lines(found: Recovered) -> list[str]:
     if len(found.damage) > SHOWN:
         text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
     if found.cut_off:
-        text.append("lost   the end: what followed (a second, if the recorder was killed) cannot be counted")
+        text.append("lost   the end of the file: its length is unknown (at most a second if the recorder was killed)")
     text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} in no intact record")
     return text
 

@@ -42,7 +42,7 @@ def relabel(
     undo: Annotated[bool, typer.Option("--undo", help="Undo the last decision.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Settle what was mounted at each dwell of a session, where plan, operator and readings disagree.
+    """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
 
     The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them. With
     --trust evidence a dwell is labelled if one pairing has a probability of 99.8 %, otherwise it is left out. Without --trust you

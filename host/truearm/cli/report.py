@@ -52,7 +52,7 @@ def report(
 ) -> None:
     """Write the report on a result, with a certificate as its first page.
 
-    The fit is repeated from the files of the result, with the same options. Other files, or a different outcome, are refused.
+    The fit is repeated from the files of the result, with the same options. If the files differ, or the outcome does, no report is written.
 
     \b
     Example:

@@ -72,6 +72,6 @@ def lines(page: ReproducePage) -> list[str]:
     for claim in (claim for chapter in page.chapters for claim in chapter.claims):
         if claim.verdict == NOT_REPRODUCED:
             unit = f" {claim.unit}" * (claim.unit not in ("", "1"))
-            text = f"  {claim.what}: paper {claim.paper:g}{unit}, ours {claim.ours:.3g}{unit}. {claim.why}"
+            text = f"  {claim.what}: paper {claim.paper:g}{unit}, truearm {claim.ours:.3g}{unit}. {claim.why}"
             found.append(text.rstrip())
     return found

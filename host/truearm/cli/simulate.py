@@ -63,7 +63,10 @@ def simulate(
     tip: TipOption = None,
     branch: BranchOption = None,
     fast: Annotated[
-        bool, typer.Option("--fast", help="Record in virtual time, straight into session.mcap: seconds, not minutes.")
+        bool,
+        typer.Option(
+            "--fast", help="Record in virtual time, directly into session.mcap. This takes seconds instead of minutes."
+        ),
     ] = False,
     rate: Annotated[
         float, typer.Option(metavar="HZ", help="With --fast: samples per second of each channel.")
@@ -90,7 +93,10 @@ def simulate(
     lines: Annotated[
         int,
         typer.Option(
-            metavar="N", min=0, max=50, help="Lines along a line device, there and back; 0: a ball-bar instead."
+            metavar="N",
+            min=0,
+            max=50,
+            help="Number of lines along a line device, driven there and back. 0: use a ball-bar instead.",
         ),
     ] = 0,
     plan: PlanOption = None,
@@ -134,7 +140,7 @@ def simulate(
         bool,
         typer.Option(
             "--stage",
-            help="Without a robot: the sensors follow a reference that you set by typing mm, to rehearse truearm box gauge.",
+            help="Simulate the sensors without a robot, to rehearse truearm box gauge: they follow a reference position that you type in mm.",
         ),
     ] = False,
     fault: Annotated[

@@ -69,7 +69,7 @@ TruthSeedOption = Annotated[
         "--truth-seed",
         min=0,
         metavar="N",
-        help="Random seed of the hidden truth: the same arm on another day. Default: --seed.",
+        help="Random seed of the hidden truth. The same value with another --seed is the same arm on another day. Default: --seed.",
     ),
 ]
 WornOption = Annotated[

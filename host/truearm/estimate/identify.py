@@ -1,4 +1,4 @@
-"""Hop 7: identify an Estimate from a table of observations. Validates input, calls a solver and analyses the null space."""
+"""Identify an Estimate from a table of observations. Validates input, calls a solver and analyses the null space."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def candidates(
     elif mode in (LawMode.AUTO, LawMode.SAG):
         laws += _sags(chain, q, gravity.direction, payloads)
         if not laws:
-            reasons.append("the torque of gravity does not vary at any joint: sag cannot be seen")
+            reasons.append("the torque of gravity does not vary at any joint: sag is unidentifiable")
     if mode in (LawMode.AUTO, LawMode.CURVE):
         for i, joint in enumerate(chain.joints):
             span = float(np.ptp(q[:, i]))

@@ -86,7 +86,9 @@ def minimise(
         parts = spectrum(here.root)
         promised = promise(parts, here.rhs)
         if promised @ promised <= max(RELATIVE_END**2 * here.chi2, ABSOLUTE_END**2 * here.n_residuals):
-            return Minimum(x, "converged", "the linearised problem promises no further gain", iteration, here)
+            return Minimum(
+                x, "converged", "the linearised problem predicts no further reduction of the residuals", iteration, here
+            )
         delta, _ = step(parts, promised, 0.0)
         if np.linalg.norm(parts.scale * delta) <= STEP_END * np.linalg.norm(parts.scale * x):
             return Minimum(x, "converged", "the step is below rounding", iteration, here)
@@ -109,7 +111,7 @@ def minimise(
             damping = after_refusal(damping)
             if damping > DAMPING_MAX:
                 if promised @ promised <= ROUNDING_END**2:
-                    return Minimum(x, "converged", "what a step promises is lost in rounding", iteration, here)
+                    return Minimum(x, "converged", "the predicted reduction is below rounding", iteration, here)
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / predicted
         damping = after_step(damping, gain, refused)

@@ -194,7 +194,7 @@ def _annealed(
     probability, evidence = posterior(transitions, told, nothing, nothing)
     if not fit.readings.read.any():
         return probability, evidence
-    for fit.noise in steps_of(noise, "settling what was mounted"):
+    for fit.noise in steps_of(noise, "comparing labels with the readings"):
         seen = fit.judge(probability)
         probability, evidence = posterior(transitions, told, *fit.densities(seen))
         fit.move(probability, seen)

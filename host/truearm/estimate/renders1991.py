@@ -59,9 +59,9 @@ def solve(problem: Problem, columns: NDArray[np.bool_], x: Floats, options: Opti
 def warning(runs: int) -> str:
     """Return a warning about the effect of the procedure on the covariance."""
     return (
-        f"ended after {runs} runs, each with the posterior of the one before as its prior on the same data: these count "
-        f"{runs} times, so σ is about {np.sqrt(max(runs, 1)):.1f} times too small, and an error of the first linearisation "
-        "fades only as 1/runs; solver map gives a covariance that holds"
+        f"ended after {runs} runs. Each run uses the posterior of the previous run as its prior, so the same data count "
+        f"{runs} times: σ is about {np.sqrt(max(runs, 1)):.1f} times too small, and the error of the first linearisation "
+        "decreases only as 1/runs. Use the solver map for a valid covariance"
     )
 
 

@@ -455,7 +455,7 @@ def _set_up(
             continue
         first, last = (1, cut) if main[0] else (cut + 1, n)
         where = f"{_row(table, rows[first - 1])} to {_row(table, rows[last - 1])}"
-        text = f"{counted(last - first + 1, 'row')} from {where} belong to another set-up than the other {main.size}"
+        text = f"{counted(last - first + 1, 'row')} from {where} were measured with another set-up than the other {main.size}"
         apply = f"{rows[first - 1] + 1}:{rows[last - 1] + 1}"
         yield _found(WrongInput.SET_UP, text, int(main.size), before, after, count, apply, n)
         return
@@ -532,5 +532,5 @@ def _exchanged(found: Sequence[Relabelling], table: ObservationTable) -> list[st
             sentences.append(f"the names of {column} {a} and {b} are exchanged in all rows")
         else:
             pairs = ", ".join(f"{was} is {fits}" for was, fits in changed.items())
-            sentences.append(f"the names of the {column}s are exchanged in a circle in all rows: {pairs}")
+            sentences.append(f"the names of the {column}s are permuted in all rows: {pairs}")
     return sentences

@@ -151,8 +151,8 @@ def _check_worth(
     terms, missing = {p.term for p in lost}, tuple(dict.fromkeys(map(_called, lost)))
     others = [other for other, form in FORMATS.items() if terms <= set(form.holds)]
     raise RobotError(
-        f"{name} has no place for {named(missing)}, and without {'it' if len(missing) == 1 else 'them'} no file is nearer to the "
-        f"identified robot than the nominal one; {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
+        f"{name} has no place for {named(missing)}; without {'it' if len(missing) == 1 else 'them'}, the file would be no better "
+        f"than the nominal robot: {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
     )
 
 

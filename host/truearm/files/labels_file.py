@@ -59,13 +59,13 @@ def read_labels(session: Path) -> Labels | None:
         document = json.loads(read_text(path, MAX_BYTES, SessionError))
     except (ValueError, RecursionError) as exc:
         raise SessionError(
-            f"{path}: is not JSON: {str(exc)[:100]}; settle the labels again with truearm relabel"
+            f"{path}: is not JSON: {str(exc)[:100]}; label the dwells again with truearm relabel"
         ) from exc
     with raising(SessionError, str(path)):
         found = _LABELS.parse(document)
     if found.sha256 != sha256(session):
         raise SessionError(
-            f"{path}: was made for another session named {session.name}; remove it, and settle the labels again with truearm relabel"
+            f"{path}: was made for another session named {session.name}; remove it, and label the dwells again with truearm relabel"
         )
     return found
 

@@ -152,7 +152,7 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
         return _trial(np.tile(q, (len(pairs), 1)), bar, [pair for pair in pairs for _ in range(len(q))])
 
     others = rows(anywhere(here, TRIES, rng), used)
-    yield Proposal("poses", "measure with what is mounted in poses that differ more", rig, others)
+    yield Proposal("poses", "measure more varied poses with the same chucks and spheres", rig, others)
     for chuck in rig.chucks:
         for sphere in rig.spheres:
             if (chuck, sphere) not in used:
@@ -227,7 +227,7 @@ KIND = Kind(
     grouped_by=("chuck", "sphere"),
     regions=("bar",),
     name="ball-bar",
-    residual={"m": "measured less predicted length of the bar"},
+    residual={"m": "measured minus predicted length of the bar"},
     groups="pairing of chuck and sphere",
     proposals=proposals,
     longitude=longitude,

@@ -300,7 +300,7 @@ class LiveState:
         if change is not None:
             rows.append(ViewLine("change", f"mount {words_of(change)}; then press Enter", True))
         if self.contradictions:
-            text = f"{self.contradictions} of the dwells: name what is mounted, or settle them with truearm relabel"
+            text = f"{self.contradictions} of the dwells: name what is mounted, or correct them with truearm relabel"
             rows.append(ViewLine(CONTRADICTION, text, True))
         rows.append(ViewLine("last", self.last or "nothing yet"))
         return rows

@@ -21,10 +21,10 @@ def criterion_summary(criterion: Criterion) -> str:
         case Criterion.I:
             return "the error in the region"
         case Criterion.D:
-            return "all parameters at once"
+            return "the volume of the uncertainty of all parameters"
         case Criterion.A:
-            return "their mean"
+            return "their mean uncertainty"
         case Criterion.E:
-            return "the worst of them"
+            return "the uncertainty of the worst combination of parameters"
         case _:
             assert_never(criterion)

@@ -177,7 +177,7 @@ class RobotIntake:
             else:
                 self._store_console(t_host_ns, line)
                 if _is_end(line) and self.end is None:
-                    self.end = LinkClosed(f"{self._link.name}: the robot says that it has ended")
+                    self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
                     self._writer.event("robot-closed", t_host_ns, text=str(self.end))
         self._counters.robot_other_joints = self._lines.other_joints
 

@@ -259,7 +259,7 @@ def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
 
 _HINTS = {
     errno.ENOENT: "not found; is the box plugged in?",
-    errno.EACCES: "may not be opened; on Linux, join the group that owns it (dialout)",
+    errno.EACCES: "permission denied; on Linux, join the group that owns it (dialout)",
     errno.EBUSY: "is in use by another program",
     errno.EAGAIN: "is in use by another program",
     errno.ENOTTY: "is not a serial port",
@@ -274,7 +274,7 @@ _HINTS = {
 def _why_not_open(name: str, exc: Exception) -> str:
     cause = exc.__context__ or exc  # pyserial wraps the actual error and repeats the name
     if isinstance(cause, socket.gaierror):
-        return f"{name}: no machine of that name is known; check the name or give its address, such as 127.0.0.1"
+        return f"{name}: unknown host name; check it, or give the address, such as 127.0.0.1"
     if isinstance(cause, TimeoutError):
         return f"{name}: {_HINTS[errno.ETIMEDOUT]}"
     number = getattr(exc, "errno", None) or getattr(exc.__context__, "errno", None)

@@ -1,4 +1,4 @@
-"""Hop 3: record everything that a box and a robot send to a session file.
+"""Record everything that a box and a robot send to a session file.
 
 A single loop (``_pump``) reads both links and stores what arrived. Waiting for an answer uses the same loop, so nothing
 is missed while a command is pending. Time comes from the clock and passes only in ``Link.read``: with the simulator's

@@ -283,17 +283,17 @@ class SessionWriter:
             case FileLoss.RENAMED:
                 self._renamed = True
                 self.losses.append(
-                    f"{old}: was renamed while it was written; what is recorded is in it, under its new name"
+                    f"{old}: was renamed while it was written; the recording continues in it, under its new name"
                 )
             case FileLoss.DELETED | FileLoss.REPLACED:
                 self._move()
                 self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
             case FileLoss.TRUNCATED if ended:
-                self.losses.append(f"{old}: was truncated at the very end; see what truearm recover finds in it")
+                self.losses.append(f"{old}: was truncated at the end; run truearm recover to save what is left")
             case FileLoss.TRUNCATED:
                 self._begin_again()
                 self.losses.append(
-                    f"{old}: was truncated while it was written, and what it held is lost; what came since is in {self.path}"
+                    f"{old}: was truncated while it was written; its earlier content is lost, and everything since then is in {self.path}"
                 )
             case _:
                 assert_never(loss)
@@ -359,7 +359,9 @@ class SessionWriter:
 
     def _cannot_write(self, exc: OSError) -> WriteError:
         why = exc.strerror or str(exc)
-        return WriteError(f"{self.path}: cannot be written any more ({why}); what is in it stays readable", why)
+        return WriteError(
+            f"{self.path}: cannot be written any more ({why}); the data already in it remain readable", why
+        )
 
 
 def media_type(name: str) -> str:

@@ -119,9 +119,7 @@ def _verdict(page: CalibrationPage) -> str:
         rms = {si: error.rms for si, error in of_units}
         tiles.append(_tile("validation", rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val"))
     if page.predicted:
-        more = (
-            f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; most {size(page.predicted.largest, 'm')}"
-        )
+        more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
         tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
     remarks = sentences(caveats(page), "remarks doubts") + sentences(page.notes, "remarks")
     line = f'<h2 class="verdict">{escape(verdict(page), 400)}</h2>'
@@ -181,7 +179,7 @@ def caveats(page: CalibrationPage) -> list[str]:
             "errors that the parameters do not model."
         )
     if e.chi2_reduced > CHI2_DOUBTFUL:
-        alone = "" if e.pose_error else "; the σ of the parameters rest on the declared noise alone"
+        alone = "" if e.pose_error else "; the σ of the parameters are based on the declared noise alone"
         found.append(
             f"Residuals are {figures(math.sqrt(e.chi2_reduced), 2)} times what the declared sigmas allow{alone}."
         )
@@ -254,7 +252,7 @@ def _prior(name: str) -> str:
         case Prior.NONE:
             return "none"
         case Prior.DEFAULT:
-            return f"default: nominal to {', '.join(tolerances('weak'))} where the observations tell less"
+            return f"default: nominal to {', '.join(tolerances('weak'))} where the observations determine less"
         case Prior.WEAK | Prior.WIDE as of_all:
             return f"{of_all}: nominal to {', '.join(tolerances(of_all))}"
         case never:

@@ -79,7 +79,7 @@ def histogram(rows: Rows) -> Figure:
     parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
     caption = f"{counted(r.size, 'fitting row')} and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
-        caption += " Norms of 3-vectors have no sign; σ is that of one coordinate, in the mean of the three."
+        caption += " Norms of 3-vectors have no sign; σ is the mean over the three coordinates."
     return drawn(plot, "Residuals after calibration", caption, parts)
 
 
@@ -119,8 +119,8 @@ def by_order(rows: Rows) -> Figure:
     parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e."), *keys]))
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
-        f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'mount')}. A mean that steps at some row, "
-        "or climbs, is what a slip or a drift leaves that the parameters could not follow."
+        f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'mount')}. A step or a "
+        "trend in the mean indicates a slip or a drift that the parameters could not absorb."
     )
     return drawn(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
 
@@ -289,9 +289,11 @@ def quantiles(rows: Rows) -> Figure | None:
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))
     parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
-    caption = "On the line, the errors follow the law; ends that bend away are rows too far out."
+    caption = "Points on the line follow the distribution. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
-        caption += f" Beyond 3σ: {counted(beyond, 'row')}; a Gaussian would put {figures(0.0027 * r.size, 2)} there."
+        caption += (
+            f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."
+        )
     return drawn(plot, "Quantiles" if law.width > 1 else "Normal probability", caption, parts)
 
 

@@ -57,11 +57,11 @@ def render(page: GaugePage) -> str:
 
 _RESIDUAL_CAPTION = (
     "Reference less calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
-    "are two standard deviations. There and back that lie apart tell of play or friction in the stage."
+    "are two standard deviations. A difference between there and back indicates play or friction in the stage."
 )
 _ORDER_CAPTION = (
-    "Each point is predicted by a polynomial through all others; the RMS of what this misses. The lowest order that is as "
-    "good as the best one, within chance, is taken."
+    "RMS error of predicting each point from a polynomial fitted to all others. truearm chooses the lowest order that is not "
+    "significantly worse than the best."
 )
 
 
@@ -80,7 +80,7 @@ def _residuals(page: GaugePage) -> Figure:
         svg.scatter(plot, x, y, "fit", tips, 3.2),
     ]
     parts.append(svg.legend(plot, [("fit", "places"), ("old line", "± 2 σ")]))
-    return drawn(plot, "What is left at each place", _RESIDUAL_CAPTION, parts)
+    return drawn(plot, "Residual at each place", _RESIDUAL_CAPTION, parts)
 
 
 def _orders(page: GaugePage) -> Figure:
@@ -98,7 +98,7 @@ def _orders(page: GaugePage) -> Figure:
     ]
     parts.append(svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5))
     parts.append(svg.legend(plot, [("fit line", "left-out RMS"), ("val", "taken")]))
-    return drawn(plot, "Error at a place that was not used", _ORDER_CAPTION, parts)
+    return drawn(plot, "Cross-validation error", _ORDER_CAPTION, parts)
 
 
 def _table(page: GaugePage) -> str:

@@ -32,8 +32,8 @@ def _over_readings(curve: SampledCurve) -> Figure:
         parts.append(svg.line(plot, x[run], inside[run], "fit line"))
     parts.append(svg.legend(plot, [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]))
     caption = (
-        f"What the joint turns beyond offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad; "
-        "outside of them the curve returns to zero and its band opens."
+        f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad; "
+        "outside this range the curve returns to zero and its band widens."
     )
     return drawn(plot, f"Error curve of {curve.joint}", caption, parts)
 
@@ -44,14 +44,14 @@ def _over_cycles(curve: SampledCurve) -> Figure:
     amplitude = MRAD.of(amplitude)
     edges = np.append(cycles - 0.5, cycles[-1] + 0.5)
     plot = svg.Plot(
-        svg.linear_axis("cycles a turn", 0.0, float(edges[-1])),
+        svg.linear_axis("cycles per turn", 0.0, float(edges[-1])),
         svg.linear_axis("amplitude [mrad]", 0.0, 1.05 * float(amplitude.max(initial=1e-3))),
     )
     tips = [f"{c:.0f} cycles: {figures(a, 2)} mrad" for c, a in zip(cycles, amplitude, strict=True)]
     parts = [svg.axes(plot), svg.bars(plot, edges, amplitude, "fit bar", tips)]
     strongest = cycles[int(np.argmax(amplitude))]
     caption = (
-        f"Amplitude of each sine by itself over the covered readings; the strongest has {strongest:.0f} cycles a turn."
+        f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn."
     )
     return drawn(plot, f"Spectrum of {curve.joint}", caption, parts)
 

@@ -48,7 +48,7 @@ def _kept(law: Mapping[str, Any]) -> str:
         return f"{start}."
     low, high = law["covered_deg"]
     periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])
-    return f"{start}, covered {low:.0f} to {high:.0f} deg, strongest cycles a turn: {periods}."
+    return f"{start}, covered {low:.0f} to {high:.0f} deg, strongest cycles per turn: {periods}."
 
 
 def _payload(sags: Sequence[Mapping[str, Any]], payloads: Sequence[Mapping[str, Any]]) -> list[str]:

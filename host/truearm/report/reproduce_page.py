@@ -18,7 +18,7 @@ from truearm.report.page_parts import command_block, html_page, picture, picture
 from truearm.report.page_tables import step_table
 from truearm.report.page_text import ABSENT, escape, figures
 
-REPRODUCED, NOT_REPRODUCED, IN_KIND, OURS = "reproduced", "not reproduced", "in kind", "ours alone"
+REPRODUCED, NOT_REPRODUCED, IN_KIND, TRUEARM_ONLY = "reproduced", "not reproduced", "in kind", "not in the paper"
 NOT_JUDGED = "not judged"
 
 
@@ -38,7 +38,7 @@ class Claim:
     @property
     def verdict(self) -> str:
         if self.paper is None:
-            return OURS
+            return TRUEARM_ONLY
         if self.tolerance is None:
             return IN_KIND
         if not self.judged:
@@ -80,7 +80,7 @@ class ReproducePage:
 def counts(page: ReproducePage) -> dict[str, int]:
     """Return the number of claims per verdict; "not judged" only if there are any."""
     every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]
-    verdicts = (REPRODUCED, IN_KIND, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), OURS)
+    verdicts = (REPRODUCED, IN_KIND, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), TRUEARM_ONLY)
     return {verdict: every.count(verdict) for verdict in verdicts}
 
 
@@ -115,11 +115,11 @@ def render(page: ReproducePage) -> str:
 
 def _summary(page: ReproducePage) -> str:
     notes = {
-        REPRODUCED: ("fit", "within a tolerance that its remark explains"),
-        IN_KIND: ("old", "the paper leaves open what its number depends on"),
+        REPRODUCED: ("fit", "within the tolerance explained in the remark"),
+        IN_KIND: ("old", "the paper does not give everything that the number depends on"),
         NOT_REPRODUCED: ("val", "the remark says why"),
         NOT_JUDGED: ("old", "too few experiments: a quick run"),
-        OURS: ("old", "the paper has no such number"),
+        TRUEARM_ONLY: ("old", "the paper does not give this number"),
     }
     tiles = "".join(
         f'<div class="tile {notes[verdict][0]}"><p class="name">{verdict}</p><p class="figure">{number}</p>'
@@ -127,8 +127,8 @@ def _summary(page: ReproducePage) -> str:
         for verdict, number in counts(page).items()
     )
     return (
-        '<section><h2 class="verdict">Every number in the column “ours” was computed when this page was made; the '
-        f'column “paper” quotes.</h2><div class="tiles">{tiles}</div></section>\n'
+        '<section><h2 class="verdict">The numbers in the column “truearm” were computed when this page was made; those in the '
+        f'column “paper” are quoted.</h2><div class="tiles">{tiles}</div></section>\n'
     )
 
 
@@ -142,7 +142,7 @@ def _chapter(chapter: Chapter) -> str:
 def _claims(claims: Sequence[Claim]) -> str:
     if not claims:
         return ""
-    titles = ("", "paper", "ours", "theory", "unit", "verdict")
+    titles = ("", "paper", "truearm", "theory", "unit", "verdict")
     return table(titles, "".join(map(_claim, claims)), "numbers", "claims")
 
 

@@ -13,9 +13,9 @@ PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
 OBSERVABILITY = {
-    "o1": ("the average parameter: σ per residual caused by one step of it, geometric mean", "σ"),
-    "o2": ("the weakest combination of parameters over the strongest; 1: all equally well", "1"),
-    "o3": ("the weakest combination: σ of all residuals together, caused by one step of it", "σ"),
+    "o1": ("the average parameter: change of one residual in σ, caused by one step (geometric mean)", "σ"),
+    "o2": ("ratio of the weakest to the strongest combination of parameters; 1: all are determined equally well", "1"),
+    "o3": ("the weakest combination: change of all residuals together in σ, caused by one step", "σ"),
     "o4": ("O2 times O3: small if either is", "σ"),
 }
 
@@ -58,7 +58,7 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool) -> str:
     )
     if not parts:
         return ""
-    rest = f"the other {left} is within chance" if by_chance else f"{left} is unexplained"
+    rest = f"the other {left} is no more than chance" if by_chance else f"{left} is unexplained"
     return f"Declared noise explains {declared} of the RMS after; {rest}."
 
 

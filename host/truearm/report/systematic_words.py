@@ -24,7 +24,7 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     them = "it" if len(found) == 1 else "all of them"
     if argument is None:
         would = "" if chi2 is None else f" Without {them}, χ² per degree of freedom would be {chi2:.3g}."
-        return [*lines, f"Correct what is off, or judge by rows without it.{would}"]
+        return [*lines, f"Correct the error at its source, or judge the result by rows without it.{would}"]
     after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2:.3g}"
     moved = "" if moves is None else f", and the tool moves by {MM.text(MM.to_si(moves), '.3f')} RMS"
     held = (
@@ -47,13 +47,15 @@ def _sentence(entry: Mapping[str, Any]) -> str:
         case ErrorForm.ROWS:
             line = f"Systematic error: {rows} do not fit the others; without them {gain}."
         case ErrorForm.DRIFT:
-            line = f"Systematic error: {_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}; with that {gain}."
+            line = f"Systematic error: {_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}. Estimating this drift: {gain}."
         case ErrorForm.OFFSET:
-            line = f"Systematic error: {_what(entry)} is off by {_size(entry)} in {rows}; with that {gain}."
+            line = (
+                f"Systematic error: {_what(entry)} is off by {_size(entry)} in {rows}. Estimating this error: {gain}."
+            )
         case form:
             assert_never(form)
     if entry["rivals"]:
-        line += f" Not ruled out instead: {', '.join(map(one_line, entry['rivals']))}."
+        line += f" Other possible explanations: {', '.join(map(one_line, entry['rivals']))}."
     return line
 
 

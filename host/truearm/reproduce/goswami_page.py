@@ -65,12 +65,14 @@ def _ranks(made: Bench) -> Chapter:
     found = {name: goswami.Ranks(made, sets[name]) for name in ("design", "optimised")}
     claims = [
         Claim(
-            f"parameters seen by {_some(c, 'chuck')} and {_some(s, 'sphere')}",
+            f"parameters identifiable with {_some(c, 'chuck')} and {_some(s, 'sphere')}",
             "",
             TABLE_ONE[c - 1][s - 1],
             found["design"].first(c, s),
             36 - goswami.LOST[c] - goswami.LOST[s],
-            why="" if found["optimised"].first(c, s) == found["design"].first(c, s) else "Not so at Table II's values.",
+            why=""
+            if found["optimised"].first(c, s) == found["design"].first(c, s)
+            else "The rank differs at Table II's values.",
         )
         for c in (1, 2, 3)
         for s in (1, 2, 3)
@@ -83,8 +85,8 @@ def _ranks(made: Bench) -> Chapter:
             "",
             law.six_all_involved,
             law.six_full,
-            why="The paper: any six of the nine are sufficient, so long as no sphere or chuck is uninvolved. The paper's "
-            "number here counts such sets among all 84 of six, ours those of rank 36.",
+            why="The paper: any six of the nine are sufficient, so long as no sphere or chuck is uninvolved. Column paper: the "
+            "number of such sets among all 84 sets of six. Column truearm: the number of sets with rank 36.",
         ),
         Claim(
             "subsets whose rank is 36 − f(chucks) − f(spheres), f(1) = 3, f(2) = 1, f(3) = 0",
@@ -92,8 +94,8 @@ def _ranks(made: Bench) -> Chapter:
             None,
             law.agree,
             law.subsets,
-            why="Of all 511 subsets of the nine pairings, at the optimised values. The smallest singular value that "
-            f"counts is at least {figures(law.smallest_gap, 2)} times the largest that does not.",
+            why="Of all 511 subsets of the nine pairings, at the optimised values. The smallest singular value that counts "
+            f"towards the rank is at least {figures(law.smallest_gap, 2)} times the largest that does not.",
         ),
         Claim(
             "fewest pairings with full rank",
@@ -101,8 +103,8 @@ def _ranks(made: Bench) -> Chapter:
             6,
             law.smallest_full,
             3,
-            why="The paper needs a minimum of six, after the six legs of a Stewart platform; but the poses of one pairing "
-            "are many, and three pairings that touch every sphere and every chuck already see all.",
+            why="The paper argues from the six legs of a Stewart platform that six are the minimum. But each pairing is measured in "
+            "many poses, so three pairings that involve every sphere and every chuck already determine all parameters.",
         ),
         Claim(
             "three chucks and one sphere on the axis of joint 6",
@@ -110,13 +112,13 @@ def _ranks(made: Bench) -> Chapter:
             32,
             axis.first(3, 1),
             30,
-            why="The paper loses the offset of joint 6 beyond the 33. A sphere on that axis does not move with the joint "
-            "at all: its gain is lost with its offset, and so is one direction of link 7.",
+            why="The paper expects to lose only the offset of joint 6 (33 − 1). But a sphere on that axis does not move with the "
+            "joint: the gain and one direction of link 7 are unidentifiable too.",
         ),
     ]
     text = (
-        "Table I and what follows from it. The Jacobian is analytic, all 54 parameters are free, and the count is of "
-        "singular values of the Jacobian with columns of length 1, both at the design and at the optimised values."
+        "Table I and its consequences. The rank is the number of significant singular values of the analytic Jacobian with respect to "
+        "all 54 parameters, with columns scaled to length 1, both at the design and at the optimised values."
     )
     return Chapter("Table I: identified parameters", text, tuple(claims))
 
@@ -136,8 +138,8 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             MM.of(estimate.rms_after["m"]),
             expected,
             RESIDUAL - expected + deviation,
-            "The noise put in is the paper's residual, 0.084 mm; 36 parameters fitted to "
-            f"{n} lengths leave √(1 − 36/{n}) of it. Tolerance: that, and three standard errors.",
+            "The simulated noise is the paper's residual, 0.084 mm. After a fit of 36 parameters to "
+            f"{n} lengths, a fraction √(1 − 36/{n}) of it remains. Tolerance: this difference plus three standard errors.",
         ),
         Claim(
             "mean of the residuals",
@@ -155,7 +157,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             estimate.iterations,
             None,
             MOST_ITERATIONS - 1,
-            "“In most cases convergence occurred within ten iterations”: reproduced from 1 to 10.",
+            "“In most cases convergence occurred within ten iterations”: any number from 1 to 10 counts as reproduced.",
         ),
         Claim(
             "36 poses: RMS residual after",
@@ -167,7 +169,13 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
             "“If we had measured only 36 poses we could obtain a residual error of zero, no matter how poor the result "
             "would be on additional poses.” Tolerance: a tenth of the noise.",
         ),
-        Claim("36 poses: RMS on the 61 cm shells", "mm", None, _held(few), why="How poor: many times the noise."),
+        Claim(
+            "36 poses: RMS on the 61 cm shells",
+            "mm",
+            None,
+            _held(few),
+            why="The “poor result on additional poses”: many times the noise.",
+        ),
         Claim(
             "54 parameters free instead of 36: largest difference of a residual",
             "mm",
@@ -183,8 +191,8 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
         *convergences(estimate),
     )
     text = (
-        "Table II's optimised values are the truth, its design values the start. Lengths of the poses on the 46 cm shells get the "
-        "paper's noise and are fitted; those on the 61 cm shells judge. Fig. 3 of the paper shows residuals against longitude."
+        "The true robot has Table II's optimised values; the fit starts from its design values. The lengths on the 46 cm shells, with the "
+        "paper's noise, are fitted; those on the 61 cm shells are held out. Fig. 3 of the paper shows residuals against longitude."
     )
     return Chapter("Fig. 3 and 4: residuals", text, claims, figures=pictures)
 
@@ -201,7 +209,7 @@ def _monte_carlo(made: Bench, runs: list[Errors]) -> Chapter:
             nees,
             free,
             why=f"Mean of {count} runs; theory 36 ± {figures(3 * np.sqrt(2 * free / count), 2)} (three standard errors). "
-            "The covariance tells the true spread.",
+            "The covariance describes the true spread.",
         ),
         Claim(
             "χ² of the residuals",
@@ -218,11 +226,11 @@ def _monte_carlo(made: Bench, runs: list[Errors]) -> Chapter:
             max(r.iterations for r in runs),
             None,
             MOST_ITERATIONS - 1,
-            "Reproduced from 1 to 10.",
+            "Any number from 1 to 10 counts as reproduced.",
         ),
     )
-    text = f"The experiment repeated {count} times with noise of its own each time."
-    return Chapter("Is the uncertainty true?", text, claims)
+    text = f"The experiment is repeated {count} times, each time with new noise."
+    return Chapter("Is the covariance correct?", text, claims)
 
 
 def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float, float]]) -> Chapter:
@@ -239,8 +247,8 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
             MM.of(rms(np.array([r.far for r in runs]))),
             theory,
             tolerance,
-            "White noise of 0.084 mm cannot give the paper's 0.110 mm: 800 poses leave the parameters too little "
-            f"uncertainty. Tolerance: three standard errors of an RMS of 800 residuals, {figures(tolerance, 2)} mm.",
+            "White noise of 0.084 mm does not explain the paper's 0.110 mm: 800 poses determine the parameters too "
+            f"well. Tolerance: three standard errors of an RMS of 800 residuals, {figures(tolerance, 2)} mm.",
         ),
         Claim(
             f"the same with gear errors of {1e4 * GEARS[GEAR]:.0f}·10⁻⁴ rad",
@@ -249,10 +257,18 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
             float(far[GEAR]),
             None,
             None,
-            f"{explains if far[-1] >= VALIDATION else ''}Each joint errs by a sine of 3 to 12 periods a turn, which no parameter describes; the noise is lowered so that "
-            "the 46 cm residual stays at 0.084 mm. Their size is our choice: it shows what would do, not what was.",
+            f"{explains if far[-1] >= VALIDATION else ''}Each joint has a sinusoidal error with 3 to 12 periods per turn, which no parameter describes. The noise is reduced so that "
+            "the 46 cm residual stays at 0.084 mm. The amplitude is an assumption: it shows what could explain the paper's number.",
         ),
-        Claim("its residual on the 46 cm shells", "mm", RESIDUAL, float(near[GEAR]), RESIDUAL, None, "Held there."),
+        Claim(
+            "its residual on the 46 cm shells",
+            "mm",
+            RESIDUAL,
+            float(near[GEAR]),
+            RESIDUAL,
+            None,
+            "Kept there by the choice of noise.",
+        ),
     )
     x = 1e4 * np.array(GEARS)
     top = max(float(far.max()), VALIDATION) * 1.08
@@ -266,12 +282,10 @@ def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float,
         svg.scatter(plot, x, near, "fit", [f"{figures(v)} mm" for v in near], 4),
         svg.legend(plot, [("fit line", "46 cm, fitted"), ("val line", "61 cm"), ("old line", "paper, 61 cm")]),
     ]
-    caption = (
-        "The 46 cm residual is held at 0.084 mm by less noise; what the gears add shows on shells that were not fitted."
-    )
+    caption = "The noise is reduced so that the 46 cm residual stays at 0.084 mm; the gear errors appear on shells that were not fitted."
     return Chapter(
         "Validation on the 61 cm shells",
-        "The paper's second set of shells, and what its residual says about errors that the parameters do not describe.",
+        "The paper's second set of shells, and what its residual shows about errors that the parameters do not describe.",
         claims,
         figures=(drawn(plot, "What gear errors do", caption, parts),),
     )
@@ -305,13 +319,13 @@ def _table_two(made: Bench, estimate: Estimate) -> Chapter:
             "σ",
             None,
             float(np.abs(error).max()),
-            why="Of 36 normal errors the largest is about 2.2 σ in the median.",
+            why="The median of the largest of 36 normally distributed errors is about 2.2 σ.",
         ),
     )
     head = ("parameter", "design", "paper's optimised", "identified", "σ", "error / σ", "unit")
     text = (
-        "The paper's optimised values are the simulated truth here, so identifying them again tests the estimator, not the paper's "
-        "robot: its measurements are not published. The same 18 parameters are held."
+        "The simulated robot has the paper's optimised values, so this tests the estimator. It does not test the paper's "
+        "measurements, which are not published. The same 18 parameters are held."
     )
     return Chapter("Table II", text, claims, (Table("Table II", head, tuple(rows)),))
 
@@ -328,8 +342,8 @@ def _stewart(made: Bench, estimate: Estimate) -> Chapter:
             factor,
             0.95 * LEG / BASE_RADIUS,
             None,
-            "“Roughly four times.” The paper does not print its fixture: this radius of the chucks' triangle is chosen so that "
-            "the factor comes out.",
+            "“Roughly four times.” The paper does not give its fixture: this radius of the chucks' triangle is chosen to give "
+            "that factor.",
         ),
         Claim(
             "position error of the platform",
@@ -338,15 +352,15 @@ def _stewart(made: Bench, estimate: Estimate) -> Chapter:
             RESIDUAL * factor,
             None,
             None,
-            "Factor times the paper's residual, the radius being chosen as above.",
+            "The factor times the paper's residual, with the radius chosen as above.",
         ),
         Claim(
-            f"amplification with our chucks, R_b = {figures(radius)} m",
+            f"amplification with the chucks of the demo, R_b = {figures(radius)} m",
             "",
             None,
             mine,
             0.95 * LEG / radius,
-            why="A wider triangle of chucks does better.",
+            why="A wider triangle of chucks has a smaller amplification.",
         ),
         Claim(
             "position error of the identified robot on the 46 cm shells",
@@ -355,29 +369,31 @@ def _stewart(made: Bench, estimate: Estimate) -> Chapter:
             MM.of(goswami.cartesian_error(made, estimate)),
             None,
             None,
-            "RMS from the parameters' covariance. The paper's estimate is that of one pose measured six times; here "
-            "hundreds of poses share one set of parameters, so the robot is known better than any one pose.",
+            "RMS from the parameters' covariance. The paper's estimate is for a single pose measured with six bars. Here "
+            "hundreds of poses determine one set of parameters, so the robot is known better than any single pose.",
         ),
     )
-    text = "The paper's estimate of the Cartesian error from the residual, by six ball-bars between base and platform."
+    text = "The paper estimates the Cartesian error from the residual by considering six ball-bars between base and platform."
     return Chapter("Stewart platform", text, claims)
 
 
 def _left_out() -> Chapter:
     rows = (
         (
-            "travel 7.5 cm, 46 cm and 15 cm more, about 800 poses a set, 2 s of standing",
-            "how was measured; the rig, the poses and `truearm plan` have them",
+            "travel of 7.5 cm, bars of 46 cm and 61 cm, about 800 poses per set, 2 s at rest",
+            "settings of the experiment, not results; the simulated rig and plan use them",
         ),
         ("Fig. 1 and 2", "a photograph, and a drawing of the shell"),
         (
             "lengths and joint angles of both sets of shells",
-            "not published: the paper's identified robot stands in for its arm",
+            "not published; a simulated robot with the paper's optimised values replaces them",
         ),
     )
     text = "Numbers and figures of the paper that are not computed here, and why."
     return Chapter(
-        "Not on this page", text, tables=(Table("Left out", ("what the paper says", "why it is not here"), rows),)
+        "Not on this page",
+        text,
+        tables=(Table("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
     )
 
 

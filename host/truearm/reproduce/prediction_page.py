@@ -17,8 +17,8 @@ from truearm.units import MM
 P0 = (1e2, 1e3, 1e4, 1e5, 1e6)
 SETS_8, SETS_60 = 16, 8  # experiments with 8 and with 60 points per line; with fewer, chance dominates
 TAIL = 30  # of the last line's 60 points, when its six unknowns are determined
-LEAP = "A new line begins every 8 points, with six unknowns of its own: there the error leaps."
-LEVEL = "What is left is mostly the noise of the point itself."
+LEAP = "A new line with six new unknowns begins every 8 points; the error jumps there."
+LEVEL = "The remaining error is mostly the noise of the point itself."
 SETS_ONE_PASS = 24  # a pass is cheap
 
 
@@ -28,7 +28,7 @@ def figure_four(quick: bool, seed: int) -> Chapter:
     p0s, few_sets, many_sets = (P0[3:], 2, 1) if quick else (P0, SETS_8, SETS_60)
 
     def too_few(made: int, needed: int) -> str:
-        made_here = f"{made} experiment{'s' * (made != 1)}, too few to judge: a full run makes {needed}. "
+        made_here = f"{made} experiment{'s' * (made != 1)}, too few for a verdict; a full run makes {needed}. "
         return made_here if made < needed else ""
 
     few_8, few_60 = too_few(few_sets, SETS_8), too_few(many_sets, SETS_60)
@@ -48,15 +48,15 @@ def figure_four(quick: bool, seed: int) -> Chapter:
     tails = ml60.mean() / plain60.mean(axis=1)
     claims = (
         Claim(
-            "steps at which ML predicts no worse than LS, 8 points a line, P₀ large",
+            "fraction of steps at which ML predicts no worse than LS, 8 points per line, P₀ large",
             "1",
             1.0,
             float(ahead[-1]),
             1.0,
             0.1,
             f"{few_8}P₀ = {figures(p0s[-1], 1)}, the “arbitrary large number” of II-I. “Prediction errors obtained by the ML algorithm "
-            f"are smaller” (III-G): mean error over {few_sets} sets of lines, step by step. Tolerance: a tenth of the steps, at "
-            "which noise may decide.",
+            f"are smaller” (III-G): mean error over {few_sets} sets of lines, step by step. Tolerance: a tenth of the steps, to "
+            "allow for noise.",
             not few_8,
         ),
         Claim(
@@ -71,20 +71,20 @@ def figure_four(quick: bool, seed: int) -> Chapter:
             not few_8,
         ),
         Claim(
-            "the same to the letter: one pass, lines placed and linearised through the nominal robot",
+            "the same, taken literally: one pass, lines placed with the nominal robot and linearised there",
             "1",
             1.0,
             float(once[-1]),
             None,
             0.1,
-            f"{few_8}P₀ = {figures(p0s[-1], 1)}; {figures(float(once.min()), 2)} to {figures(float(once.max()), 2)} over all P₀. A robot as "
-            "uncertain as III-C says errs by centimetres, so that both estimators are judged by what the linear model leaves out.",
+            f"{few_8}P₀ = {figures(p0s[-1], 1)}; {figures(float(once.min()), 2)} to {figures(float(once.max()), 2)} over all P₀. A robot with the "
+            "uncertainty of III-C has errors of centimetres, so the error of the linear model dominates for both estimators.",
             not few_8,
         ),
         Claim("mean prediction error, ML", "mm", None, float(ml.mean())),
-        Claim("the same, LS with the P₀ chosen for it", "mm", None, float(plain[best].mean())),
+        Claim("mean prediction error, LS with the P₀ chosen for LS", "mm", None, float(plain[best].mean())),
         Claim(
-            "ML over LS at the end, 60 points a line",
+            "ML divided by LS at the end, 60 points per line",
             "1",
             1.0,
             float(tails[-1]),
@@ -96,17 +96,16 @@ def figure_four(quick: bool, seed: int) -> Chapter:
         ),
     )
     pictures = (
-        prediction_figure("Fig. 4: 8 points a line", LEAP, ml, plain[-1], plain[best]),
+        prediction_figure("Fig. 4: 8 points per line", LEAP, ml, plain[-1], plain[best]),
         prediction_figure(f"The last {TAIL} of 60 points on the fourth line", LEVEL, ml60, plain60[-1], plain60[0]),
     )
     text = (
-        "Prediction error of the point to come, with four lines taken up one after the other, each placed by two points more. All "
-        "row parameters that can be distinguished are free and as uncertain as III-C says, 1 mm and 0.052 rad. The paper leaves two "
-        "things open that decide what is seen, since such a robot errs by centimetres. Each prediction here is made with the "
-        "model linearised where the estimate is by then, and a new line is placed through the robot as its estimator knows it by "
-        "then. In one pass linearised at the nominal robot, with lines placed through that, ML is ahead at fewer steps: it loses "
-        "the first two points of each new line, which show a placement wrong by centimetres to both, and the late points, where "
-        "what the linear model leaves out is larger than the noise."
+        "Error of predicting the next point. Four lines are measured one after the other; two additional points place each line. All "
+        "identifiable Denavit–Hartenberg parameters are free, with the uncertainty of III-C: 1 mm and 0.052 rad. Such a robot has errors "
+        "of centimetres, so the result depends on two choices that the paper does not describe. Here the model is linearised at the "
+        "current estimate, and each new line is placed with the current estimate. If instead everything is linearised at the nominal "
+        "robot and lines are placed with it, ML is better at fewer steps: it is worse at the first two points of each new line, because the "
+        "placement is off by centimetres, and at late points, where the error of the linear model exceeds the noise."
     )
     return Chapter("Fig. 4: maximum likelihood and least squares", text, claims, figures=pictures)
 

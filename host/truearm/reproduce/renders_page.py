@@ -30,7 +30,7 @@ RUNS_E, RUNS_F = 3, 12
 COMMENTED = ("joint2.offset", "joint5.offset", "joint6.offset")  # III-G compares their errors
 IMPROVEMENT = 0.25  # III-G 1: "about 25%"
 FROZEN = ("joint1.offset", "joint1.d", "joint2.d", "joint6.alpha")
-UNSTATED = "The paper does not say where its lines lay; the figure is a median over line sets."
+UNSTATED = "The paper does not say where its lines were; the number is a median over sets of lines."
 
 
 def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
@@ -46,7 +46,7 @@ def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
     with step(f"III-G: offsets alone, and offsets and lengths, {sets} sets of lines"):
         yield _comments(chain, sets, seed)
     runs = 6 if quick else 60
-    with step(f"II-G: is the covariance true? {runs} experiments a solver"):
+    with step(f"II-G: is the covariance correct? {runs} experiments per solver"):
         yield _covariance(chain, runs, seed)
     with step("Fig. 4: maximum likelihood and least squares"):
         yield figure_four(quick, seed)
@@ -58,28 +58,35 @@ def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
 def _left_out() -> Chapter:
     rows = (
         (
-            "II-B: joint and link flexibility 8 to 10 %, of links 5 %, backlash 0.5 to 1 %, temperature 0.1 % of the error",
+            "II-B: joint and link flexibility 8 to 10 %, of links 5 %, backlash 0.5 to 1 %, temperature 0.1 %, all nongeometrical "
+            "errors 10 % of the error",
             "quoted from other papers; no data",
         ),
         (
-            "II-C: 1000 mm and 0.1 mm, 15 mm and 0.6 µm, 0.1 mm in each direction",
-            "data of the device; the simulated bench draws its noise from S_x of III-C",
+            "III-C: S_x, S_q, 1 mm and 0.052 rad; III-E and III-F: the five and nine identified errors",
+            "inputs: the simulated sensors, joints, priors and robots have these values",
         ),
-        ("II-C: 1/4000 of full scale, 0.1 mm, 50 Hz", "data of devices that the paper does not use"),
+        (
+            "II-C: 1000 mm and 0.1 mm, 15 mm and 0.6 µm, 0.1 mm in each direction",
+            "specifications of the device; the simulated noise has the covariance S_x of III-C",
+        ),
+        ("II-C: 1/4000 of full scale, 0.1 mm, 50 Hz", "specifications of devices that the paper does not use"),
         ("III-E: 90 % of the error comes from joint offsets", "quoted from other papers; no data"),
         (
             "V: 1 kg bends the arm by 0.2 mm; 0.5 mm is the best without nongeometrical errors",
-            "measured on an arm of which no data were printed",
+            "measured on an arm; the data are not published",
         ),
         (
             "IV: (32), (34), (35)",
-            "they correct a robot and have no numbers in the paper; `truearm correct --method` does them",
+            "methods of correction, without numbers in the paper; `truearm correct --method` implements them",
         ),
         ("Fig. 1, 2, 3", "drawings and a photograph"),
     )
     text = "Numbers and figures of the paper that are not computed here, and why."
     return Chapter(
-        "Not on this page", text, tables=(Table("Left out", ("what the paper says", "why it is not here"), rows),)
+        "Not on this page",
+        text,
+        tables=(Table("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
     )
 
 
@@ -92,22 +99,22 @@ def _frozen(chain: Chain, seed: int) -> Chapter:
     claims = (
         Claim("numbers of Table I that the robot file has", "", 18, renders.table_one(chain)),
         Claim(
-            "parameters that no line shows, a6 ≠ 0",
+            "parameters that lines cannot determine, a6 ≠ 0",
             "",
             len(FROZEN),
             counted[0.05][0],
             4,
-            why="The paper freezes θ1, d1, α6 and d2; rank says the same.",
+            why="The paper freezes θ1, d1, α6 and d2; the rank confirms this.",
         ),
         Claim("of these, left when θ1, d1, α6, d2 are frozen", "", 0, counted[0.05][1], 0),
         Claim(
-            "parameters that no line shows, a6 = 0 as in Table I",
+            "parameters that lines cannot determine, a6 = 0 as in Table I",
             "",
             len(FROZEN),
             counted[0.0][0],
             7,
-            why="The flange's centre lies on the axis of joint 6: θ6 moves nothing, and θ5 cannot be told from a5, α5 from "
-            "d5. The paper, which quotes a σ of θ6 below its prior, may have measured a point beside that axis; it does not say.",
+            why="The flange's centre is on the axis of joint 6: θ6 has no effect, θ5 cannot be distinguished from a5, and α5 not from "
+            "d5. The paper gives a σ of θ6 below its prior, so it may have measured a point off that axis; it does not say.",
         ),
         Claim("left when θ1, d1, α6, d2 are frozen, a6 = 0", "", None, counted[0.0][1], 3),
         Claim(
@@ -117,13 +124,13 @@ def _frozen(chain: Chain, seed: int) -> Chapter:
             delta,
             0.0,
             1e-7,
-            "Largest relative difference; rounding, times the problem's condition.",
+            "Largest relative difference: rounding errors times the condition number of the problem.",
         ),
         Claim("the same: covariance", "1", 0.0, covariance, 0.0, 1e-10),
     )
     text = (
-        "Rank of the derivatives of one point by all parameters of the rows, the device's pose projected out. (18) is missing in the "
-        "scanned paper, the second “=” of (20) should be “+”, and the signs after (19) are wrong; corrected, both forms agree."
+        "Rank of the Jacobian of the points with respect to all Denavit–Hartenberg parameters, with the device's pose projected out. (18) is "
+        "missing in the scanned paper, the second “=” of (20) should be “+”, and the signs after (19) are wrong. With these corrections, both forms agree."
     )
     return Chapter("III-D: fixed parameters; II-F: recursive form", text, claims)
 
@@ -145,9 +152,9 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
     placed = {rule: MM.of(float(np.median(values))) for rule, values in starts.items()}
     claims = (*_case_claims(name, placed, found, histories, runs), *_sigma_claims(chain, name, found, runs))
     text = (
-        f"Four lines of {N_POINTS} points identify, a fifth validates. The true robot has the errors that the paper identified in "
-        f"III-{name}; sensors, joints and priors are those of III-C, but for the place of a device: it is found through the bad "
-        f"nominal robot, so 1 mm is a false prior and {MM.text(WIDE, '.0f')} is used. Medians over {sets} sets of lines."
+        f"Four lines of {N_POINTS} points are fitted, and a fifth validates. The true robot has the errors that the paper identified in "
+        f"III-{name}. Sensors, joints and priors are those of III-C, except for the position of the device: it is estimated with the "
+        f"inaccurate nominal robot, so the prior is {MM.text(WIDE, '.0f')} instead of 1 mm. Numbers are medians over {sets} sets of lines."
     )
     title = "III-E: errors of the joint encoders' zeroes" if name == "E" else "III-F: offsets and four lengths"
     head = ("placement of a line", "mean error before [mm]")
@@ -193,14 +200,14 @@ def _case_claims(
                 float(histories["paper"][run]),
                 None,
                 None,
-                "Lines placed by least squares. Each run takes the last one's posterior as its prior on the same data."
+                "Lines placed by least squares. Each run uses the posterior of the previous run as its prior, on the same data."
                 if run == 1
                 else "",
             )
         )
     for key, what in (
         ("map", "map, no unmodelled error"),
-        ("gears", f"map, joints that err by {figures(GEAR, 1)} rad"),
+        ("gears", f"map, gear errors of {figures(GEAR, 1)} rad"),
     ):
         runs_needed = float(np.median([c.runs for c in found[key]]))
         claims.append(
@@ -213,7 +220,7 @@ def _case_claims(
                 None,
                 f"One fixed prior; {runs_needed:.0f} runs, {figures(float(histories[key][3]))} mm after the third."
                 if key == "map"
-                else "Gear-like errors stand for what the paper calls nongeometrical; their size is our choice.",
+                else "Gear errors represent what the paper calls nongeometrical errors; their amplitude is an assumption.",
             )
         )
     before, after = (
@@ -229,7 +236,7 @@ def _case_claims(
             before,
             None,
             None,
-            "Its device is fitted with the robot held, before as after.",
+            "The pose of its device is fitted with the robot fixed, before and after.",
         ),
         Claim("validation line, after", "mm", 0.81 if name == "E" else 0.68, after, None, None),
         Claim(
@@ -239,7 +246,7 @@ def _case_claims(
             factor,
             None,
             None,
-            "map, lines placed by least squares, joints that err. “By a factor of more than 15”, says the abstract.",
+            "map, lines placed by least squares, with gear errors. The abstract says “by a factor of more than 15”.",
         ),
     ]
     return tuple(claims)
@@ -252,11 +259,11 @@ def _sigma_claims(chain: Chain, name: str, found: dict[str, list[Case]], runs: i
         unit, shown = ("mm", MM.of) if parameter in metres else ("rad", float)
         recipe, once = (shown(_median([c.sigma[parameter] for c in found[key]])) for key in ("paper", "map"))
         because = (
-            " Table I has a6 = 0: the flange's centre lies on the axis of joint 6 and θ6 moves nothing, so that only the prior is left."
+            " In Table I a6 = 0: the flange's centre is on the axis of joint 6, so θ6 has no effect and its σ is that of the prior."
             if parameter == "joint6.offset" and name == "E"
             else ""
         )
-        why = f"{UNSTATED} The recipe counts the data {runs} times; map, which counts them once, claims {figures(once, 2)} {unit}.{because}"
+        why = f"{UNSTATED} The paper's recipe counts the data {runs} times; map counts them once and gives {figures(once, 2)} {unit}.{because}"
         yield Claim(f"σ of {parameter}, the paper's recipe", unit, shown(sigma), recipe, None, None, why)
 
 
@@ -281,35 +288,35 @@ def _comments(chain: Chain, sets: int, seed: int) -> Chapter:
         printed = PRINTED_E[parameter][0], PRINTED_F[parameter][0]
         claims.append(
             Claim(
-                f"{parameter}: second case less first case",
+                f"{parameter}: second case minus first case",
                 "rad",
                 printed[1] - printed[0],
                 beside - alone,
                 None,
                 None,
-                f"{UNSTATED} The paper: {printed[0]} and {printed[1]} rad; here {figures(alone)} and {figures(beside)} rad, the robot having the "
-                "errors of III-F.",
+                f"{UNSTATED} The paper: {printed[0]} and {printed[1]} rad; here {figures(alone)} and {figures(beside)} rad, for a robot with "
+                "the errors of III-F.",
             )
         )
     text = (
-        "The same lines identified twice: by the joints' offsets alone (the paper's first case), and by offsets and the lengths a2, d4, "
-        f"a6, d6 (its second). Joints err by {figures(GEAR, 1)} rad. “Difference on some values of error between the two cases is significant”: "
-        "offsets take up what belongs to lengths."
+        "The same lines are fitted twice: with the joints' offsets alone (the paper's first case), and with offsets and the lengths a2, d4, "
+        f"a6, d6 (its second case). The joints have gear errors of {figures(GEAR, 1)} rad. “Difference on some values of error between the two cases is "
+        "significant”: in the first case, the offsets absorb errors of the lengths."
     )
-    return Chapter("III-G: offsets alone beside offsets and lengths", text, tuple(claims))
+    return Chapter("III-G: offsets alone, and offsets and lengths", text, tuple(claims))
 
 
 def _improvement(truth: str, cases: Mapping[str, Sequence[Case]]) -> Claim:
     alone, beside = (MM.of(_median([c.history[-1] for c in cases[key]])) for key in ("alone", "beside"))
     return Claim(
-        f"reduction of the mean error by the lengths, a robot with the errors of {truth}",
+        f"reduction of the mean error by fitting the lengths, for a robot with the errors of {truth}",
         "1",
         IMPROVEMENT,
         1.0 - beside / alone,
         None,
         None,
-        f"{figures(alone)} mm with offsets alone, {figures(beside)} mm with lengths too; the paper's 0.81 and 0.61 mm make 0.247. What "
-        "lengths can add depends on how wrong they are, of which the two robots are the extremes: not at all, and by the whole of III-F.",
+        f"{figures(alone)} mm with offsets alone, {figures(beside)} mm with lengths too; the paper's 0.81 and 0.61 mm give 0.247. The "
+        "reduction depends on the errors of the lengths. The two robots are the extremes: no errors, and all errors of III-F.",
     )
 
 
@@ -347,8 +354,8 @@ def _covariance(chain: Chain, runs: int, seed: int) -> Chapter:
             None,
             float(np.median(nees[1])),
             k,
-            why="Median, for the mean is dominated by the worst. (25), (26) say the covariance is P(N); that holds for data counted "
-            "once. Three runs count them three times, and keep what the first linearisation got wrong as if measured.",
+            why="Median, because the worst experiment dominates the mean. By (25) and (26) the covariance is P(N), which is true if the data "
+            "count once. Three runs count them three times, and treat the error of the first linearisation as if it were measured.",
         ),
         Claim(
             "S_q left out: normalised squared error, map",
@@ -356,14 +363,14 @@ def _covariance(chain: Chain, runs: int, seed: int) -> Chapter:
             None,
             float(np.mean(nees[2])),
             k,
-            why="Joint readings taken as exact: the estimate is nearly the same, its covariance far too small.",
+            why="With exact joint readings assumed, the estimate is nearly the same, but its covariance is far too small.",
         ),
         Claim("mean error after three runs, map", "mm", None, third[0]),
         Claim("mean error after three runs, the paper's recipe", "mm", None, after[1]),
     )
     text = (
-        "True offsets are drawn from the paper's prior, nothing is unmodelled. The squared error of the five offsets, in units of "
-        "the covariance that the solver claims, must then be 5 on average."
+        "The true offsets are drawn from the paper's prior, and there are no unmodelled errors. The squared error of the five offsets, "
+        "normalised by the covariance from the solver, must then be 5 on average."
     )
     return Chapter("II-G: properties of the estimator", text, claims)
 
@@ -381,15 +388,15 @@ def _maps(chain: Chain) -> Chapter:
             "1",
             None,
             float(prior.sigma_largest[worst] / prior.sigma_smallest[worst]),
-            why="How much the direction of motion matters there.",
+            why="The expected error depends on the direction by this factor.",
         ),
         Claim("error map (31) with the errors of III-F: largest", "mm", None, float(found.max())),
         Claim("smallest", "mm", None, float(found.min())),
     )
     text = (
-        f"Tolerances of {MM.text(LENGTH_SIGMA, '.0f')} and {ANGLE_SIGMA} rad on every row (III-C) make an error before anything is "
-        "measured; it is largest where measuring pays most (III-G), and smallest along one direction. Fig. 5 of the paper prints no "
-        "scale that could be read from the scan."
+        f"Tolerances of {MM.text(LENGTH_SIGMA, '.0f')} and {ANGLE_SIGMA} rad on every row (III-C) cause an error before anything is "
+        "measured. Measuring is most useful where this error is largest (III-G). Each place has a direction in which the error is smallest. "
+        "The scale of Fig. 5 is not legible in the scan of the paper."
     )
     pictures = (
         map_figure(

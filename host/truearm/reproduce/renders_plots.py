@@ -29,7 +29,7 @@ def runs_figure(histories: dict[str, Floats], paper: Floats, at: Floats) -> Figu
         )
     entries = [("old line", "paper"), *((css + " line", name) for css, name in names.values())]
     parts.append(svg.legend(plot, entries))
-    caption = "Mean error of the identification lines, placed by least squares; the paper's points are as printed."
+    caption = "Mean error of the fitted lines, placed by least squares; the paper's points are as printed."
     return drawn(plot, "Mean error, run by run", caption, parts)
 
 
@@ -63,7 +63,7 @@ def map_figure(title: str, where: Section, error: Floats, direction: Floats | No
             x, z = where.x[i] + ends * direction[i, 0], where.z[i] + ends * direction[i, 2]
             parts.append(svg.line(plot, x, z, "stroke"))
     caption = f"Vertical section, θ1 = θ4 = θ6 = 0, elbow up, hand down: {figures(float(error.min()))} to "
-    caption += f"{figures(float(error.max()))} mm, the darker the larger."
+    caption += f"{figures(float(error.max()))} mm; darker is larger."
     if direction is not None:
-        caption += " Strokes: the direction of the smallest error, projected; a dot is one across the section."
+        caption += " Strokes: the direction of the smallest error, projected; a dot is a direction perpendicular to the section."
     return drawn(plot, title, caption, parts)

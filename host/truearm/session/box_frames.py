@@ -1,4 +1,4 @@
-"""Decode and check the frames of a box (protocol/SPEC.md §4, §5), singly or as columns of a batch (hop 4).
+"""Decode and check the frames of a box (protocol/SPEC.md §4, §5), singly or as columns of a batch.
 
 Nearly all frames are data, heartbeats and sync replies, which have a fixed header layout (protocol/frames.cddl).
 ``frames_of()`` reads these in one pass. It applies the same tests as for a single payload; a payload that fails them is

@@ -175,7 +175,7 @@ def _ident(table: dict[Any, Any]) -> Ident:
     firmware = table.get("firmware")
     faults = [f"channel {_shown(c.name)} of stream {s.name}: {c.fault}" for s in streams for c in s.channels if c.fault]
     if "last_error" in table:
-        faults.insert(0, f"its firmware once ended by an error: {_last_line(table['last_error'])}")
+        faults.insert(0, f"its firmware stopped with an error earlier: {_last_line(table['last_error'])}")
     if "fault" in table:
         faults.insert(0, f"the box says {_shown(table['fault'])}")
     if not isinstance(firmware, str):
@@ -312,4 +312,4 @@ def _plain(value: Any) -> Any:
 
 
 def _refuse(_: object) -> NoReturn:
-    raise ValueError("references are not on this wire")
+    raise ValueError("references are not supported")

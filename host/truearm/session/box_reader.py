@@ -1,4 +1,4 @@
-"""Convert box messages in order of arrival to blocks of samples, clock exchanges and exact losses (hop 4).
+"""Convert box messages in order of arrival to blocks of samples, clock exchanges and exact losses.
 
 ``FrameOrder`` restores the order of sending and reports missing frames and restarts of the box. Each restart begins a
 new **segment**. A batch of messages becomes columns with one row per data frame of one stream, one segment and one

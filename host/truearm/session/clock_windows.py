@@ -1,4 +1,4 @@
-"""Fit lines between two-sided bounds on one clock's time as a function of another's, in overlapping windows (hop 4).
+"""Fit lines between two-sided bounds on one clock's time as a function of another's, in overlapping windows.
 
 A row (t0, t1, t2, t3) bounds the host time h(d) at device time d: h(t1 + 1 µs) ≥ t0 and h(t2) ≤ t3. Device time counts
 whole microseconds, so the true instant lies up to one microsecond after t1. Within a window of 60 s the estimate of h

@@ -1,4 +1,4 @@
-"""Convert device time to host time, from recorded exchanges or during recording (hop 4).
+"""Convert device time to host time, from recorded exchanges or during recording.
 
 An exchange has four times: the host wrote at t0, the device received at t1, it answered at t2, and the host received
 the answer at t3. Nothing can arrive before it was sent, whatever the link does. The host time h(d) at device time d

@@ -1,4 +1,4 @@
-"""Reduce the ball-bar samples of each dwell to a mean length, or give the reason why it has none (hop 5).
+"""Reduce the ball-bar samples of each dwell to a mean length, or give the reason why it has none.
 
 No dwell uses samples from across a gap. When the joints stand still, the arm beyond its encoders may still swing or
 creep, and the bar shows it. The dwell therefore begins where the samples, too, stay at the level of its second half

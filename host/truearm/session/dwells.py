@@ -1,4 +1,4 @@
-"""Find dwells, the times when the robot stood still, from its joint readings (hop 5).
+"""Find dwells, the times when the robot stood still, from its joint readings.
 
 How much a reading varies while the robot is at rest is not declared anywhere, so it is estimated from the readings. The
 range of each joint is taken over windows of four bins (0.2 s). The tenth percentile of these ranges belongs to rest if

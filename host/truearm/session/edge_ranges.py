@@ -1,4 +1,4 @@
-"""Find the range of the controller's clock that all edges of a trigger line together allow (hop 4).
+"""Find the range of the controller's clock that all edges of a trigger line together allow.
 
 Edges of both directions are used.
 

@@ -1,4 +1,4 @@
-"""Parse the robot's joint readings: lines → columns, clock, digital inputs, and bins for finding dwells (hop 4).
+"""Parse the robot's joint readings: lines → columns, clock, digital inputs, and bins for finding dwells.
 
 A reading is a line of JSON (docs/reference/session-format.md), checked in the same way during recording
 (``parse_line()``) and reading (``parse_lines()``). A message on ``/robot/columns`` holds the result of

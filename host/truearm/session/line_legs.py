@@ -1,4 +1,4 @@
-"""Find legs, the motions of the robot from one stop or turn to the next, from its joint readings alone (hop 5).
+"""Find legs, the motions of the robot from one stop or turn to the next, from its joint readings alone.
 
 A straight line there and back is two legs, whether or not the robot rests at the turn. Between two bins of readings (50
 ms) the joints take a step. A leg ends where the step is slow, either in absolute terms or relative to the steps within

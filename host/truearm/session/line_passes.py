@@ -1,4 +1,4 @@
-"""Measure passes along a line device in motion: assign legs to lines and compute their rows (hop 5).
+"""Measure passes along a line device in motion: assign legs to lines and compute their rows.
 
 Three signals are combined. The magnetostrictive head gives the position of the magnet along the device (its y) at the
 edge of each interrogation. Two transducers give the transverse position (x and z), in samples that are late by their

@@ -1,4 +1,4 @@
-"""Count exactly what did not arrive (hop 4): frames, samples of each stream, and times when the box sent nothing.
+"""Count exactly what did not arrive: frames, samples of each stream, and times when the box sent nothing.
 
 **Frames** leave ``FrameOrder`` in the order in which the box sent them, regardless of the order of arrival. All frames
 share one ``seq`` counter (SPEC §4). A link or a damaged file may deliver frames late, twice or never, and a box that

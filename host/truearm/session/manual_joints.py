@@ -1,4 +1,4 @@
-"""Find dwells of a robot without a joint stream, from manually noted joints and the sensor's rest (hop 5).
+"""Find dwells of a robot without a joint stream, from manually noted joints and the sensor's rest.
 
 Joints read off a pendant arrive every few seconds, so they cannot show when the robot stood still. The ball-bar can:
 the stops of its length are found in the same way as those of joints (``find_stops()``). A reading noted while the bar

@@ -1,4 +1,4 @@
-"""Read chunks of a session file into columns (hop 4): some megabytes of records at a time, one row per message.
+"""Read chunks of a session file into columns: some megabytes of records at a time, one row per message.
 
 Python looks at each record only once, to find its length. NumPy then reads all record headers in one pass. The record
 layout is that of the mcap library, which would allocate whatever an untrusted record claims; here everything is
@@ -42,7 +42,7 @@ LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
 FOOTER_BYTES = 20
 # Raised by the library for a record that ends early, is not valid UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
-ADVICE = ("copy it again from where it was recorded, or, to use what is whole, give ", Argument("allow_damaged"))
+ADVICE = ("copy it again from where it was recorded, or, to use the intact part, give ", Argument("allow_damaged"))
 
 
 def open_file(path: Path) -> BinaryIO:

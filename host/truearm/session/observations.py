@@ -1,4 +1,4 @@
-"""Reduce the messages of a session to observations (hops 4 and 5).
+"""Reduce the messages of a session to observations.
 
 ``survey`` reads the session. It accounts for every frame, collects the clock exchanges and the robot's data, keeps the
 samples of the ball-bar, and finds the dwells and the legs. ``observations`` processes the samples of one dwell and one
@@ -315,7 +315,7 @@ def _unmatched(
     if contradict(said, plan.mounted[nearest]):
         needs, confirmed = (" ".join(of.get(key) or "?" for key in BAR_MOUNTED) for of in (plan.mounted[nearest], said))
         return "contradiction", f"pose {rows[nearest]} needs {needs}; {confirmed} was confirmed"
-    return "no plan match", f"pose {rows[nearest]} is out of turn"
+    return "no plan match", f"pose {rows[nearest]} is not next in the order of the plan"
 
 
 def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) -> Dwell:

@@ -1,4 +1,4 @@
-"""Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted (hop 5).
+"""Assign bar, chuck and sphere to each dwell, by the plan or by what was said to be mounted.
 
 A robot follows its plan in order. A pose may be left out, visited twice, or stopped at in between, and the program may
 be stopped and begun again. The assignment is therefore a path through the plan: (dwell, pose) pairs that are near in

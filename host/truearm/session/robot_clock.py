@@ -1,4 +1,4 @@
-"""Relate robot controller time to host time from arrivals alone (hop 4).
+"""Relate robot controller time to host time from arrivals alone.
 
 A reading stamped t by the controller arrives at h(t) + latency, and latency is never negative. The line under all
 arrivals that is nearest to them on average (the lower hull's edge at their middle) follows the fastest packets; queues

@@ -1,4 +1,4 @@
-"""Convert counts to metres, and keep a channel's samples until it is known which are needed (hop 4).
+"""Convert counts to metres, and keep a channel's samples until it is known which are needed.
 
 The box provides the conversion from counts to volts and from volts to an extension (scale and calibration polynomial of
 the channel). The rig provides the rest: length = zero + gain · extension, centre to centre.

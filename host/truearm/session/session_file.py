@@ -306,9 +306,7 @@ class Whole:
 def words_of(at: int | None, lost_s: float, of_s: float) -> str:
     """Describe a damaged place in words."""
     if at is None:
-        return (
-            "damaged: its bytes do not fit its CRC, though all that have one of their own fit it; a header may be wrong"
-        )
+        return "damaged: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong"
     return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost"
 
 

@@ -51,7 +51,7 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
         "time": "utc" if zero is None else f"0 at {zero!r} s of the session",
     }
     if opened.damage or opened.truncated:
-        said["damaged"] = "what was not whole of the session is left out"
+        said["damaged"] = "the damaged part of the session is left out"
     with working_folder(wanted.out.parent) as folder:
         partial = folder / "session.mcap"
         count = add_readings(opened, readings, partial, zero, said, wanted.replace)

@@ -145,9 +145,9 @@ class Calibration:
         masses = self._masses()
         if has_payload_law(self.chain):
             measured = f"; it was measured under {masses}" if masses else ""
-            return f"The sag of the joints is that under a payload of {self.chain.payload.mass:g} kg{measured}."
+            return f"The sag of the joints holds for a payload of {self.chain.payload.mass:g} kg{measured}."
         which = f", {masses}" if masses else ""
-        return f"The sag of the joints is that under the payload of the calibration{which}."
+        return f"The sag of the joints holds for the payload of the calibration{which}."
 
     def doubt_of_payloads(self, payloads: Sequence[Payload]) -> list[str]:
         """Return sentences about rows under these ``payloads`` (n); empty if neither the result nor the rows show any effect.
@@ -157,7 +157,7 @@ class Calibration:
         masses = self._masses()
         if has_payload_law(self.chain):
             measured = f"; it was measured under {masses}" if masses else ""
-            return [f"The sag of the joints is that under the payload of each row{measured}."]
+            return [f"The sag of the joints holds for the payload of each row{measured}."]
         doubt = [self.doubt_of_payload] if self.doubt_of_payload else []
         others = [one for one in payloads if not any(map(one.is_like, self.stored.payloads))]
         if self.stored.payloads and others:

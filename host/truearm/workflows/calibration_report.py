@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from truearm.workflows.identify import Identification
 
 UNPREDICTED = (
-    "How far the tool may be off at a pose is not determined: changes of the parameters that these observations do not see, or hardly, "
-    "would move it. The residuals say how well the observations are predicted."
+    "The error of the tool at a pose is not determined: unidentifiable or weakly identifiable combinations of parameters would "
+    "move it. The residuals only show how well the observations are predicted."
 )
 
 

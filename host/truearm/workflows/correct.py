@@ -255,15 +255,15 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
     """Return caveats about the calibration for readers of the errors."""
     caveats = []
     if calibration.stored.status != "converged":
-        caveats.append(f"The fit had stopped early ({one_line(calibration.stored.status)[:40]}).")
+        caveats.append(f"The fit of this result stopped early ({one_line(calibration.stored.status)[:40]}).")
     if calibration.doubt_of_payload:
         caveats.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
-        remedy = "" if own_frames else " With own frames, base and tool stay out of the correction."
+        remedy = "" if own_frames else " With own frames, base and tool are left out of the correction."
         caveats.append(
-            "Combinations of parameters that the observations did not see move the end, how base or tool are mounted perhaps: "
-            f"these are as described, not as measured.{remedy}"
+            "Unidentifiable combinations of parameters move the end, for example the mounting of base or tool. "
+            f"They have their nominal values.{remedy}"
         )
     return caveats
 

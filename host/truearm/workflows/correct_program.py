@@ -51,8 +51,8 @@ MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
-    "The arm's configuration was searched for, each nearest to the one before. Where the controller takes another, name joints near "
-    "those of the first target (home), or give q1_deg … in a table or qnear in a URScript."
+    "The arm's configuration was searched for: at each target the one nearest to the previous target. If the controller uses "
+    "another one, give joints near those of the first target (home), q1_deg … in a table, or qnear in a URScript."
 )
 
 
@@ -269,9 +269,9 @@ def _configurations(
     where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
     check = f"Check the configuration data of {counted(int(wrong.sum()), 'robtarget')} (lines {where}): by this model an axis is in another quarter turn."
     unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
-    return [f"{SEARCHED} The program does not say where the robot comes from to line {unknown}."] * bool(
-        (~told).any()
-    ) + [check] * bool(wrong.any())
+    return [
+        f"{SEARCHED} The program does not determine the position from which the robot moves to line {unknown}."
+    ] * bool((~told).any()) + [check] * bool(wrong.any())
 
 
 def _check_names(path: Path, language: ProgramLanguage, options: ProgramOptions) -> None:
@@ -399,7 +399,7 @@ def _other_configurations(program: Program, targets: Targets, done: Correction) 
             continue
         if is_off or problem:
             line = program.source.line(targets.poses[row].at)
-            why = f"the arm comes to its target in another configuration than in line {line}, and needs other numbers there"
+            why = f"the arm reaches its target in another configuration than in line {line}, which needs different numbers"
             found.append(refused_at(program, one.at, problem or why))
     return found
 

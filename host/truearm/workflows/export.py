@@ -59,7 +59,7 @@ class ExportedRobot:
     Mountings (written at both ends):
     ...
     The format urdf has no place for joint1.gain, ...
-    Refitted over 600 poses. Error without what the file cannot hold or you do not adjust: ... mm RMS (... at most);
+    Refitted over 600 poses. Error without the parameters that the file cannot hold or that are not adjusted: ... mm RMS (... at most);
     with the other parameters refitted to compensate: ... mm RMS (... at most).
     """
 
@@ -99,7 +99,7 @@ def cost_lines(found: ExportedRobot) -> list[str]:
     if fitted.refitted:
         return [
             *lines,
-            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without what the file cannot hold or you do not adjust: {_of(fitted.dropped)};",
+            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without the parameters that the file cannot hold or that are not adjusted: {_of(fitted.dropped)};",
             f"with the other parameters refitted to compensate: {_of(fitted.left)}.",
         ]
     if found.exact:

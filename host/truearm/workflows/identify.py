@@ -70,8 +70,8 @@ class IdentifyOptions:
     freeze : tuple of str
         Patterns of parameters to hold fixed.
     prior : str or None
-        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, only
-        for what the observations determine less accurately. None: chosen by robot and solver.
+        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, but only
+        for parameters that the observations determine less accurately. None: chosen by robot and solver.
     solver : str
         "lm", "map", "recursive", "renders-1991" or "ls".
     loss : str
@@ -89,7 +89,7 @@ class IdentifyOptions:
     leave_out : tuple of str
         Rows that are neither fitted nor used for judging, such as ``"120:140"``.
     joint_laws : str
-        "none", "curve" (error curves of the joints), "sag" (joints that give way to gravity) or "auto" (both, if geometry
+        "none", "curve" (error curves of the joints), "sag" (joints that deflect under gravity) or "auto" (both, if geometry
         and declared noise do not explain the residuals). Each law is included if the evidence in the fitted rows
         supports it.
 

@@ -94,8 +94,8 @@ class BallBarOptions:
     Parameters
     ----------
     criterion : str
-        What the poses optimise: "I", the error in the region; "D", all parameters at once; "A", their mean; "E", the
-        worst of them.
+        What the poses minimise: "I", the error in the region; "D", the volume of the uncertainty of all parameters; "A",
+        their mean uncertainty; "E", the uncertainty of the worst combination of parameters.
     region : Region, optional
         Where accuracy is required. Default: around the poses.
     candidates : int
@@ -108,7 +108,7 @@ class BallBarOptions:
     spread : float
         Varies the bar's length [m] about mid-travel.
     dwell : float
-        Rest at a pose [s], 0.5 to 600.
+        Duration of the rest at each pose [s], 0.5 to 600.
     seed : int
         Random seed; 0 or more.
     visits : int
@@ -117,7 +117,7 @@ class BallBarOptions:
         Poses of the first mount that are visited again in the middle and at the end, 0 to 100. None with several visits;
         at most one in 36 poses, and none for fewer than 108 poses.
     joint_laws : bool
-        Also predict what the poses will show of the joints' error curves.
+        Also predict how well the poses will determine the joints' error curves.
 
     Raises
     ------

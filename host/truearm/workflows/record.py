@@ -106,7 +106,7 @@ def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
         return ""
     text = dwells.sentence
     if dwells.need_decision:
-        return f"{text}: settle what was mounted with truearm relabel {session}"
+        return f"{text}: decide what was mounted with truearm relabel {session}"
     return f"{text}; truearm inspect {session} says why"
 
 

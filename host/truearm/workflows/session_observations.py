@@ -75,7 +75,7 @@ def attached_rig(session: Session, path: Path) -> Rig | None:
 
 
 def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
-    """Run hops 4 and 5 on a session file. ``rig`` replaces the recorded one.
+    """Make observations from a session file. ``rig`` replaces the recorded one.
 
     Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
     """

@@ -70,7 +70,7 @@ MAX_TURNS = 4  # of a loop, before values that still change become unknown
 CALL = 10  # cost of a call, in parts of an expression
 
 TOOL = "tool in force"  # variable names contain no spaces
-_ANYWHERE: Values = (Unknown("nothing says where the program begins", 0),)
+_ANYWHERE: Values = (Unknown("the position in which the program starts is not known", 0),)
 MOST_EFFECTS = 8  # of a routine with the same arguments: maximum number that are remembered
 
 Names = set[str]
@@ -210,7 +210,7 @@ class Flow:
     def get(self, name: str) -> Values | None:
         """Return the possible values of a name here; None if it is unknown."""
         if name in self.volatile and not any(one.routine and one.routine.kind == "beside" for one in self.stack):
-            return (Unknown(f"{name} is changed by what runs beside the program", 0),)
+            return (Unknown(f"{name} is changed by code that runs concurrently (a trap, a handler or a thread)", 0),)
         at: _Activation | None = self.stack[-1]
         while at is not None:
             if (found := self.environment.get((at.scope, name))) is not None:
@@ -350,7 +350,7 @@ class Flow:
                 break
             for key in grown:
                 if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
-                    environment.set(key, (Unknown(f"{key[1]} changes from turn to turn of a loop", 0),))
+                    environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0),))
         if loop.condition is not None and self._runs_routine(loop.condition):
             self.value(loop.condition)  # it is evaluated once more often than the body
         environment.join([{}, *turn.breaks])
@@ -394,7 +394,7 @@ class Flow:
         first, second = of.operands
         self.value(first)
         self._branch(((Do(second),),), False)
-        return (Unknown(f"the result of {of.sign} is not followed", of.start),)
+        return (Unknown(f"the result of {of.sign} cannot be traced", of.start),)
 
     def _call(self, call: Call) -> Values:
         arguments = [self.value(argument) for argument in call.arguments]
@@ -410,7 +410,7 @@ class Flow:
         if found is None:
             why = f"{call.function} is not defined in this file; it may move the robot"
             self.uncertain(call.function, call.start, call.end, why, "harmless")
-            found = (Unknown(f"what {call.function} gives is known at run time only", call.start),)
+            found = (Unknown(f"the result of {call.function} is known only at run time", call.start),)
         for argument in self.language.changed_by(call):
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
                 self._assign(argument, (Unknown(f"{call.function} may change it at run time", 0),), "")
@@ -425,7 +425,10 @@ class Flow:
         if len(self.stack) > MAX_CALLS or any(one.routine is routine for one in self.stack):
             at = call or Call(routine.name, (), (), routine.start, routine.start)
             self.uncertain(
-                at.function, at.start, at.end, f"{routine.name} calls itself, or too deeply; that is not followed"
+                at.function,
+                at.start,
+                at.end,
+                f"{routine.name} calls itself, or its calls are nested too deeply to trace",
             )
             self._unrepeatable()
             return (Unknown(f"{routine.name} calls itself", at.start),)
@@ -439,7 +442,7 @@ class Flow:
             places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
         doubled = self._doubled(routine, places)
         for name, root in doubled.items():
-            self.set(root, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),))
+            self.set(root, (Unknown(f"{routine.name} changes it under two names, {root} and {name}", routine.start),))
         given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
         effect = self._effect(_Entry(routine, call is not None, given, doubled, parent))
         here = self.environment.get(HERE) or _ANYWHERE
@@ -527,11 +530,13 @@ class Flow:
                 value = self.value(parameter.default)
             if value is None and parameter.optional and entry.called:
                 value = (Truth(False),)
-            why = f"{parameter.name} is an argument of {routine.name} that nothing in this file gives"
+            why = f"{parameter.name} is an argument of {routine.name} that no call in this file passes"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
         for name, root in entry.doubled.items():
             self.set(
-                name, (Unknown(f"{routine.name} changes it by two names, {root} and {name}", routine.start),), "local"
+                name,
+                (Unknown(f"{routine.name} changes it under two names, {root} and {name}", routine.start),),
+                "local",
             )
         outer, self.turns = self.turns, []
         if routine.handlers:

@@ -27,7 +27,7 @@ class Work:
         """Take off units; raises ProgramError where too few are left."""
         self.left -= units
         if self.left < 0:
-            raise ProgramError(f"{self.source.name}: its routines and loops are too complex to follow; split it")
+            raise ProgramError(f"{self.source.name}: its routines and loops are too complex to trace; split the file")
 
 
 class Trace:

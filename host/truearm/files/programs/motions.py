@@ -43,5 +43,5 @@ def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Go
         if isinstance(what, Unknown):
             return what.why, what.remedy
     if not isinstance(tool, Pose) or not isinstance(frame, Pose):
-        return "its tool or work object is none that is known", ""
+        return "its tool or work object is not known", ""
     return Goal(value, tool, frame, near, *place)

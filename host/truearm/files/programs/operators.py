@@ -30,7 +30,7 @@ def operator_of(sign: str, at: int) -> Callable[..., Value]:
         if sign == "+" and any(isinstance(one, Text) for one in operands):
             return sum_of(operands, at)
         return next(
-            (one for one in operands if isinstance(one, Unknown)), Unknown(f"the result of {sign} is not followed", at)
+            (one for one in operands if isinstance(one, Unknown)), Unknown(f"the result of {sign} cannot be traced", at)
         )
 
     return result

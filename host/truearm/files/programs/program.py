@@ -93,7 +93,7 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     try:
         flow = _followed(source, language, surroundings)
     except RecursionError as exc:  # thousands of operators in one expression
-        raise ProgramError(f"{name}: an expression is nested too deeply to follow; split it") from exc
+        raise ProgramError(f"{name}: an expression is nested too deeply; split it") from exc
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
         raise ProgramError(f"{name}: contains no move; there is nothing to correct")

@@ -102,7 +102,7 @@ class Rapid:
             return ()
         if name in BY_NAME:
             flow.uncertain(
-                name, at, call.end, f"{name} changes data, or calls a routine, by a name that only the run knows"
+                name, at, call.end, f"{name} changes data or calls a routine by a name that is known only at run time"
             )
             return ()
         if name in AIMLESS:
@@ -123,7 +123,7 @@ class Rapid:
             flow.uncertain(name, at, call.end, why, "harmless")
             return ()
         if name == LATE_BOUND:
-            flow.uncertain(name, at, call.end, "which routine %…% calls is known at run time only")
+            flow.uncertain(name, at, call.end, "the routine that %…% calls is known only at run time")
             return ()
         if name in CONFIGURATIONS:
             flow.set(name, (Truth("off" not in named),), "global")
@@ -142,10 +142,10 @@ class Rapid:
             if sent is not None:
                 flow.uncertain(name, at, call.end, sent, "harmless")
         if name == "calcjointt":
-            why = "its joint readings are those of CalcJointT, known at run time only; move to the robtarget with MoveJ"
+            why = "its joint readings come from CalcJointT and are known only at run time; move to the robtarget with MoveJ"
             return (Unknown(why, at),)
         if name in QUIET or name in FUNCTIONS or name in self.harmless:
-            return (Unknown(f"what {name} gives is known at run time only", at),)
+            return (Unknown(f"the result of {name} is known only at run time", at),)
         return None
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
@@ -155,7 +155,7 @@ class Rapid:
         items = items_of(of)
         k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
         if items is None or (isinstance(at, str) and k is None):
-            return (Unknown("an element or component is not followed", place),)
+            return (Unknown("an element or component cannot be traced", place),)
         if k is not None:
             return items[k] if 0 <= k < len(items) else ()
         return tuple(dict.fromkeys(value for item in items for value in item))
@@ -165,7 +165,7 @@ class Rapid:
         items = items_of(of)
         k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
         if items is None or k is None or not 0 <= k < len(items):
-            return of if isinstance(of, Unknown) else Unknown("an element is assigned that is not followed", place)
+            return of if isinstance(of, Unknown) else Unknown("the assignment to an element cannot be traced", place)
         return Listed((*items[:k], new, *items[k + 1 :]))
 
     def _move(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> None:
@@ -234,7 +234,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
                     datum.start, f"{datum.name} is declared twice in this file; put each module in its own file"
                 )
             if datum.name in frames:
-                what = f"{datum.name} is declared here, so its pose cannot be given besides"
+                what = f"{datum.name} is declared in this program; leave its pose out of the options"
                 raise source.wrong(datum.start, what)
             if datum.value is None:
                 why = f"{datum.name} is declared without a value; declare it with its values"
@@ -265,14 +265,16 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
                 before = flow.environment.get(key)
                 after = joined(before, tuple(own[key]))
                 if turn and counts(before, after):
-                    after = (Unknown(f"{key[1]} changes from run to run", 0),)
+                    after = (Unknown(f"{key[1]} changes from one run of the program to the next", 0),)
                 grown |= after != before
                 flow.environment.set(key, after)
         if not grown:
             break
         if turn == MAX_ROUNDS - 2:
             for name in kept:
-                flow.environment.set((0, name), (Unknown(f"{name} changes from run to run", 0),))
+                flow.environment.set(
+                    (0, name), (Unknown(f"{name} changes from one run of the program to the next", 0),)
+                )
     flow.environment.records.pop()
     flow.environment.begin_any_time(record)
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call

@@ -43,7 +43,7 @@ def target_of(value: Value, at: int) -> Value:
     axes = numbers_of(value.items[3][0]) if pose is not None and len(value.items[3]) == 1 else None
     if pose is not None and (axes is None or min(axes) < NO_AXIS):
         return _unknown_in(value) or Unknown("its external axes may move the robot's base", at)
-    return _unknown_in(value) or pose or Unknown("its target is not of plain numbers in one piece", at)
+    return _unknown_in(value) or pose or Unknown("its target is not written as plain numbers in one place", at)
 
 
 def tool_of(value: Value, at: int) -> Value:

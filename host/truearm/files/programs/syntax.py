@@ -296,8 +296,8 @@ class Reader:
     def unexpected(self, wanted: str) -> ProgramError:
         """Return an error: something else was expected here."""
         if self.kind == END:
-            return self.wrong(f"the file ends where {wanted} should stand; it is cut short")
-        return self.wrong(f"{quoted(self.text)} stands where {wanted} should")
+            return self.wrong(f"the file ends where {wanted} is expected; it is truncated")
+        return self.wrong(f"expected {wanted}, found {quoted(self.text)}")
 
     def deeper(self) -> None:
         """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""
@@ -308,7 +308,7 @@ class Reader:
     def longer(self, links: int) -> None:
         """Check the length of a chain of fields, indexes or operators, each of which contains the one before."""
         if links > MAX_LINKS:
-            raise self.wrong("an expression is nested too deeply to follow; split it")
+            raise self.wrong("an expression is nested too deeply; split it")
 
 
 def words(text: str) -> frozenset[str]:

@@ -210,7 +210,7 @@ def _assigned(
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
                     why = f"it needs other numbers in the target of line {shared} than line {other} does"
                     if motions[taken] is motion:
-                        why = f"its tool, frame or offset differs from run to run; each needs other numbers in the target of line {shared}"
+                        why = f"its tool, frame or offset differs between its calls, which need different numbers in the target of line {shared}"
                 refuse(motion, why, "" if own is None else "split")
     unique: dict[object, int] = {}
     index: list[int | None] = []
@@ -284,7 +284,7 @@ def _absurd(literal: Taught) -> str | None:
             pose = form is Form.POSE
             largest = UNITS["m"].largest if pose else float(MM.of(UNITS["m"].largest))
             if (far := _beyond(numbers[:6] if pose else numbers[:3], largest)) is not None:
-                return f"{far:g} is not a place that a robot reaches"
+                return f"{far:g} is beyond the reach of any robot"
             norm = 1.0 if pose else sum(value * value for value in numbers[3:7]) ** 0.5
             if not abs(norm - 1.0) <= UNIT_QUATERNION:
                 return f"the orientation is not a unit quaternion, its norm is {norm:.4g}"

@@ -58,7 +58,7 @@ def read_urscript(source: Source) -> Block:
     reader = _Reader(source)
     block = reader.block()
     if reader.kind != END:
-        raise reader.wrong(f"{reader.text} has no opening counterpart")
+        raise reader.wrong(f"{reader.text} ends a block that was not opened")
     return block
 
 

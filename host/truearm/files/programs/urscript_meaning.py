@@ -71,7 +71,7 @@ class UrScript(NamedTuple):
             _move(flow, call, arguments, named)
             return (Truth(True),)
         if name.startswith(("track_conveyor", "frame_tracking_enable")):
-            flow.set(TRACKED, (Unknown(f"it follows what {name} tracks", at),), "global")
+            flow.set(TRACKED, (Unknown(f"it moves relative to what {name} tracks", at),), "global")
         if name in ("stop_conveyor_tracking", "frame_tracking_disable"):
             flow.set(TRACKED, (NOWHERE,), "global")
         if name in AIMLESS:
@@ -101,9 +101,9 @@ class UrScript(NamedTuple):
             values = [*arguments, *named.values()]
             return combined(at, lambda *given: PURE[name](given, at), values) if values else None
         if name.startswith("."):
-            return (Unknown("what a method or remote procedure gives is known at run time only", at),)
+            return (Unknown("the result of a method or remote procedure is known only at run time", at),)
         if name in QUIET or name in self.harmless:
-            return (Unknown(f"what {name} gives is known at run time only", at),)
+            return (Unknown(f"the result of {name} is known only at run time", at),)
         return None
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
@@ -114,7 +114,7 @@ class UrScript(NamedTuple):
             return of.items[of.names.index(at)]
         items = items_of(of)
         if items is None or isinstance(at, str):
-            return (Unknown("an element or field is not followed", place),)
+            return (Unknown("an element or field cannot be traced", place),)
         if isinstance(at, Number):
             k = int(at.value)
             return items[k] if 0 <= k < len(items) else ()
@@ -127,7 +127,7 @@ class UrScript(NamedTuple):
             return Fields(of.names, (*of.items[:k], new, *of.items[k + 1 :]))
         items = items_of(of)
         if items is None or not isinstance(at, Number) or not 0 <= int(at.value) < len(items):
-            return first_unknown((of,)) or Unknown("an element is assigned that is not followed", place)
+            return first_unknown((of,)) or Unknown("the assignment to an element cannot be traced", place)
         k = int(at.value)
         return Listed((*items[:k], new, *items[k + 1 :]), isinstance(of, Pose) or (isinstance(of, Listed) and of.pose))
 
@@ -182,7 +182,7 @@ def _target(value: Value, at: int) -> Value:
 
 def _tool(value: Value, at: int) -> Value:
     found = as_pose(value, at)
-    return Unknown("the tool that set_tcp sets is known at run time only", at) if isinstance(found, Unknown) else found
+    return Unknown("the tool of set_tcp is known only at run time", at) if isinstance(found, Unknown) else found
 
 
 def _solved(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values:
@@ -221,5 +221,5 @@ def _near(value: Value, at: int) -> Taught | tuple[float, ...] | Unknown | None:
         return value.near
     numbers = numbers_of(value)
     if numbers is None or len(numbers) != SIX or isinstance(value, Taught):
-        return Unknown("its qnear is known at run time only, so that its configuration is not known", at)
+        return Unknown("its qnear is known only at run time, so its configuration is not known", at)
     return numbers

@@ -70,13 +70,13 @@ def list_made(arguments: Sequence[Values], named: Mapping[str, Values], at: int)
         or not isinstance(given[0][0], Number)
         or not 0 <= given[0][0].value <= 1000
     ):
-        return (Unknown("the list that make_list gives is not followed", at),)
+        return (Unknown("the list that make_list returns cannot be traced", at),)
     return (Listed((given[1],) * int(given[0][0].value)),)
 
 
 def _poses(given: Sequence[Value], n: int, at: int) -> list[Pose] | Unknown:
     if len(given) != n:
-        return Unknown(f"{len(given)} arguments are given where {n} belong", at)
+        return Unknown(f"it has {len(given)} arguments instead of {n}", at)
     found = [as_pose(value, at) for value in given]
     unknown = first_unknown(found)
     return unknown or [pose for pose in found if isinstance(pose, Pose)]
@@ -105,7 +105,7 @@ def _moved(a: Pose, b: Pose, sense: int, at: int) -> Value:
     elif numbers is not None:
         matrix = np.array(numbers.rows).reshape(4, 4)
     else:
-        return Unknown("what is added to a pose is a product itself; that is not followed", at)
+        return Unknown("the pose that is added is itself a product, which cannot be traced", at)
     turn = Rotation.from_matrix(matrix[:3, :3])
     return times(shifted(sense * matrix[:3, 3]), a, turned(turn if sense > 0 else turn.inv()))
 

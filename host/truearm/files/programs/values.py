@@ -156,7 +156,7 @@ def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values
     if len(arguments) == 1:
         return tuple(function(one) for one in arguments[0])
     if math.prod(map(len, arguments)) > most_choices(arguments):
-        return (Unknown("it has too many possibilities to be followed", at),)
+        return (Unknown("it has too many possible values to trace", at),)
     return distinct(function(*choice) for choice in product(*arguments))
 
 

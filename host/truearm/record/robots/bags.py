@@ -149,7 +149,7 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
 
     where = f"{path} message {number}"
     if data.startswith(_ZSTD):
-        raise InputError(f"{where}: is compressed by itself; unpack the bag with ros2 bag convert")
+        raise InputError(f"{where}: this message is compressed; unpack the bag with ros2 bag convert")
     try:
         state: Any = decoder.deserialize_cdr(data, MESSAGE_TYPE)
     except SerdeError as exc:

@@ -160,7 +160,7 @@ class RtdeLink:
 
     def _stranger(self) -> ProtocolError:
         return ProtocolError(
-            f"{self.name}: sends what is not RTDE; is this port {PORT} of a Universal Robots controller?"
+            f"{self.name}: sends data that are not RTDE; is this port {PORT} of a Universal Robots controller?"
         )
 
     # --- packages → lines

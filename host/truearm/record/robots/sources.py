@@ -56,7 +56,7 @@ SOURCES: Mapping[str, SourceEntry] = {
     "tcp": SourceEntry("session_lines", "127.0.0.1:7008", "JSON lines"),
     "rtde": SourceEntry("rtde", "192.168.0.2", "Universal Robots"),
     "lines+tcp": SourceEntry("text_lines", "192.168.0.2:7008", "CSV, or JSON with names and units of its own"),
-    "lines+udp": SourceEntry("text_lines", "0.0.0.0:7008", "the same in datagrams, sent to us"),
+    "lines+udp": SourceEntry("text_lines", "0.0.0.0:7008", "the same in datagrams, sent to this computer"),
 }
 TABLE = FileEntry("joint_table", (".csv",), False, "a table (.csv)")
 FILES: tuple[FileEntry, ...] = (
