@@ -1,5 +1,6 @@
 """Long recordings in real time over a pseudo-terminal on a loaded machine: nothing is lost, or the loss is counted."""
 
+import re
 import subprocess
 import sys
 
@@ -33,7 +34,9 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
         done = truearm_process(*simulator.record, "--rate", rate, "--duration", seconds, timeout_s=seconds + 60)
     finally:
         simulator.stop()
-    assert done.returncode == 0, done.stderr
+    # the end may fall into a dwell, which is then too short (code 4); nothing else is wrong
+    cut = re.search(r"dwells: \d+ usable, 1 too short;", done.stderr)
+    assert done.returncode == (4 if cut else 0), done.stderr
     session = open_session(tmp_path / "session.mcap")
     reader, taken, begin_us = BoxReader(ident_of(session)), 0, None
     for blocks in (*(reader.feed(messages) for messages in session.batches()), reader.finish()):
