@@ -165,6 +165,7 @@ class EffectRows(Group):
     tool: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     profile: Floats  # (n, e)
+    held: Floats | None = None  # (w, n, e) derivatives by the effects, if they are not those at x
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
@@ -178,10 +179,18 @@ class EffectRows(Group):
         """Return the same as ``evaluate``, with derivatives by the known constants after the effects in ``jac_rig``."""
         size = x.size - self.columns.size
         lin = self.inner.opened(chain, x[:size])
-        by_effects = error_columns(lin, self.tool)[:, :, self.columns] * self.profile
+        by_effects = self._by_effects(lin) if self.held is None else self.held
         unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
         residual = lin.residual - (by_effects @ x[size:]).T.ravel()
         return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
+
+    def _by_effects(self, lin: Linearised) -> Floats:
+        """Return the derivatives (w, n, e) of the inner group's predictions by the effects."""
+        return np.asarray(error_columns(lin, self.tool)[:, :, self.columns] * self.profile)
+
+    def hold(self, chain: Chain, x: Floats) -> EffectRows:
+        """Hold the derivatives by the effects: ``evaluate`` neglects that they change with x."""
+        return replace(self, held=self._by_effects(self.inner.opened(chain, x[: x.size - self.columns.size])))
 
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
@@ -194,8 +203,15 @@ class EffectRows(Group):
     def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> EffectRows:
         """Return some of the observations."""
         row = None if self.row is None else self.row[which]
-        inner = self.inner.take(which)
-        return replace(self, row=row, sensor_cov=self.sensor_cov[which], inner=inner, profile=self.profile[which])
+        held = None if self.held is None else self.held[:, which]
+        return replace(
+            self,
+            row=row,
+            sensor_cov=self.sensor_cov[which],
+            inner=self.inner.take(which),
+            profile=self.profile[which],
+            held=held,
+        )
 
 
 def with_effects(groups: Sequence[Group], tool: Floats, columns: Indices, profiles: Floats) -> tuple[Group, ...]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from truearm.estimate import lm
 from truearm.estimate.information import Information, covariance, observe, spectrum, weighed, with_prior
 from truearm.estimate.parameter_update import stepper
-from truearm.estimate.problem import Problem
+from truearm.estimate.problem import Problem, held
 from truearm.estimate.robust import sandwich, stages
 from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.estimate.solvers import Loss
@@ -85,6 +85,11 @@ def _callbacks(
         data = observe(of, here, columns) if loss is Loss.LINEAR else observe_robustly(of, here, columns, loss)[0]
         return with_prior(data, *prior_error(problem, columns, here))
 
-    if problem.joint_cov is None:
+    if problem.joint_cov is None and held(problem, x) is problem:
         return lambda part: at(problem, part), None
-    return lambda part: at(problem, part), lambda there, here: at(weighed(problem, whole(x, columns, here)), there).chi2
+
+    def cost(there: Floats, here: Floats) -> float:
+        point = whole(x, columns, here)
+        return at(weighed(held(problem, point), point), there).chi2
+
+    return lambda part: at(problem, part), cost

@@ -23,7 +23,7 @@ this is the minimum, too.
 
 Where weights depend on x (joint noise, information.py), x and x + Δ are compared under the weights of x. If each had its
 own weights, the minimum of χ² would not coincide with the point where the gradient Jᵀ C f vanishes, and no step would
-reach that point.
+reach that point. The derivatives by systematic errors (effects.py), which J takes as constant, are those at x in both.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def minimise(
 
     ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``damping`` 0 starts with
     full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns. ``cost(there, here)`` is χ² at
-    ``there`` with the weights of ``here``; needed only if weights depend on x. ``move(x, Δ)`` is the point that a step
+    ``there`` with what J takes as constant, such as weights, as at ``here``; needed only if it depends on x. ``move(x, Δ)`` is the point that a step
     leads to. An iteration is an accepted step. Failure to converge is a status, not an exception.
     """
     here = linearise(x)

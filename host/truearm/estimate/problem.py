@@ -251,3 +251,10 @@ def _check_joints(chain: Chain, table: ObservationTable) -> None:
     bad = np.flatnonzero(~np.isfinite(table.q).all(axis=1))
     if bad.size:
         raise ProblemError(f"{table.source[bad[0]]}: a joint reading is not a finite number")
+
+
+def held(problem: Problem, x: Floats) -> Problem:
+    """Return the problem with its observations held at x (``Group.hold``); the problem itself if none changes."""
+    groups = tuple(group.hold(problem.chain, x) for group in problem.groups)
+    same = all(a is b for a, b in zip(groups, problem.groups, strict=True))
+    return problem if same else replace(problem, groups=groups)

@@ -44,6 +44,10 @@ class Group(ABC):
         """Return the group as a rank test at x needs it (``SeatRows.settle``)."""
         return self
 
+    def hold(self, chain: Chain, x: Floats) -> Self:
+        """Return the group with all values held at x that ``evaluate`` takes as constant in its derivatives."""
+        return self
+
     def orientations(self) -> Indices:
         """Return the indices (r, 3) of unknown rotation vectors. An estimator rotates these instead of adding to them."""
         return np.zeros((0, 3), dtype=np.intp)
