@@ -46,7 +46,7 @@ def test_the_images_firmware_is_compared_with_the_boxs(tmp_path, no_ports, capsy
     assert f"4 blocks: the box's firmware {version}\n" in said
     assert says in said
     # The box that comes up is the simulated one, whatever was written.
-    assert (f"warning: the image has {version}; files" in said) == (version != __version__)
+    assert (f"warning: the image has {version}, but the box runs {__version__}" in said) == (version != __version__)
 
 
 def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):

@@ -33,7 +33,7 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
         gaps = ", ".join(f"{a:.0f} to {b:.0f}" for a, b in curve["unseen_deg"])
         lines.append(line + (f"; not covered: {gaps} deg" if gaps else ""))
     if lines:
-        lines.append("Outside these ranges, corrections use the geometry alone: measure where the robot will work.")
+        lines.append("Outside these ranges, corrections use geometry and sag alone: measure where the robot will work.")
     return lines
 
 

@@ -30,7 +30,7 @@ STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: a smaller extrapolation gives no warning
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
-FADES = " Error curves end there: only geometry and sag are corrected."
+FADES = " Error curves end there: their corrections fade to zero, geometry and sag are still corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
