@@ -18,6 +18,7 @@ from tests.host.puma_bench import (
     table,
 )
 
+import truearm
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import identify
@@ -114,3 +115,20 @@ def test_a_direction_of_the_null_space_holds_for_robot_and_rig_together():
         alone = np.abs(predicted(e.value + 1e-4 * robot_only) - predicted(e.value - 1e-4 * robot_only)).max()
         assert change < 1e-10  # third order of 1e-4
         assert alone > 1e-5
+
+
+def test_rows_left_out_do_not_choose_the_prior():
+    """Rows with wrong labels raise the usual misfit, by which the weak prior is scaled; left out, they must not."""
+    rows = random_table(200, np.random.default_rng(11), sigma=SIGMA)
+    wrong = np.arange(len(rows)) < 60
+    spoiled = replace(rows, value=rows.value + np.where(wrong, 0.02, 0.0))
+    robot = truearm.load_robot("puma560")
+    without, left_out = (
+        truearm.identify(robot, table, RIG, options=truearm.IdentifyOptions(joint_laws="none", leave_out=spans))
+        for table, spans in ((rows.select(~wrong), ()), (spoiled, ("1:60",)))
+    )
+    assert left_out.document["prior"] == without.document["prior"]
+    assert left_out.document["defaults"] == without.document["defaults"]
+    # the same rows, the same start, the same steps: equal to rounding
+    assert left_out.estimate.value == pytest.approx(without.estimate.value, rel=1e-9, abs=1e-12)
+    assert left_out.estimate.chi2_reduced == pytest.approx(without.estimate.chi2_reduced, rel=1e-9)

@@ -117,7 +117,7 @@ def identify(
     held = _mask("hold_out", hold_out, len(table), default=False)
     prefer = _mask("prefer", prefer, len(chain.parameters), default=False)
     _check_choice(options.solver, options.loss, options.damping)
-    left_out = _left_out(options.leave_out, len(table))
+    left_out = rows_left_out(options.leave_out, len(table))
     held = held & ~left_out
     fitted = ~(held | left_out)
     if not fitted.any():
@@ -244,8 +244,8 @@ def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution
     return WithOutliers(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
 
 
-def _left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rows in some spans."""
+def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the rows in some spans. Raises ProblemError for a span that is not within the table."""
     out = np.zeros(n, dtype=bool)
     for first, last in spans:
         if not 0 <= first < last <= n:

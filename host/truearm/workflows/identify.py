@@ -15,7 +15,7 @@ from truearm.arguments import check_fields
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.defaults import choose_defaults, with_frames
-from truearm.estimate.identify import SolverOptions
+from truearm.estimate.identify import SolverOptions, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.prediction import predicted_point_error
@@ -308,7 +308,13 @@ def identified(
     _check_rows(chain, table, selection)
     prior = Prior(options.prior or default_prior(robot, options.solver))
     named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
-    fitted = table if selection.held_out is None else table.select(~selection.held_out)
+    leave_out = tuple(map(parse_rows, options.leave_out))
+    unused = rows_left_out(leave_out, len(table))
+    if selection.held_out is not None:
+        unused |= selection.held_out
+    if unused.all():
+        raise ProblemError("no observations are left to fit; hold out or leave out fewer")
+    fitted = table.select(~unused)
     free, weak, chosen = choose_defaults(chain, rig, fitted, selection.free, named, prior is Prior.DEFAULT)
     sigma = weak if prior is Prior.DEFAULT else prior_named(chain, prior)
     if prior is Prior.DEFAULT and not chosen.believed:
@@ -326,7 +332,7 @@ def identified(
             max_iterations=options.max_iterations,
             progress=progress,
             effects=tuple(map(parse_effect, options.allow)),
-            leave_out=tuple(map(parse_rows, options.leave_out)),
+            leave_out=leave_out,
             reject=True,
         ),
         prefer=default_free(robot),
