@@ -57,6 +57,18 @@ class TestEarlier:
         gone_on(course, before)
         assert (course.done, course.unplanned, course.lines, course.next) == ({0, 1}, 1, 1, 2)
 
+    def test_a_session_that_is_still_being_written_is_refused(self, tmp_path, capsys):
+        """Two recorders would take box and robot from each other; neither is opened."""
+        first = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))
+        with SessionWriter(tmp_path / "s.2.mcap", HostClock(), overwrite=True) as writer:
+            writer.metadata("setup", {"robot": "", "of": "s.mcap"})
+            writer.event("dwell", 1, pose=1)
+            writer.tick(2_000_000_000)  # writes what it has
+            assert main(["record", "--resume", str(first), "--box", "/dev/nothing"]) == 2
+            said = capsys.readouterr().err
+            assert "s.2.mcap: is still being written; end the recording first" in said
+        assert earlier(first).part == 3
+
     def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
         """Recorded again under the old name (--force): what lay beside it is neither read with it nor in its way."""
         first = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))

@@ -92,10 +92,13 @@ def earlier(path: Path) -> Earlier:
     """Return the data of the session to which ``path`` belongs: one of its parts or the folder that contains nothing
     else.
 
-    A part without its end (the recorder was killed) is read as far as possible. Raises InputError, SessionError.
+    A part without its end (the recorder was killed) is read as far as possible. Raises InputError, SessionError; also
+    for a session that is still being written, because two recorders would take box and robot from each other.
     """
     first = _first(path)
     sessions = [_opened(part) for part in session_parts(first)]
+    for part in sessions:
+        refuse_unfinished(part)
     setup = dict(sessions[0].metadata.get(SETUP, {}))
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
