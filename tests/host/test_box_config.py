@@ -81,7 +81,7 @@ def test_units_are_those_of_people():
     assert "us_per_inch = 9.05 " in text
     assert "temperature_degc = -1.25 " in text
     assert "scale = 1.430511474609375e-7 " in text
-    assert "osr = 4096  # 1017.25 samples a second" in text
+    assert "osr = 4096  # 1017.25 samples per second" in text
 
 
 def test_a_part_of_a_file_changes_that_part():

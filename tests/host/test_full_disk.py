@@ -69,7 +69,7 @@ def test_recording(disk, tmp_path):
     *_, said = done.stderr.splitlines()  # before it the recorder's own words of the box
     assert said.startswith("truearm: ")
     assert "cannot be written any more" in said
-    assert "stays readable" in said
+    assert "remain readable" in said
     assert "Traceback" not in done.stderr
     file = disk.copy / "s.mcap"
     assert file.stat().st_size <= KIB << 10

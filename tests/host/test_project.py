@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -20,6 +21,7 @@ from truearm.plan.branches import branch_of
 from truearm.plan.first_rig import reach
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
+from truearm.workflows.project import results_of, sessions_of
 
 
 @pytest.fixture
@@ -267,3 +269,16 @@ def test_a_rehearsal_without_the_plan_does_not_take_its_rig(project, run, option
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "create one with truearm init" in run("status").err
+
+
+def test_the_newest_file_is_the_one_written_last(tmp_path):
+    """Names need not be dates: what was written last is what a command without options takes."""
+    names = ["z-old", "2026-11-25-120000", "a-new"]
+    for suffix, of in ((".mcap", sessions_of), (".json", results_of)):
+        for k, name in enumerate(names):
+            path = tmp_path / f"{name}{suffix}"
+            path.write_bytes(b"")
+            os.utime(path, ns=(0, (k + 1) * 10**9))
+        assert [path.stem for path in of(tmp_path)] == names
+        os.utime(tmp_path / f"z-old{suffix}", ns=(0, 3 * 10**9))
+        assert [path.stem for path in of(tmp_path)] == ["2026-11-25-120000", "a-new", "z-old"]

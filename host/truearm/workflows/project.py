@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum, auto
@@ -111,14 +112,14 @@ class ProjectState:
 
 
 def sessions_of(folder: Path) -> list[Path]:
-    """Return the sessions of a folder by name, which is by date.
+    """Return the sessions of a folder, the newest last.
 
     Parts that continue a session are read with it and are not listed, nor are recovered copies.
     """
     from truearm.workflows.recover import recovered_name
     from truearm.workflows.session_parts import first_stem
 
-    every = sorted(folder.glob("*.mcap"))
+    every = _by_time(folder.glob("*.mcap"))
     return [
         path
         for path in every
@@ -128,8 +129,13 @@ def sessions_of(folder: Path) -> list[Path]:
 
 
 def results_of(folder: Path) -> list[Path]:
-    """Return the results of a folder by name, which is by date."""
-    return sorted(folder.glob("*.json"))
+    """Return the results of a folder, the newest last."""
+    return _by_time(folder.glob("*.json"))
+
+
+def _by_time(files: Iterable[Path]) -> list[Path]:
+    """Return files by the time of their last change: names need not be dates. Files of the same time are by name."""
+    return sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.name))
 
 
 def new_file(folder: Path, suffix: str) -> Path:

@@ -97,8 +97,8 @@ def earlier(path: Path) -> Earlier:
     """
     first = _first(path)
     sessions = [_opened(part) for part in session_parts(first)]
-    for part in sessions:
-        refuse_unfinished(part)
+    for one in sessions:
+        refuse_unfinished(one)
     setup = dict(sessions[0].metadata.get(SETUP, {}))
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
