@@ -18,7 +18,7 @@ import cbor2
 import numpy as np
 from cobs import cobs
 
-from truearm.record.frames import FrameSplitter
+from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import Ident, parse_ident

@@ -33,7 +33,7 @@ FRAMES = ("--work", "0,0,0,0,0,0", "--flange", "0,0,0,0,0,0")
 READ_ALONE = """
 import sys
 from pathlib import Path
-from truearm.files.programs.new_text import changed_text, changes_of, solved
+from truearm.files.programs.corrected_text import changed_text, changes_of, solved
 from truearm.files.programs.program import Surroundings, read_program
 from truearm.files.programs.targets import poses_of, targets_of
 program = read_program(Path(sys.argv[1]), Surroundings())

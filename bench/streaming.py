@@ -18,7 +18,7 @@ from pathlib import Path
 import cbor2
 from cobs import cobs
 
-from truearm.record.frames import FrameSplitter
+from truearm.record.frame_splitter import FrameSplitter
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm_sim import micropython

@@ -13,7 +13,7 @@ from measure import tell, timed
 from data import CHUCKS, SIGMA, SPHERES, TARGET
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
-from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
 from truearm.model.chain import point_forward

@@ -33,8 +33,8 @@ from truearm.plan.ball_bar_plan import BallBarPlan
 from truearm.types import ObservationTable, Rig
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
-from truearm.workflows import error_map as maps
 from truearm.workflows import identify as identification
+from truearm.workflows import map as maps
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import Identification, IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, observed

@@ -8,7 +8,7 @@ from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Linearised, zero_columns
 from truearm.kinds.quantities import Quantity
-from truearm.kinds.rig_use import RigUse, measured, sigmas
+from truearm.kinds.rig_references import RigUse, measured, sigmas
 from truearm.kinds.unknowns import Used
 from truearm.model.chain import about, forward, trace_point
 

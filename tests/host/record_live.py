@@ -6,7 +6,7 @@ import cbor2
 import numpy as np
 from record_box import ident
 
-from truearm.live.progress import SessionProgress
+from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data

@@ -17,9 +17,9 @@ from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Parameter, forward
 from truearm.model.joint_terms.term import Term
-from truearm.model.mountings import mountings
 from truearm.model.poses import apart, inverted, moved, pose_of, six_of
 from truearm.model.robot import builtin_robot
+from truearm.model.robot_mounting import mountings
 from truearm.model.transforms import elementary
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.estimate.information import Information, covariance, fold, spectrum, with_prior
-from truearm.estimate.lm import after_step, minimise
+from truearm.estimate.levenberg_marquardt import after_step, minimise
 
 # NIST StRD, nonlinear regression, Misra1a (lower difficulty) and its certified values.
 MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]

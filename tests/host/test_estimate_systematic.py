@@ -10,12 +10,12 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 
 import truearm
 from truearm.errors import ProblemError
-from truearm.estimate.effects import error_columns, with_effects
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.estimate.systematic import FOLDS, STRETCHES, FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.result_file import systematic_entries
 from truearm.model.chain import point_forward

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests.host.mutations import is_clear
 
 from truearm.errors import ProgramError
+from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.environment import Work
-from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import Surroundings, parse_program
 from truearm.files.programs.syntax import MAX_DEPTH
 from truearm.files.programs.targets import poses_of, quarters_of, targets_of

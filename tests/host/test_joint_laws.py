@@ -34,9 +34,9 @@ from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 from truearm.workflows.curve_table import curve_table
-from truearm.workflows.error_map import Mapped, Section, mapped
 from truearm.workflows.export import ExportOptions, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.map import Mapped, Section, mapped
 from truearm.workflows.validate import validated
 
 H = 1e-30  # of a complex step

@@ -26,7 +26,7 @@ from truearm.errors import ProblemError
 from truearm.estimate.fit import fit
 from truearm.estimate.identify import identify
 from truearm.estimate.information import observe, seen, spectrum, weighed
-from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov, whiten
 from truearm.estimate.solution import Options

@@ -17,8 +17,8 @@ from truearm.model.chain import (
     trace_point,
 )
 from truearm.model.joint_terms.term import Term
-from truearm.model.mountings import mountings, own_law
 from truearm.model.robot import builtin_robot, parse_robot
+from truearm.model.robot_mounting import mountings, own_law
 from truearm.model.urdf import chain_from_urdf
 
 H = 1e-30  # of a complex step: no cancellation

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from truearm.cli import progress as shown
+from truearm.cli import progress_line as shown
 from truearm.cli.main import main
 from truearm.progress import listening, step, steps_of
 

@@ -18,8 +18,8 @@ from record_box import (
 from record_files import events, received, run, topics
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
-from truearm.record.intake import Answer, Intake
-from truearm.record.probes import Probes
+from truearm.record.box_storage import Answer, BoxStorage
+from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
@@ -70,14 +70,14 @@ class TestProtocol:
         short = ident(1)
         short["streams"][0]["channels"] = [{"name": "a", "scale": [1, 0]}]
         with SessionWriter(path, lab) as writer:
-            intake = Intake(writer, Counters(), Probes(writer), awaited=5)
+            storage = BoxStorage(writer, Counters(), ClockExchanges(writer), awaited=5)
             for kind in (64, 65, 19):
                 more = [3, "refused"] if kind == 65 else [0, 1, cbor2.dumps(cbor2.dumps(short))]
-                intake.take(HOST_0, frame(array(kind, u32(1), 4, *more)))
-                assert intake.answer is None
-                intake.take(HOST_0, frame(array(kind, u32(1), 5, *more)))
-                assert intake.answer == Answer("refused (error 3)" if kind == 65 else None)
-                intake.answer = None
+                storage.take(HOST_0, frame(array(kind, u32(1), 4, *more)))
+                assert storage.answer is None
+                storage.take(HOST_0, frame(array(kind, u32(1), 5, *more)))
+                assert storage.answer == Answer("refused (error 3)" if kind == 65 else None)
+                storage.answer = None
 
 
 class TestEnds:

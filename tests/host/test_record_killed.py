@@ -14,7 +14,7 @@ from record_real import box_on_a_socket, serve_robot
 from test_record_command import RIG
 
 from truearm.cli.main import main
-from truearm.record.frames import frame_type, payload_of
+from truearm.record.frame_splitter import frame_type, payload_of
 from truearm.record.links import HostClock
 from truearm.session.session_file import open_session
 from truearm_wire.messages import HEARTBEAT

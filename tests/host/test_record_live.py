@@ -8,7 +8,7 @@ import pytest
 from record_box import ident
 from record_live import NOISE, PAIRS, S, Session, plan
 
-from truearm.live.progress import SessionProgress
+from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data

@@ -10,7 +10,7 @@ from record_live import PAIRS, TODAY, Session, box, plan
 from truearm.box.readiness import Purpose, Verdict, check_box, far_from_calibration
 from truearm.errors import InputError
 from truearm.live.keyboard import LONGEST, Typed
-from truearm.live.progress import SessionProgress
+from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import WAITING, View
 from truearm.session.box_frames import Data

@@ -28,8 +28,8 @@ from record_box import Lab, run_of
 from session_stream import BLOCK, PERIOD_NS, Box, ident_document
 
 from truearm.errors import TruearmError
-from truearm.record.intake import Intake
-from truearm.record.probes import Probes
+from truearm.record.box_storage import BoxStorage
+from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.recover import recover
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
@@ -100,18 +100,18 @@ def check_blocks(messages, of_ours=frozenset(PAYLOADS)):
 def record_stream(rng, raw):
     """Return what a recorder stores of a stream that arrives in pieces: every byte."""
     kept = Kept()
-    intake = Intake(kept, Counters(), Probes(kept))
+    storage = BoxStorage(kept, Counters(), ClockExchanges(kept))
     at, ended = 0, False
     while at < len(raw) and not ended:
         piece = raw[at : at + rng.choice([1, 7, 64, 250, 4096])]
         at += len(piece)
         try:
-            intake.take(10**9 + at, piece)
+            storage.take(10**9 + at, piece)
         except TruearmError as exc:  # an ident of another protocol, say: the recording ends with this frame
             is_clear(exc)
             ended = True
     if not ended:
-        intake.flush()
+        storage.flush()
     received = [m for m in kept.messages if not m.topic.startswith(PREVIEW)]  # a preview is made of a frame
     stored = b"".join(m.data if m.topic == "/box/console" else run_of(m.data) for m in received)
     assert raw.replace(b"\0", b"").startswith(stored)

@@ -16,7 +16,7 @@ import cbor2
 from truearm.errors import LinkError, ProtocolError, RefusedError
 from truearm.progress import step
 from truearm.record.fields import fields_of
-from truearm.record.frames import FrameSplitter, frame_seq, frame_type
+from truearm.record.frame_splitter import FrameSplitter, frame_seq, frame_type
 from truearm.record.links import Clock, Link
 from truearm.record.requests import Requests
 from truearm.session.box_frames import Data, Pages, data_frame

@@ -30,7 +30,7 @@ from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
 from truearm.cli.options import EARLIER_WORDS
 from truearm.cli.plan import app as plan
-from truearm.cli.progress import shown_progress
+from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import ProjectCommand, defaults
 from truearm.cli.record import record
 from truearm.cli.recover import recover

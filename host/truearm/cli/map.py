@@ -78,7 +78,7 @@ def map_(
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_calibration
-    from truearm.workflows.error_map import MapFiles, Section, Task, map_files
+    from truearm.workflows.map import MapFiles, Section, Task, map_files
 
     if task is None and within is not None:
         raise InputError("--within needs --task WxH: it says where the task may be placed")

@@ -10,7 +10,7 @@ from truearm.correct.error_map import ErrorMap, Region
 from truearm.text import counted
 from truearm.types import Figures
 from truearm.units import MM
-from truearm.workflows.error_map import Mapped, axis
+from truearm.workflows.map import Mapped, axis
 
 
 def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:

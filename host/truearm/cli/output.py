@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from truearm.cli.progress import CLEAR
+from truearm.cli.progress_line import CLEAR
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
 

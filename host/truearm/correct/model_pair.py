@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.model.chain import Chain, forward
-from truearm.model.mountings import NONE, Mountings
 from truearm.model.poses import inverted
+from truearm.model.robot_mounting import NONE, Mountings
 from truearm.types import Floats
 
 

@@ -10,7 +10,7 @@ correct lengths. If mountings are removed from the robot, so are the offsets tha
 from __future__ import annotations
 
 from truearm.correct.model_pair import ModelPair
-from truearm.model.mountings import NONE, own_law
+from truearm.model.robot_mounting import NONE, own_law
 from truearm.types import Floats
 
 

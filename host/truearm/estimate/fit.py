@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate import lm
+from truearm.estimate import levenberg_marquardt as lm
 from truearm.estimate.information import Information, covariance, observe, spectrum, weighed, with_prior
 from truearm.estimate.parameter_update import stepper
 from truearm.estimate.problem import Problem, held

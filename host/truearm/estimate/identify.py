@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.declared_noise import residual_parts
-from truearm.estimate.effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
@@ -35,6 +34,7 @@ from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised

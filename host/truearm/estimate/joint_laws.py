@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.effects import Modelled
 from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
@@ -31,6 +30,7 @@ from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import Rigs, build_problem
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
+from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
 from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain

@@ -20,13 +20,23 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
-from truearm.estimate.effects import BASE, JUMPED, MOVED, TOOL, Cause, Errors, Modelled, motion_of_tool, with_effects
 from truearm.estimate.payload_rows import payloads_of, with_payloads
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
+from truearm.estimate.systematic_effects import (
+    BASE,
+    JUMPED,
+    MOVED,
+    TOOL,
+    Cause,
+    Errors,
+    Modelled,
+    motion_of_tool,
+    with_effects,
+)
 from truearm.kinds.group import Group
 from truearm.kinds.registry import end_points, kinds
-from truearm.kinds.rig_use import RigUse, Scope
+from truearm.kinds.rig_references import RigUse, Scope
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law

@@ -45,7 +45,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate import lm
+from truearm.estimate import levenberg_marquardt as lm
 from truearm.estimate.information import covariance, observe, spectrum, with_prior
 from truearm.estimate.parameter_update import Step, added, stepper
 from truearm.estimate.problem import Problem

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.information import Information, covariance, fold, observe, spectrum, with_prior
-from truearm.estimate.lm import promise, step
+from truearm.estimate.levenberg_marquardt import promise, step
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Options, Solution, prior_error, whole
 from truearm.types import Floats

@@ -58,10 +58,10 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.effects import Cause, Circumstances, Errors, error_columns, profile
 from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
+from truearm.estimate.systematic_effects import Cause, Circumstances, Errors, error_columns, profile
 from truearm.kinds.linearised import Indices
 from truearm.types import DriftWith, Effect, Floats, OffBy, SystematicError, SystematicErrors
 from truearm.units import UNITS

@@ -30,15 +30,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.effects import Circumstances, modelled_effects
 from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
-from truearm.estimate.lm import DAMPING_START
+from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
 from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic_effects import Circumstances, modelled_effects
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns

@@ -14,10 +14,10 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model.chain import Chain, Joint
-from truearm.model.frames import far_frames
+from truearm.model.chain_frames import far_frames
 from truearm.model.joint_law import JointLaw
 from truearm.model.joint_terms.term import Term
-from truearm.model.mountings import mountings, own_law, own_links
+from truearm.model.robot_mounting import mountings, own_law, own_links
 from truearm.model.transforms import elementary
 from truearm.types import Floats
 

@@ -21,7 +21,7 @@ from truearm.export.link_frames import LinkFrames, link_frames, predicted
 from truearm.export.refit import MARKS, refit
 from truearm.model import joint_law
 from truearm.model.chain import GEOMETRY, Chain, Parameter, forward
-from truearm.model.mountings import mountings
+from truearm.model.robot_mounting import mountings
 from truearm.types import Floats
 
 EXACT = 1e-9  # m, and of a rotation matrix: a file with such predictions holds everything

@@ -25,7 +25,7 @@ from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
-from truearm.kinds.rig_use import RigUse, Scope, measured, sigmas, use
+from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Key, Table

@@ -10,7 +10,7 @@ from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
 from truearm.kinds.proposals import Proposing
 from truearm.kinds.quantities import Quantity
-from truearm.kinds.rig_use import RigUse, Scope
+from truearm.kinds.rig_references import RigUse, Scope
 from truearm.model.chain import Chain
 from truearm.schema import Entries
 from truearm.types import Floats, ObservationTable, Point, Rig

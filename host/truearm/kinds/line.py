@@ -41,7 +41,7 @@ from truearm.kinds.position import nearest_rotation, points_of
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point, trial_rows
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
-from truearm.kinds.rig_use import ORIGIN, RigUse, Scope
+from truearm.kinds.rig_references import ORIGIN, RigUse, Scope
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation
 from truearm.schema import Entries

@@ -20,7 +20,7 @@ from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import DISTANCE
 from truearm.kinds.rig_entries import NAME, SIZE, TARGET, XYZ, by_name
-from truearm.kinds.rig_use import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
+from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.unknowns import Layout, Number, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation

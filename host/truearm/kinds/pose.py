@@ -23,7 +23,7 @@ from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
 from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
-from truearm.kinds.rig_use import RigUse, Scope, look_up, measured, refuse
+from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, refuse
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector

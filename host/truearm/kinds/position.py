@@ -29,7 +29,7 @@ from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
-from truearm.kinds.rig_use import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
+from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.unknowns import XYZ, Fault, Layout, Number, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector

@@ -19,7 +19,7 @@ from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SIZE, SPHERE
-from truearm.kinds.rig_use import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
+from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.socket_distance import known_distances
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from truearm.errors import InputError
-from truearm.live.progress import MOUNTABLE
+from truearm.live.session_progress import MOUNTABLE
 
 if TYPE_CHECKING:
     from truearm.types import Rig

@@ -13,8 +13,8 @@ import numpy as np
 
 from truearm.box.monitor import Window, value_of
 from truearm.box.readiness import LINE_CHANNELS, LVDT
-from truearm.live.dwells_taken import ENOUGH_NS, ControllerTime, LiveDwell, LiveDwells, Strokes
-from truearm.live.progress import SessionProgress, words_of
+from truearm.live.live_dwells import ENOUGH_NS, ControllerTime, LiveDwell, LiveDwells, Strokes
+from truearm.live.session_progress import SessionProgress, words_of
 from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
 from truearm.session.joint_readings import JointLine

@@ -40,8 +40,8 @@ import numpy as np
 
 from truearm.errors import RobotError
 from truearm.model import joint_law
+from truearm.model.chain_frames import far_frames
 from truearm.model.constant_folding import Constants, Folded, constants_of, folded, new_numbers, on_axis
-from truearm.model.frames import far_frames
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats, Payload

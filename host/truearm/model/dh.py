@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 
 from truearm.model.chain import Joint
-from truearm.model.slots import Slot, six_slots
+from truearm.model.elementary_transforms import Slot, six_slots
 
 Layout = Callable[[Sequence[Joint], Collection[int], bool, bool], tuple[Slot, ...]]
 

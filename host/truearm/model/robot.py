@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 from truearm.errors import RobotError
 from truearm.model.builtin import builtin_text
 from truearm.model.chain import Chain
+from truearm.model.elementary_transforms import chain_from_slots
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
-from truearm.model.slots import chain_from_slots
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
 from truearm.schema import Key, List, Number, SchemaError, Text, raising
 from truearm.text import counted

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from truearm.model.chain import Joint
-from truearm.model.slots import Slot, six_slots
+from truearm.model.elementary_transforms import Slot, six_slots
 
 
 def sheth_uicker_slots(joints: Sequence[Joint]) -> tuple[Slot, ...]:

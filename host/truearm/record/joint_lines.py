@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
-from truearm.record.frames import Runs
+from truearm.record.frame_splitter import Runs
 from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter

@@ -14,11 +14,11 @@ from operator import itemgetter
 from typing import Any
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
-from truearm.record.intake import Answer, Intake
+from truearm.record.box_storage import Answer, BoxStorage
+from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
-from truearm.record.probes import Probes
 from truearm.record.requests import Requests
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
@@ -131,8 +131,8 @@ class _Recorder:
         self._patience_ns = int(options.patience_s * SECOND)
 
         self._counters = Counters()
-        self._probes = Probes(writer)
-        self._box = Intake(writer, self._counters, self._probes, operator)
+        self._exchanges = ClockExchanges(writer)
+        self._box = BoxStorage(writer, self._counters, self._exchanges, operator)
         self._robot = None if robot is None else RobotIntake(robot, writer, clock, self._counters, operator)
         now_ns = clock.now_ns()
         self._requests = Requests(now_ns)
@@ -169,7 +169,7 @@ class _Recorder:
             end.reason,
             end.text,
             duration_s,
-            self._probes.rtt_us,
+            self._exchanges.rtt_us,
             self._counters,
             self._box.faults,
             tuple(self._writer.losses),
@@ -310,7 +310,7 @@ class _Recorder:
             self._box.flush()
             if self._robot is not None:
                 self._robot.flush(now_ns)
-            self._probes.expire(now_ns, 0)
+            self._exchanges.expire(now_ns, 0)
             self._count_probes()
             for wish in self._operator.last_wishes():
                 self._writer.event(wish.kind, now_ns, **wish.fields)
@@ -381,7 +381,7 @@ class _Recorder:
         for text in self._writer.losses[self._file_losses :]:
             self._file_losses += 1
             self._writer.event("file-lost", now_ns, text=text)
-        self._probes.expire(now_ns)
+        self._exchanges.expire(now_ns)
         if self._robot is not None:
             self._robot.watch(now_ns)
         if self._state == "recording":
@@ -400,7 +400,7 @@ class _Recorder:
             return
         self._next_probe_ns = max(self._next_probe_ns + PROBE_NS, now_ns)
         probe, data = self._requests.make(SYNC_REQUEST)
-        self._probes.asked(probe, self._link.write(data))
+        self._exchanges.asked(probe, self._link.write(data))
 
     def _watch_silence(self, now_ns: int) -> None:
         heard_ns = self._box.heard_ns
@@ -419,8 +419,8 @@ class _Recorder:
         return max(0.0, (self._box.spoke_ns - self._started_ns) / SECOND)
 
     def _count_probes(self) -> None:
-        self._counters.probes = self._probes.sent
-        self._counters.unanswered_probes = self._probes.unanswered
+        self._counters.probes = self._exchanges.sent
+        self._counters.unanswered_probes = self._exchanges.unanswered
         self._counters.held_up = backlog_of(self._link).held_up
         self._counters.robot_held_up = 0 if self._robot is None else self._robot.held_up
 
@@ -429,7 +429,7 @@ class _Recorder:
         return Status(
             self._elapsed_s(),
             self._state,
-            self._probes.rtt_us,
+            self._exchanges.rtt_us,
             None if robot is None else robot.end is None and robot.lost_ns is None,
             Counters(**vars(self._counters)),  # a copy: it may be displayed later, next to the state of this moment
             self._box.faults,

@@ -35,7 +35,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate import ls, recursive
+from truearm.estimate import least_squares as ls
+from truearm.estimate import recursive
 from truearm.estimate.fit import fit
 from truearm.estimate.information import observe
 from truearm.estimate.problem import Problem, build_problem

@@ -16,9 +16,9 @@ from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
-from truearm.model.mountings import NONE, Mountings, mountings
 from truearm.model.poses import six_of
 from truearm.model.robot import Robot
+from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.report.parameter_cells import parameter_cells
 from truearm.text import counted
 from truearm.types import Floats, Law, Payload, SagMasses

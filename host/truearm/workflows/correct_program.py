@@ -18,7 +18,7 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, ProgramError
-from truearm.files.programs.new_text import changed_text, changes_of, joint_changes, marks_of, solved
+from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import (
     Program,
     ProgramLanguage,

@@ -13,7 +13,7 @@ from truearm.errors import Argument, IncompleteError, InputError, TruearmError, 
 from truearm.interrupt import asked_to_stop
 from truearm.live.choose_box import choose_box
 from truearm.live.mounted_parts import check_mounted, parse_mounted
-from truearm.live.progress import SessionProgress
+from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
 from truearm.types import Move

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.estimate.mountings import FITS, SURE, Mountings, Readings, Words, label_support, mountings
+from truearm.estimate.mounted_pairings import FITS, SURE, Mountings, Readings, Words, label_support, mountings
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot

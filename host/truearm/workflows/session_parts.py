@@ -18,7 +18,7 @@ from truearm.files.disk import same_file
 from truearm.files.write_lock import is_held
 
 if TYPE_CHECKING:
-    from truearm.live.progress import SessionProgress
+    from truearm.live.session_progress import SessionProgress
     from truearm.session.session_file import Session
 
 SUFFIX = ".mcap"

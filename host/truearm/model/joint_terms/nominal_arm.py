@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from truearm.model.chain_frames import far_frames
 from truearm.model.constant_folding import link_transforms
-from truearm.model.frames import far_frames
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.types import Floats

@@ -25,7 +25,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from truearm.errors import InputError, LinkError, ProtocolError
-from truearm.record.frames import Runs
+from truearm.record.frame_splitter import Runs
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns

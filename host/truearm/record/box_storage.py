@@ -20,10 +20,10 @@ import msgspec
 import numpy as np
 
 from truearm.errors import ProtocolError
+from truearm.record.clock_exchanges import ClockExchanges
 from truearm.record.fields import fields_of
-from truearm.record.frames import FrameSplitter, frame_seq, frame_type
+from truearm.record.frame_splitter import FrameSplitter, frame_seq, frame_type
 from truearm.record.operator import Operator
-from truearm.record.probes import Probes
 from truearm.record.session_schemas import PREVIEW
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
@@ -57,12 +57,12 @@ class Answer:
 
 
 @dataclass
-class Intake:
+class BoxStorage:
     """The box's side of a recording. ``awaited`` is the id of the current command, ``answer`` its answer."""
 
     writer: SessionWriter
     counters: Counters
-    probes: Probes
+    probes: ClockExchanges
     operator: Operator = field(default_factory=Operator)
     ident: Ident | None = None
     awaited: int | None = None

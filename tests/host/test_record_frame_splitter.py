@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from record_box import N, array, data, frame, heartbeat, run_of, u32, u64
 
-from truearm.record.frames import (
+from truearm.record.frame_splitter import (
     MAX_RUN,
     FrameSplitter,
     Runs,

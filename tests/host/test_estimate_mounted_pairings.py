@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from operator_scripts import Visit, lengths, pairing_at, script
 
-from truearm.estimate.mountings import (
+from truearm.estimate.mounted_pairings import (
     SURE,
     Mountings,
     Readings,

@@ -20,7 +20,7 @@ _RATE = 1e-3  # ten times the error of a crystal
 
 
 @dataclass
-class Probes:
+class ClockExchanges:
     """Exchanges by id: those pending, and the outcome of the others."""
 
     writer: SessionWriter
