@@ -62,7 +62,7 @@ class BoxStorage:
 
     writer: SessionWriter
     counters: Counters
-    probes: ClockExchanges
+    exchanges: ClockExchanges
     operator: Operator = field(default_factory=Operator)
     ident: Ident | None = None
     awaited: int | None = None
@@ -171,7 +171,7 @@ class BoxStorage:
 
     def _interpret(self, t_host_ns: int, kind: int | None, fields: Mapping[str, Any]) -> None:
         if kind == SYNC_REPLY:
-            t0_ns = self.probes.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
+            t0_ns = self.exchanges.answered(fields["id"], fields["t1_us"], fields["t2_us"], t_host_ns)
             if t0_ns is not None:
                 self.operator.exchange(t0_ns, fields["t1_us"], fields["t2_us"], t_host_ns)
         elif kind == HEARTBEAT:

@@ -26,7 +26,7 @@ from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
 SECOND = 1_000_000_000
-CHORES_NS = SECOND // 20  # interval for handling probes, chunks and progress
+CHORES_NS = SECOND // 20  # interval for clock exchanges, chunks and progress
 PROBE_NS = SECOND // 4
 PROGRESS_NS = SECOND // 4
 RETRY_NS = SECOND // 2
