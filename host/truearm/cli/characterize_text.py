@@ -21,7 +21,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
     yield f"  without joint scatter    {_range(of['unexplained_m'], MM)}"
     yield ""
-    yield f"{'joint':16} {'backlash/mrad':>24} {'readings differ/mrad':>24} {'spread/mrad':>22} {'S_q/mrad':>20}"
+    yield f"{'joint':16} {'backlash/mrad':>24} {'difference/mrad':>24} {'scatter/mrad':>22} {'noise S_q/mrad':>20}"
     columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
     for j, joint in enumerate(document["joints"]):
         cells = [_range(of[column][j], MRAD, False) for column in columns]
@@ -44,7 +44,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
-    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f}; S_q as above"
+    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f}; noise S_q as above"
 
 
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:

@@ -145,15 +145,18 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
         yield "clock: no exchange was answered; samples cannot be placed in time"
     for report in reports:
         yield (
-            f"clock, segment {report['segment']}: {report['exchanges']} exchanges ({report['rejected']} rejected) in "
-            f"{counted(report['windows'], 'window')}; host − device {NS.to_si(report['offset_ns']):.6f} s, {report['rate_ppm']:+.3f} ppm "
-            f"(range {report['rate_range_ppm']:.3f})"
+            f"clock, segment {report['segment']}: host − device {NS.to_si(report['offset_ns']):.6f} s, rate {report['rate_ppm']:+.3f} ppm "
+            f"(known to {report['rate_range_ppm']:.3f} ppm)"
         )
         yield (
-            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs, of which ±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs that "
-            f"exchanges cannot determine; spread {_of_ns(report['spread_ns'], '.2f')} µs; round trip "
-            f"{_of_ns(report['rtt_min_ns'], '.1f')} µs at least, median {_of_ns(report['rtt_median_ns'], '.1f')}"
+            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs; exchanges cannot determine "
+            f"±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs of it"
         )
+        yield (
+            f"  {counted(report['exchanges'], 'exchange')} ({report['rejected']} rejected) in {counted(report['windows'], 'window')}, "
+            f"spread {_of_ns(report['spread_ns'], '.2f')} µs"
+        )
+        yield f"  round trip {_of_ns(report['rtt_min_ns'], '.1f')} µs (shortest), {_of_ns(report['rtt_median_ns'], '.1f')} µs (median)"
         for change in report["changes"]:
             begin, end = (US.to_si(at) for at in change["device_us"])
             yield (
