@@ -309,7 +309,7 @@ def _explained(reason: str, planned: bool) -> str:
         return ""
     if planned:
         return " (the robot stood where the plan has no pose; these look like stops between poses)"
-    return " (the session has no plan, and does not say which bar, chuck and sphere were mounted; see truearm record --help)"
+    return " (the session does not say which bar, chuck and sphere were mounted; decide with truearm relabel)"
 
 
 def _number(value: float | None, form: str, scale: Scale = ONE) -> str:

@@ -54,6 +54,11 @@ REASONS = (
 )
 
 
+def needs_decision(reason: str, planned: bool) -> bool:
+    """Return whether ``truearm relabel`` can settle a dwell with this reason, in a session with or without a plan."""
+    return reason in NEED_DECISION or (reason == "no plan match" and not planned)
+
+
 @dataclass(frozen=True)
 class DwellRules:
     """Requirements for a dwell to give an observation. Times in s, ``pose_tolerance`` in rad (or m) for every joint."""

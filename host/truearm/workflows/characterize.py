@@ -38,7 +38,7 @@ from truearm.session.session_file import Session, open_session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.inspect import ident_of
-from truearm.workflows.session_observations import attached_rig, labels_of
+from truearm.workflows.session_observations import attached_rig, labels_of, reasons_text
 from truearm.workflows.session_parts import refuse_unfinished, session_parts
 
 LEAST_VISITS = 6
@@ -141,10 +141,9 @@ def characterized(
     found = joined(of_parts)
     if len(found.dwells) < LEAST_VISITS:
         rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
         raise SessionError(
             f"{parts[0].name}: only {counted(len(found.dwells), 'dwell')} can be used, {LEAST_VISITS} are needed "
-            f"({reasons or 'there are no others'}); see truearm inspect {parts[0].name}"
+            f"({reasons_text(rejected) or 'there are no others'}); see truearm inspect {parts[0].name}"
         )
     for part, one in zip(parts, of_parts, strict=True):
         if one.rests and one.period_s != found.period_s:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import check_writable, same_file
 from truearm.files.labels_file import labels_path
 from truearm.files.noise_file import check_against_rigs, read_noise, with_noise
@@ -20,15 +19,17 @@ from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.model.robot import Robot
 from truearm.progress import step
-from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.types import ObservationTable, Rig
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
     Heard,
+    Rejected,
     Say,
     SessionOptions,
     labels_of,
+    nothing_observed,
     observations_of_session,
+    rejected_of,
     silent,
     unheard,
 )
@@ -95,11 +96,6 @@ class DwellCount(NamedTuple):
     labels: bool
     mountings: int
 
-    @property
-    def need_decision(self) -> int:
-        """Number of dwells for which it is not known what was mounted."""
-        return sum(n for reason, n in self.rejected.items() if reason in NEED_DECISION)
-
 
 class Observed(NamedTuple):
     """The rig, or the rigs by name, the observations, and the accounts of the sessions' dwells."""
@@ -128,11 +124,13 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
     read = {path: _read_input(path, joint_units, of_session.get(path), sources, robot) for path in inputs}
-    tables = {path: table for path, (table, _) in read.items()}
-    counts = tuple(count for _, count in read.values() if count is not None)
-    table = concatenate([part for part in tables.values() if len(part)] or list(tables.values()))
+    tables = [one.table for one in read.values()]
+    counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
+    table = concatenate([part for part in tables if len(part)] or tables)
     if not len(table):
-        raise InputError(f"{inputs[0]}: no dwell or line gave an observation; see truearm inspect {inputs[0]}")
+        raise SessionError(
+            "; ".join(nothing_observed(path, one.rejected) for path, one in read.items() if one.rejected)
+        )
     rigs = given | dict(of_session.values())
     if noise is not None:
         check_against_rigs(noise, rigs)
@@ -160,15 +158,23 @@ def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[s
             raise InputError(f"{source}: {whose}; the rigs given are {', '.join(sorted(rigs))}")
 
 
+class _Read(NamedTuple):
+    """The observations of an input, and what it rejected if it is a session."""
+
+    table: ObservationTable
+    dwells: DwellCount | None = None
+    rejected: Rejected | None = None
+
+
 def _read_input(
     path: Path,
     joint_units: tuple[str, ...] | None,
     assigned: Assigned | None,
     sources: Sources,
     robot: Robot | None,
-) -> tuple[ObservationTable, DwellCount | None]:
+) -> _Read:
     if assigned is None:
-        return read_table(path, joint_units), None
+        return _Read(read_table(path, joint_units))
     name, rig = assigned
     options = SessionOptions(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say, sources.heard
@@ -180,16 +186,17 @@ def _read_input(
             f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}; give the robot that was measured"
         )
     labels = labels_of(path) is not None
-    rejected = Counter(result.reasons)
+    doubtful = 0
     if robot is not None and not labels:
         with step("comparing labels with the readings"):
             borne_out = borne_out_rows(robot, rig, result)
         table = table.select(borne_out)
-        rejected += Counter({DOUBTFUL: int((~borne_out).sum())})
+        doubtful = int((~borne_out).sum())
+    rejected = rejected_of(result, doubtful)
     used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
-    count = DwellCount(path.name, n, int(used), dict(sorted(rejected.items())), labels, mountings)
-    return replace(table, rig=np.full(len(table), name)), count
+    count = DwellCount(path.name, n, int(used), dict(sorted(rejected.dwells.items())), labels, mountings)
+    return _Read(replace(table, rig=np.full(len(table), name)), count, rejected)
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:

@@ -55,10 +55,9 @@ def recorded_dwells(session: Path) -> RecordedDwells | None:
 
 def counted_dwells(result: SyncResult) -> RecordedDwells:
     """Return the account of a session's dwells."""
-    from truearm.session.dwells import NEED_DECISION, DwellRules
+    from truearm.session.dwells import DwellRules, needs_decision
 
     plan = result.survey.marks.plan()
-    need_decision = NEED_DECISION if plan is not None else (*NEED_DECISION, "no plan match")
     counts: dict[str, int] = {}
     visited, measured = set[int](), set[int]()
     total = 0
@@ -76,5 +75,5 @@ def counted_dwells(result: SyncResult) -> RecordedDwells:
         total += 1
         counts[dwell.reason] = counts.get(dwell.reason, 0) + 1
     usable = counts.pop("", 0)
-    words = sum(counts.pop(reason, 0) for reason in need_decision)
+    words = sum(counts.pop(reason) for reason in list(counts) if needs_decision(reason, plan is not None))
     return RecordedDwells(total, usable, words, dict(sorted(counts.items())), len(visited - measured))

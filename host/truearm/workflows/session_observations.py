@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from truearm.errors import Argument, RigError, SessionError
 from truearm.text import counted, one_line
@@ -45,6 +47,48 @@ class SessionOptions:
     line_points: int | None = None
     say: Say = silent
     heard: Heard = unheard
+
+
+class Rejected(NamedTuple):
+    """The dwells and the passes along lines that gave no observation, by reason. ``planned``: the session has a plan."""
+
+    dwells: Counter[str]
+    passes: Counter[str]
+    planned: bool
+
+
+def rejected_of(result: SyncResult, doubtful: int = 0) -> Rejected:
+    """Return what a session rejects. ``doubtful``: dwells that gave an observation which does not fit their label."""
+    from truearm.session.dwells import DOUBTFUL
+
+    dwells = Counter(result.reasons) + Counter({DOUBTFUL: doubtful})
+    return Rejected(dwells, Counter(result.pass_reasons), result.survey.marks.plan() is not None)
+
+
+def reasons_text(rejected: Mapping[str, int]) -> str:
+    """Return ``3 gap, 1 rail``."""
+    return ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
+
+
+def nothing_observed(path: Path, rejected: Rejected) -> str:
+    """Return a sentence: a session gave no observation, why not, and which command helps."""
+    kinds = (("dwell", "dwells", rejected.dwells), ("motion along a line", "motions along a line", rejected.passes))
+    parts = [f"{counted(count.total(), one, many)} ({reasons_text(count)})" for one, many, count in kinds if count]
+    if not parts:
+        return f"{path}: no dwell and no motion along a line was found; see truearm inspect {shlex.quote(one_line(str(path)))}"
+    return f"{path}: no observation from {' and '.join(parts)}; {what_helps(path, rejected)}"
+
+
+def what_helps(path: Path, rejected: Rejected) -> str:
+    """Return which commands settle and explain the rejected dwells and passes of a session."""
+    from truearm.session.dwells import needs_decision
+
+    settled = sum(n for reason, n in rejected.dwells.items() if needs_decision(reason, rejected.planned))
+    others = settled < rejected.dwells.total() + rejected.passes.total()
+    name = shlex.quote(one_line(str(path)))
+    parts = [f"decide what was mounted with truearm relabel {name}"] * bool(settled)
+    parts += [f"truearm inspect {name} shows why{' the others were rejected' * bool(settled)}"] * others
+    return "; ".join(parts)
 
 
 def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
@@ -101,11 +145,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
         session.batches, rig, ident=ident_of(session), name=path.name, line_rules=rules, labels=labels_of(path)
     )
     if not len(result.table) and not options.may_be_empty:
-        what, rejected = ("line", result.pass_reasons) if result.passes else ("dwell", result.reasons)
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items()))
-        raise SessionError(
-            f"{path}: no {what} gave an observation ({reasons or 'none was found'}); see truearm inspect {path}"
-        )
+        raise SessionError(nothing_observed(path, rejected_of(result)))
     if warning := temperature_warning(result, rig):
         options.say(one_line(f"{path}: {warning}"))
     options.heard(session, result)
