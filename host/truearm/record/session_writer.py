@@ -27,19 +27,21 @@ from __future__ import annotations
 import io
 import json
 import os
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, assert_never
+from typing import Any, BinaryIO, NamedTuple, assert_never
+
+from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
 from truearm.errors import Argument, InputError, LinkError, WriteError
 from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
-from truearm.record.mcap_writer import McapMessage, McapWriter
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_readings import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, metadata_crc
@@ -56,6 +58,16 @@ _as_json = json.JSONEncoder(
 ).encode  # one encoder for all rows; dumps would make a new one each time
 
 Anchor = tuple[int, int]  # the same instant in UTC and on the host's clock [ns]
+
+
+class _Message(NamedTuple):
+    """A message of a channel, with its sequence number, log time and publish time [ns]."""
+
+    channel: int
+    sequence: int
+    log_ns: int
+    publish_ns: int
+    data: bytes
 
 
 class SessionWriter:
@@ -90,11 +102,11 @@ class SessionWriter:
         self.losses: list[str] = []  # what happened to the file, one sentence each
         self._renamed = False
         self._size = 0  # on the disk, as last written
-        self._waiting: list[McapMessage] = []  # of the current chunk
+        self._waiting: list[_Message] = []  # of the current chunk
         self._encodings: dict[str, Encodings] = {}  # of the channels
         # From finished chunks: the plan and what is mounted, which a replacement file must also contain.
-        self._head: list[McapMessage] = []
-        self._head_waiting: list[McapMessage] = []  # of the current chunk
+        self._head: list[_Message] = []
+        self._head_waiting: list[_Message] = []  # of the current chunk
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
         self._writer = self._begun()
@@ -164,7 +176,7 @@ class SessionWriter:
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
             channel[1] = sequence
-        message = McapMessage(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
+        message = _Message(channel[0], channel[1], t_host_ns + self._utc_offset_ns, t_host_ns, data)
         self._waiting.append(message)
         if topic == "/plan" or (topic == "/events" and b'"mounted"' in data):
             self._head_waiting.append(message)
@@ -205,7 +217,7 @@ class SessionWriter:
         now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
             self._watch()
-            self._writer.attachment(now_ns, name, media_type, data)
+            self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
             self._attachments[name] = media_type, data
             self._flushed()
         except OSError as exc:
@@ -259,12 +271,19 @@ class SessionWriter:
         hold(file)
         return file
 
-    def _begun(self) -> McapWriter:
-        return McapWriter(self._out, profile="truearm", library=f"truearm {__version__}")
+    def _begun(self) -> Writer:
+        writer = Writer(
+            self._out,  # type: ignore[arg-type]
+            chunk_size=sys.maxsize,  # ``_write_chunk`` alone ends chunks
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        writer.start(profile="truearm", library=f"truearm {__version__}")
+        return writer
 
     def _register(self, topic: str, encodings: Encodings) -> int:
-        schema = self._writer.schema(encodings.name, encodings.schema, encodings.data.encode())
-        return self._writer.channel(topic, encodings.message, schema)
+        schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
+        return self._writer.register_channel(topic, encodings.message, schema)
 
     def _flushed(self) -> None:
         self._out.flush()
@@ -314,16 +333,16 @@ class SessionWriter:
         self._writer = self._begun()
         for topic, encodings in self._encodings.items():
             self._register(topic, encodings)  # the numbers are the same because they are sequential
-        self._writer.chunk(self._head)
+        self._pack(self._head)
         for name, entries in self._metadata.items():
-            self._writer.metadata(name, entries)
+            self._writer.add_metadata(name, entries)
         for name, (media_type, data) in self._attachments.items():
-            self._writer.attachment(0, name, media_type, data)
+            self._writer.add_attachment(0, 0, name, media_type, data)
         self._flushed()
 
     def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
-        self._writer.metadata(name, self._metadata[name])
+        self._writer.add_metadata(name, self._metadata[name])
 
     def _finish_chunk(self) -> None:
         self._add_columns()
@@ -349,7 +368,15 @@ class SessionWriter:
         self._head_waiting = []
         self._chunk_since_ns = None
         self._chunk_bytes = 0
-        self._writer.chunk(messages)
+        self._pack(messages)
+
+    def _pack(self, messages: Iterable[_Message]) -> None:
+        """Write messages as a chunk."""
+        for message in messages:
+            self._writer.add_message(
+                message.channel, message.log_ns, message.data, message.publish_ns, message.sequence
+            )
+        self._writer.flush()
 
     def _check_held(self) -> None:
         if self._out.tell() > MAX_HELD_BYTES:
