@@ -670,9 +670,10 @@ def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable
         raise InputError(f"{name}: has {value.q.shape[1]} joints, robot {robot.chain.name} has {joints}")
     if not len(value):
         raise InputError(f"{name}: has no rows")
-    largest = [UNITS[unit].largest for unit in robot.chain.joint_units]
-    if (np.abs(value.q) > largest).any():
-        raise InputError(f"{name}: no joint reaches {np.nanmax(np.abs(value.q)):g}; q is in rad and m")
+    try:
+        observation_table.check_values(value, robot.chain.joint_units)
+    except TableError as exc:
+        raise TableError(Argument(name), f": {exc}") from None
     return value
 
 

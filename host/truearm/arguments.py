@@ -1,9 +1,10 @@
-"""Check arguments of the public interface against their annotations.
+"""Check arguments of the public interface against their annotations, and convert them.
 
-An annotation defines the type of an argument: a class, ``str``, ``int``, ``float``, ``bool``, a union, or a tuple,
-sequence or mapping of these. With ``Annotated`` it also has a rule (``Within``, ``OneOf``), or as a text the function
-that makes such an object. A list is accepted as a tuple, and a NumPy number as a number. ``floats`` checks what
-annotations cannot express, the shape of an array.
+An annotation defines the type of an argument: a class, ``str``, ``int``, ``float``, ``bool``, an enumeration, a union,
+or a tuple, sequence or mapping of these. With ``Annotated`` it also has a rule (``Within``, ``OneOf``, or a value type
+of a file, ``schema.Value``), or as a text the function that makes such an object. A list or an array becomes a tuple, a
+NumPy number a number, and a text a member of the enumeration. ``floats`` checks what annotations cannot express, the
+shape of an array.
 """
 
 from __future__ import annotations
@@ -16,13 +17,14 @@ import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from enum import StrEnum
-from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from truearm.bounds import SHOWN, OneOf, Within
 from truearm.errors import Argument, InputError
+from truearm.schema import SchemaError, Value
 from truearm.text import with_article
 
 P = ParamSpec("P")
@@ -48,33 +50,41 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
-            given = signature.bind(*args, **kwargs).arguments
+            given = signature.bind(*args, **kwargs)
         except TypeError as exc:  # in Python's words, with the function's name
             raise TypeError(f"{function.__name__}() {exc}") from None
-        for name, value in given.items():
-            check(name, value, _hints(function)[name])
-        return function(*args, **kwargs)
+        for name, value in given.arguments.items():
+            given.arguments[name] = converted(name, value, _hints(function)[name])
+        return function(*given.args, **given.kwargs)
 
     return called
 
 
 def check_fields(record: Any) -> None:
-    """Check the fields of a dataclass. Raises TypeError, InputError."""
+    """Check and convert the fields of a frozen dataclass. Raises TypeError, InputError."""
     kind: Callable[..., Any] = type(record)
     hints = _hints(kind)
     for field in fields(record):
-        check(field.name, getattr(record, field.name), hints[field.name])
+        object.__setattr__(record, field.name, converted(field.name, getattr(record, field.name), hints[field.name]))
 
 
-def check(name: str, value: Any, hint: Any) -> None:
-    """Raise TypeError unless a value matches an annotation, and InputError if it breaks a rule of it."""
-    fitting = [one for one in _alternatives(hint) if _is(value, one)]
+def converted(name: str, value: Any, hint: Any) -> Any:
+    """Return a value in the form that its annotation defines: a list as a tuple, a text as a member of an enumeration.
+
+    Raises TypeError unless the value matches the annotation, and InputError if it breaks a rule of it.
+    """
+    alternatives = _alternatives(hint)
+    fitting = [one for one in alternatives if _is(value, one)]
     if not fitting:
-        wanted = " or ".join(dict.fromkeys(_words(one) for one in _alternatives(hint)))
+        wanted = " or ".join(dict.fromkeys(_words(one) for one in alternatives))
         raise TypeError(f"{name}: must be {wanted}, is {_shown(value)}")
+    frozen = _frozen(name, value, fitting[0])
     for rule in getattr(fitting[0], "__metadata__", ()):
         if isinstance(rule, Within | OneOf):
-            rule.check(name, value)
+            rule.check(name, frozen)
+        elif not isinstance(rule, str):
+            frozen = _parsed(name, frozen, rule)
+    return frozen
 
 
 def floats(name: str, value: Any, *shape: int | None, or_one: bool = False) -> NDArray[np.float64]:
@@ -119,15 +129,15 @@ def _is(value: Any, hint: Any) -> bool:
         return True
     if origin is Annotated:
         return _any(value, parts[0])
-    if isinstance(hint, type) and issubclass(hint, StrEnum):
-        return isinstance(value, str)  # its names are checked where they are used
+    if origin is Literal or (isinstance(hint, type) and issubclass(hint, StrEnum)):
+        return isinstance(value, str)  # ``_frozen`` refuses other texts
     if hint in (int, float):
         kind = numbers.Integral if hint is int else numbers.Real
         return isinstance(value, kind) and not isinstance(value, bool)
     if hint is bool:
         return isinstance(value, bool | np.bool_)
     if origin is tuple and isinstance(value, tuple | list | np.ndarray):
-        some = parts[-1] is Ellipsis
+        some = parts[-1:] == (Ellipsis,)
         return (some or len(value) == len(parts)) and all(
             _any(one, part) for one, part in zip(value, parts[:1] * len(value) if some else parts, strict=True)
         )
@@ -136,6 +146,30 @@ def _is(value: Any, hint: Any) -> bool:
     if origin is Mapping:
         return isinstance(value, Mapping) and all(_any(k, parts[0]) and _any(v, parts[1]) for k, v in value.items())
     return callable(value) if origin is Callable else isinstance(value, origin or hint)
+
+
+def _frozen(name: str, value: Any, hint: Any) -> Any:
+    """Return a value that matches one alternative of an annotation in its final form, without the annotation's rules."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return _frozen(name, value, next(one for one in _alternatives(parts[0]) if _is(value, one)))
+    if origin is Literal:
+        OneOf(parts).check(name, value)
+    elif isinstance(hint, type) and issubclass(hint, StrEnum):
+        OneOf(tuple(hint)).check(name, value)
+        return hint(value)
+    elif origin is tuple:
+        each = parts[:1] * len(value) if parts[-1:] == (Ellipsis,) else parts
+        return tuple(converted(name, one, part) for one, part in zip(value, each, strict=True))
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _parsed(name: str, value: Any, rule: Value) -> Any:
+    """Return a value in SI as a file's value type accepts it. Raises InputError."""
+    try:
+        return rule.parse(value, rule.suffixes[0])
+    except SchemaError as exc:
+        raise InputError(Argument(name), f": {exc}") from None
 
 
 def _any(value: Any, hint: Any) -> bool:
@@ -148,13 +182,16 @@ def _words(hint: Any) -> str:
     if origin is Annotated:
         made_by = [text for text in hint.__metadata__ if isinstance(text, str)]
         return " or ".join(map(_words, _alternatives(parts[0]))) + (f" (see {' or '.join(made_by)})" if made_by else "")
+    if hint == tuple[()]:
+        return "an empty tuple"
     if origin is tuple and parts[-1] is not Ellipsis:
         return f"a tuple of {len(parts)} {MANY.get(parts[0], 'items')}"
     if origin in (tuple, Sequence):
         return f"a {origin.__name__.lower()} of {MANY.get(parts[0], 'items')}"
     if origin is Mapping:
         return f"a mapping of names to {getattr(parts[1], '__name__', 'mappings')}s"
-    kind = str if isinstance(hint, type) and issubclass(hint, StrEnum) else origin or hint
+    is_choice = origin is Literal or (isinstance(hint, type) and issubclass(hint, StrEnum))
+    kind = str if is_choice else origin or hint
     return WORDS.get(kind) or with_article(kind.__name__)
 
 

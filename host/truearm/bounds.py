@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from truearm.errors import Argument, InputError
+from truearm.units import UNITS
 
 SHOWN = 40  # characters of a wrong value
 
@@ -45,16 +46,13 @@ class OneOf:
             raise InputError(Argument(name), f": {value[:SHOWN]!r} is not one of {', '.join(self.names)}")
 
 
-FINITE = Within()
-SIGMA = Within(0.0)  # a standard deviation, SI
-MASS = Within(0.0)  # kg
 SEED = Within(0)
 ITERATIONS = Within(1, 10_000)
 LINE_POINTS = Within(5)
 POSES = Within(1)
 MINUTES = Within(1.0, 100_000.0)
 CANDIDATES = Within(9, 100_000)
-TRAVEL = Within(0.0)  # m, kept free or varied by a plan
+TRAVEL = Within(0.0, UNITS["m"].largest)  # m, kept free or varied by a plan
 DWELL = Within(0.5, 600.0)  # s
 VISITS = Within(1, 10)
 CHECK_POSES = Within(0, 100)

@@ -16,8 +16,21 @@ import json
 import re
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from dataclasses import MISSING, dataclass, fields
+from types import UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Generic,
+    Protocol,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from truearm.errors import InputError
 from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
@@ -75,6 +88,20 @@ class Value(Protocol):
 
     def format(self, value: Any) -> str:
         """TOML text of a value, under a key with the first of the suffixes."""
+
+
+def values_of(record: type) -> Mapping[str, Value]:
+    """Return the value types in the annotations of a dataclass, by field: ``sigma: Annotated[float, Number("m")]``."""
+    hints = get_type_hints(record, include_extras=True)
+    return {field.name: value for field in fields(record) for value in _annotated(hints[field.name])}
+
+
+def _annotated(hint: Any) -> Iterator[Value]:
+    if get_origin(hint) is Annotated:
+        yield hint.__metadata__[0]
+    elif get_origin(hint) in (Union, UnionType):
+        for part in get_args(hint):
+            yield from _annotated(part)
 
 
 class ReadOnly:
@@ -174,9 +201,9 @@ class List:
 
     def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
         least, most = (self.least, self.most) if self.size is None else (self.size, self.size)
-        if not isinstance(raw, list) or not least <= len(raw) <= most:
+        if not isinstance(raw, list | tuple) or not least <= len(raw) <= most:
             count = str(most) if least == most else f"{least} to {most}"
-            has = str(len(raw)) if isinstance(raw, list) else quoted(raw)
+            has = str(len(raw)) if isinstance(raw, list | tuple) else quoted(raw)
             raise SchemaError(f"needs a list of {count} value{'s' * (count != '1')}, has {has}")
         values = []
         for value in raw:
@@ -188,6 +215,20 @@ class List:
 
     def format(self, value: Sequence[Any]) -> str:
         return f"[{', '.join(map(self.item.format, value))}]"
+
+
+@dataclass(frozen=True)
+class Direction(List):
+    """A vector of any length but 0."""
+
+    item: Value = Number(most=HUGE)
+    size: int | None = 3
+
+    def parse(self, raw: Any, suffix: str = "") -> tuple[Any, ...]:
+        values = super().parse(raw, suffix)
+        if not any(values):
+            raise SchemaError("must not be zero; [0, 0, 1] points along z")
+        return values
 
 
 @dataclass(frozen=True)
@@ -333,6 +374,19 @@ class Key:
 
     def line(self, value: Any) -> str:
         return f"{next(iter(self.spellings))} = {self.value.format(value)}"
+
+
+def keys_of(record: type, *optional: str) -> tuple[Key, ...]:
+    """Return a key for each field of a dataclass with a value type in its annotation.
+
+    A key is optional if its field has a default or is among ``optional``.
+    """
+    values = values_of(record)
+    return tuple(
+        Key(field.name, values[field.name], field.default is not MISSING or field.name in optional)
+        for field in fields(record)
+        if field.name in values
+    )
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,22 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.arguments import check, check_fields
-from truearm.bounds import FINITE, MASS, SIGMA, TRAVEL
+from truearm.arguments import check_fields, converted
 from truearm.errors import Argument, InputError, PlanError
+from truearm.schema import Choice, Covariance, Direction, List, Number, sigma
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
 Residuals = Mapping[str, Floats]  # by SI unit, one per row (n,): signed or a norm; NaN where there is none
 Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it supports ==
+
+# value types of fields; rig files have the same (``schema.values_of``)
+SIZE = Number("m", positive=True)
+POSITION = List(Number("m"), 3)
+SIGMA = sigma("m")
+UNKNOWN_SIGMA = sigma("m", unknown=True)
+UNKNOWN_TURN_SIGMA = sigma("rad", unknown=True)
+Triple = tuple[float, float, float]
 
 BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted for a ball-bar reading
 REFERENCE_DEGC = 20.0  # reference temperature of lengths, ISO 1
@@ -80,8 +88,8 @@ class Point:
     """
 
     name: str
-    xyz: Annotated[tuple[float, float, float], FINITE]
-    sigma: Annotated[float, SIGMA] | None = 0.0
+    xyz: Annotated[Triple, POSITION]
+    sigma: Annotated[float, UNKNOWN_SIGMA] | None = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -108,18 +116,18 @@ class BallBar:
     """
 
     name: str
-    zero: Annotated[float, FINITE]
-    gain: Annotated[float, FINITE]
-    travel: Annotated[float, TRAVEL]
-    sigma: Annotated[float, SIGMA]
+    zero: Annotated[float, SIZE]
+    gain: Annotated[float, Number("1", positive=True)]
+    travel: Annotated[float, SIZE]
+    sigma: Annotated[float, SIZE]
     zero_sigma: Annotated[float, SIGMA] = 0.0
-    gain_sigma: Annotated[float, SIGMA] = 0.0
-    temperature: Annotated[float, FINITE] = REFERENCE_DEGC
-    expansion: Annotated[float, FINITE] = 0.0
-    expansion_sigma: Annotated[float, SIGMA] = 0.0
-    sensor_temperature: Annotated[float, FINITE] = REFERENCE_DEGC
-    gain_drift: Annotated[float, FINITE] = 0.0
-    gain_drift_sigma: Annotated[float, SIGMA] = 0.0
+    gain_sigma: Annotated[float, sigma("1")] = 0.0
+    temperature: Annotated[float, Number("degc")] = REFERENCE_DEGC
+    expansion: Annotated[float, Number("1/K")] = 0.0
+    expansion_sigma: Annotated[float, sigma("1/K")] = 0.0
+    sensor_temperature: Annotated[float, Number("degc")] = REFERENCE_DEGC
+    gain_drift: Annotated[float, Number("1/K")] = 0.0
+    gain_drift_sigma: Annotated[float, sigma("1/K")] = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -137,8 +145,8 @@ class SocketDistance:
     """
 
     sockets: tuple[str, str]
-    distance: Annotated[float, FINITE]
-    sigma: Annotated[float, SIGMA]
+    distance: Annotated[float, SIZE]
+    sigma: Annotated[float, SIZE]
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -165,12 +173,12 @@ class Device:
     """
 
     name: str
-    sensor_cov: Matrix
-    xyz: Annotated[tuple[float, float, float], FINITE] | None = None
-    rotation: Annotated[tuple[float, float, float], FINITE] = (0.0, 0.0, 0.0)
-    sigma: Annotated[float, SIGMA] | None = None
-    turn_sigma: Annotated[float, SIGMA] | None = None
-    rotation_sigma: Annotated[float, SIGMA] | None = None
+    sensor_cov: Annotated[Matrix, Covariance(3)]
+    xyz: Annotated[Triple, POSITION] | None = None
+    rotation: Annotated[Triple, List(Number("rad"), 3)] = (0.0, 0.0, 0.0)
+    sigma: Annotated[float, UNKNOWN_SIGMA] | None = None
+    turn_sigma: Annotated[float, UNKNOWN_TURN_SIGMA] | None = None
+    rotation_sigma: Annotated[float, Number("rad", positive=True)] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -192,11 +200,11 @@ class Plane:
     """
 
     name: str
-    xyz: Annotated[tuple[float, float, float], FINITE]
-    normal: Annotated[tuple[float, float, float], FINITE]
-    sigma: Annotated[float, SIGMA]
-    offset_sigma: Annotated[float, SIGMA] | None = None
-    tilt_sigma: Annotated[float, SIGMA] | None = None
+    xyz: Annotated[Triple, POSITION]
+    normal: Annotated[Triple, Direction()]
+    sigma: Annotated[float, SIZE]
+    offset_sigma: Annotated[float, UNKNOWN_SIGMA] | None = None
+    tilt_sigma: Annotated[float, UNKNOWN_TURN_SIGMA] | None = None
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -236,21 +244,21 @@ class Rig:
     spheres: Mapping[str, Point] = field(default_factory=dict)
     bars: Mapping[str, BallBar] = field(default_factory=dict)
     socket_distances: tuple[SocketDistance, ...] = ()
-    seat_sigma: Annotated[float, SIGMA] = 1e-4
+    seat_sigma: Annotated[float, SIZE] = 1e-4
     targets: Mapping[str, Point] = field(default_factory=dict)
     lines: Mapping[str, Device] = field(default_factory=dict)
-    line_sigma: Annotated[tuple[float, float, float], SIGMA] = (62e-6, 100e-6, 62e-6)
-    line_placement: LinePlacement = LinePlacement.LEAST_SQUARES
-    line_travel: Annotated[float, TRAVEL] | None = None
+    line_sigma: Annotated[Triple, List(SIZE, 3)] = (62e-6, 100e-6, 62e-6)
+    line_placement: Annotated[LinePlacement, Choice(tuple(LinePlacement))] = LinePlacement.LEAST_SQUARES
+    line_travel: Annotated[float, SIZE] | None = None
     trackers: Mapping[str, Device] = field(default_factory=dict)
     planes: Mapping[str, Plane] = field(default_factory=dict)
-    time_offset: Annotated[float, FINITE] = 0.0
-    time_offset_sigma: Annotated[float, SIGMA] | None = None
-    joint_cov: Matrix = ()
-    backlash: Annotated[tuple[float, ...], FINITE] = ()
-    backlash_sigma: Annotated[tuple[float, ...], SIGMA] = ()
-    payload: Annotated[float, MASS] = 0.0
-    payload_centre: Annotated[tuple[float, float, float], FINITE] = (0.0, 0.0, 0.0)
+    time_offset: Annotated[float, Number("s")] = 0.0
+    time_offset_sigma: Annotated[float, sigma("s", unknown=True)] | None = None
+    joint_cov: tuple[()] | Annotated[Matrix, Covariance(singular=True)] = ()
+    backlash: tuple[()] | Annotated[tuple[float, ...], List(Number())] = ()
+    backlash_sigma: tuple[()] | Annotated[tuple[float, ...], List(sigma())] = ()
+    payload: Annotated[float, Number("kg", least=0.0)] = 0.0
+    payload_centre: Annotated[Triple, POSITION] = (0.0, 0.0, 0.0)
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 
@@ -353,7 +361,7 @@ class ObservationTable:
             object.__setattr__(self, name, _column(name, getattr(self, name), is_text))
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
-        check("more", self.more, Mapping[str, Any])
+        converted("more", self.more, Mapping[str, Any])
         for name, column in self.more.items():
             if np.shape(column)[:1] != (n,):
                 raise InputError(Argument(name), f" must have {n} rows, is {np.shape(column)}")

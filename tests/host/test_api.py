@@ -21,6 +21,7 @@ from truearm.files.rig_file import write_rig
 from truearm.model.chain import forward
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
+from truearm.types import LinePlacement
 from truearm_sim.world import standard_rig
 
 ROOT = Path(__file__).parents[2]
@@ -130,7 +131,7 @@ def test_an_exported_robot_says_what_it_costs(result):
     ("change", "complaint"),
     [
         ({"q": np.nan}, "q1_rad"),
-        ({"value": -0.46}, "length_m: '-0.46' must be greater than 0"),
+        ({"value": -0.46}, "length is -0.46 m, not between 1e-12 and 100 m"),
         ({"chuck": ""}, "needs a chuck"),
         ({"kind": "bar"}, "is not an observation kind"),
     ],
@@ -404,6 +405,21 @@ REFUSED = [
     ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4) + 1e300 * np.eye(4, k=3))),
     ("table", InputError, lambda a: truearm.identify(a.robot, replace(a.table, q=np.degrees(a.table.q)), a.rig)),
     ("table", InputError, lambda a: truearm.identify(a.robot, a.table.select(slice(0)), a.rig)),
+    *(("table", InputError, lambda a, field=field, v=v: truearm.identify(a.robot, replace(a.table, **{field: np.full(getattr(a.table, field).shape, v)}), a.rig))
+      for field, v in (("value", 370.0), ("value", -0.46), ("value", float("inf")), ("sigma", 84.0), ("sigma", 0.0), ("time", 1e12), ("temperature", 1e3), ("q_rate", 1e3))),
+    *((field, InputError, lambda a, field=field, v=v: truearm.Rig(**{field: v}))
+      for field, v in (("time_offset", 1e6), ("seat_sigma", 0.0), ("line_travel", 1e3), ("payload", 1e6), ("payload_centre", [0.0, 0.0, 1e3]), ("line_placement", "nope"), ("line_sigma", [1e-5, 1e-5, 0.0]), ("time_offset_sigma", -1.0))),
+    *(("joint_cov", error, lambda a, v=v: truearm.Rig(joint_cov=v))
+      for v, error in (([1.0, 2.0], TypeError), ("x", TypeError), (np.eye(6)[:5], InputError), (-np.eye(6), InputError), (np.triu(np.ones((6, 6))), InputError), ([[1.0, 0.0], [1.0]], InputError))),
+    *((field, error, lambda a, field=field, v=v: truearm.Rig(**{field: v}))
+      for field in ("backlash", "backlash_sigma") for v, error in (([[1e-4]], TypeError), (["a"], TypeError), ([float("nan")], InputError), ([1e6], InputError))),
+    *((field, InputError, lambda a, field=field, v=v: truearm.BallBar(**{"name": "b", "zero": 0.46, "gain": 1.0, "travel": 0.075, "sigma": 1e-5, field: v}))
+      for field, v in (("zero", 370.0), ("zero", -0.46), ("travel", 75.0e3), ("sigma", 0.0), ("gain", 0.0), ("temperature", 1e3), ("expansion", 11.5))),
+    ("xyz", InputError, lambda a: truearm.Point("c", (1000.0, 0.0, 0.0))),
+    ("sigma", InputError, lambda a: truearm.Point("c", (1.0, 0.0, 0.0), sigma=1e-13)),
+    ("distance", InputError, lambda a: truearm.SocketDistance(("a", "b"), distance=50.0e3, sigma=1e-5)),
+    *(("sensor_cov", InputError, lambda a, v=v: truearm.Device("t", v)) for v in ((), [[1e-8]], np.zeros((3, 3)), np.triu(np.ones((3, 3))))),
+    *(("normal", InputError, lambda a, v=v: truearm.Plane("f", (0.4, 0.0, 0.0), v, 2e-5)) for v in ([0.0, 0.0, 0.0], [0.0, 0.0, float("nan")])),
     ("rig", InputError, lambda a: truearm.identify(a.robot, a.table, {})),
     ("result", InputError, lambda a: truearm.plan_ball_bar(truearm.load_robot("irb120"), a.bench, poses=8, result=a.result)),
 ]  # fmt: skip
@@ -460,6 +476,18 @@ def test_numpy_numbers_and_lists_are_taken():
     assert truearm.BallBarOptions(dwell=np.float32(1.0), spread=0, candidates=np.int32(60)).dwell == 1.0
     rows = truearm.ObservationTable(q=[[1, 2]], kind=["seat"], place=["p"], socket=["s"])
     assert (rows.q.dtype, rows.q.shape, rows.kind.shape) == (np.dtype(float), (1, 2), (1,))
+
+
+def test_lists_and_arrays_of_a_rig_become_tuples(robot, table, rig):
+    cov, width = 1e-10 * np.eye(6), np.full(6, 1e-6)
+    lists = replace(rig, joint_cov=cov.tolist(), backlash=width.tolist(), backlash_sigma=[1e-7] * 6)
+    arrays = replace(rig, joint_cov=cov, backlash=width, backlash_sigma=np.full(6, 1e-7))
+    assert lists == arrays
+    assert {lists.joint_cov, arrays.joint_cov} == {tuple(map(tuple, cov.tolist()))}
+    assert truearm.Rig(line_placement="two_point").line_placement is LinePlacement.TWO_POINT
+    assert truearm.Device("t", cov[:3, :3]).sensor_cov[0] == (1e-10, 0.0, 0.0)
+    assert truearm.Point("c", np.zeros(3)).xyz == (0.0, 0.0, 0.0)
+    assert truearm.identify(robot, table, lists).estimate.status == "converged"
 
 
 def test_a_files_name_is_no_option(tmp_path):

@@ -249,7 +249,7 @@ WRONG = {
     "no line travel": ("line_travel_mm = 0\n", "line_travel_mm: 0 mm is not greater than 0"),
     "travel twice": ("line_travel_mm = 15\nline_travel_m = 0.015\n", "keep one"),
     "listed placement": ("line_placement = [1]\n", "line_placement: a list is not one of"),
-    "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal must not be zero"),
+    "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal: must not be zero"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0' is already defined"),
     "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place: 'a b' is not a name"),
     "same socket": ('[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n', "from itself"),

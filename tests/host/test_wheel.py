@@ -85,7 +85,7 @@ session: SessionObservations = truearm.read_session(Path("session.mcap"), line_p
 table: ObservationTable = truearm.read_table("poses.csv", robot)
 rig: Rig = truearm.read_rig("rig.toml")
 bars = {"b": BallBar("b", zero=0.46, gain=1.0, travel=0.075, sigma=8.4e-5)}
-own = Rig(chucks={"c": Point("c", (1.0, 0.0, 0.0))}, bars=bars, trackers={"t": Device("t", ())})
+own = Rig(chucks={"c": Point("c", (1.0, 0.0, 0.0))}, bars=bars, trackers={"t": Device("t", ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8)))})
 flat: Plane = Plane("f", (0.4, 0.0, 0.0), (0.0, 0.0, 1.0), 2e-5)
 apart: SocketDistance = SocketDistance(("a", "b"), 0.05, 1e-5)
 options = IdentifyOptions(solver="map", freeze=("joint1.*",))

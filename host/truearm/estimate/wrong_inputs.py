@@ -331,13 +331,14 @@ def _with_column(table: ObservationTable, field: str, factor: float) -> Observat
 
 
 def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
-    """Return the rig, or rigs, with some points' coordinates multiplied; None if there are none."""
+    """Return the rig, or rigs, with some points' coordinates multiplied; None if there are none, or they are too far."""
     if not isinstance(rig, Rig):
         scaled = {name: _with_points(one, entry, factor) for name, one in rig.items()}
         every = {name: one for name, one in scaled.items() if isinstance(one, Rig)}
         return {**rig, **every} if every else None
     known = rig.named(entry)
-    if not any(any(point.xyz) for point in known.values()):
+    farthest = max((abs(v) for point in known.values() for v in point.xyz), default=0.0)
+    if not 0.0 < factor * farthest <= UNITS["m"].largest:
         return None
     moved: dict[str, Any] = {
         entry: {name: replace(p, xyz=tuple(factor * v for v in p.xyz)) for name, p in known.items()}

@@ -14,16 +14,16 @@ from typing import Any, NamedTuple
 
 from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text
-from truearm.files.rig_file import JOINT_COVARIANCE
-from truearm.kinds.rig_entries import NAME, SIZE, by_name
-from truearm.schema import Entries, Key, List, Number, SchemaError, Table, read, sigma
-from truearm.types import Matrix, Rig
+from truearm.files.rig_file import JOINT_COVARIANCE, OF_RIG
+from truearm.kinds.rig_entries import NAME, by_name
+from truearm.schema import Entries, Key, SchemaError, Table, read
+from truearm.types import SIZE, Matrix, Rig
 
 MAX_BYTES = 2**16
 FIRST_LINE = "# noise of a robot and its ball-bar, by truearm characterize"
 BACKLASH = (
-    Key("backlash_si", List(Number()), optional=True, field="backlash"),
-    Key("backlash_sigma_si", List(sigma()), optional=True, field="backlash_sigma"),
+    Key("backlash_si", OF_RIG["backlash"], optional=True, field="backlash"),
+    Key("backlash_sigma_si", OF_RIG["backlash_sigma"], optional=True, field="backlash_sigma"),
 )
 
 

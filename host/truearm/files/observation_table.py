@@ -161,6 +161,32 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
     return ObservationTable.joined(tables)
 
 
+def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
+    """Raise TableError for the first number that ``read_table`` would reject because of its size or its sign."""
+    noise = {unit: Quantity("sigma", ("sigma",), unit, LARGEST_NOISE, positive=True) for unit in registry.units()}
+    checks = [(quantity, np.ones(len(table), dtype=bool)) for quantity in CIRCUMSTANCES]
+    for key, kind in registry.kinds().items():
+        checks += [(quantity, table.kind == key) for quantity in (*kind.quantities, noise[kind.components[0]])]
+    for quantity, rows in checks:
+        _refuse_values(table, quantity, table.column(quantity.field, np.nan), rows)
+    for j, unit in enumerate(joint_units):
+        for name, column, of in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
+            _refuse_values(table, Quantity(name, (f"{name}[{j}]",), of), column[:, j], np.ones(len(table), dtype=bool))
+
+
+def _refuse_values(table: ObservationTable, quantity: Quantity, column: Floats, rows: np.ndarray) -> None:
+    """Raise TableError for the first implausible value of a quantity in these rows (n,)."""
+    values = column.reshape(len(table), -1)
+    bad = np.argwhere(quantity.implausible(values) & rows[:, None])
+    for i, k in bad[:1].tolist():
+        unit = SUFFIXES[_own(quantity.unit)]
+        least = SMALLEST if quantity.positive else -quantity.most
+        raise TableError(
+            f"{table.source[i]}: {quantity.columns[k]} is {unit.text(values[i, k])}, not between {least:g} and "
+            f"{unit.text(quantity.most)}; is it in {unit.symbol}?"
+        )
+
+
 def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     """Raise TableError for the first row that names a bar, chuck, sphere, … that the rig does not have.
 

@@ -12,14 +12,15 @@ from typing import Any
 from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text, write_atomic
 from truearm.kinds.registry import entries
-from truearm.kinds.rig_entries import SIZE
 from truearm.kinds.seat import Socket
-from truearm.schema import Choice, Covariance, Key, List, Number, Sigmas, Table, read, sigma
-from truearm.types import LinePlacement, Rig
+from truearm.schema import Key, Sigmas, Table, keys_of, read, sigma, values_of
+from truearm.types import Rig
 
 MAX_BYTES = 2**20
+OF_RIG = values_of(Rig)
+FURTHER = ("joint_cov", "backlash", "backlash_sigma")  # in other keys, or in noise files
 JOINT_COVARIANCE = (
-    Key("joint_cov_si", Covariance(singular=True), optional=True, field="joint_cov"),
+    Key("joint_cov_si", OF_RIG["joint_cov"], optional=True, field="joint_cov"),
     Key("joint_sigma", Sigmas(sigma("rad")), optional=True, field="joint_cov"),
 )
 
@@ -35,17 +36,7 @@ def _values(rig: Rig) -> dict[str, Any]:
 
 
 RIG = Table(
-    (
-        Key("seat_sigma", SIZE, optional=True),
-        Key("line_sigma", List(SIZE, 3), optional=True),
-        Key("line_placement", Choice(tuple(LinePlacement)), optional=True),
-        Key("time_offset", Number("s"), optional=True),
-        Key("time_offset_sigma", sigma("s", unknown=True), optional=True),
-        Key("line_travel", SIZE, optional=True),
-        Key("payload", Number("kg", least=0.0), optional=True),
-        Key("payload_centre", List(Number("m"), 3), optional=True),
-        *JOINT_COVARIANCE,
-    ),
+    (*(key for key in keys_of(Rig) if key.name not in FURTHER), *JOINT_COVARIANCE),
     _rig,
     _values,
     entries(),

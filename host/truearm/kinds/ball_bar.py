@@ -18,17 +18,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truearm import schema
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
-from truearm.kinds.rig_entries import NAME, POINT, SIZE, SPHERE, by_name
+from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
-from truearm.schema import Entries, Key, Table
+from truearm.schema import Entries, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
 
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
@@ -191,28 +190,9 @@ def _another(points: Sequence[tuple[float, float, float]]) -> Point:
 
 
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
-DEGC = schema.Number("degc")
-PER_K = schema.Number("1/K")
 BAR = Entries(
     "bar",
-    Table(
-        (
-            NAME,
-            Key("zero", SIZE),
-            Key("gain", schema.Number("1", positive=True), optional=True),
-            Key("travel", SIZE),
-            Key("sigma", SIZE),
-            Key("zero_sigma", schema.sigma("m"), optional=True),
-            Key("gain_sigma", schema.sigma("1"), optional=True),
-            Key("temperature", DEGC, optional=True),
-            Key("expansion", PER_K, optional=True),
-            Key("expansion_sigma", schema.sigma("1/K"), optional=True),
-            Key("sensor_temperature", DEGC, optional=True),
-            Key("gain_drift", PER_K, optional=True),
-            Key("gain_drift_sigma", schema.sigma("1/K"), optional=True),
-        ),
-        lambda gain=1.0, **values: BallBar(gain=gain, **values),
-    ),
+    Table((NAME, *keys_of(BallBar, "gain")), lambda gain=1.0, **values: BallBar(gain=gain, **values)),
     "bars",
     by_name,
 )

@@ -33,7 +33,6 @@ from typing import assert_never
 
 import numpy as np
 
-from truearm.errors import ProblemError
 from truearm.kinds import position
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices
@@ -76,8 +75,6 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     A rig without lines accepts any line that a row names.
     """
     rig = scope.rig
-    if rig.line_placement not in tuple(LinePlacement):
-        raise ProblemError(f"line_placement {rig.line_placement!r} is not known; use {' or '.join(LinePlacement)}")
     cov = tuple(tuple(sigma**2 * (i == k) for k in range(3)) for i, sigma in enumerate(rig.line_sigma))
     known = rig.lines or {name: Device(name, cov) for name in scope.table.line[rows].tolist()}
 

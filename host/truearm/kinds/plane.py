@@ -9,23 +9,20 @@ n₀ × e₁.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from truearm import schema
-from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import DISTANCE
-from truearm.kinds.rig_entries import NAME, SIZE, TARGET, XYZ, by_name
+from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
 from truearm.kinds.unknowns import Layout, Number, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
-from truearm.schema import HUGE, Entries, Key, List, SchemaError, Table
+from truearm.schema import Entries, Table, keys_of
 from truearm.types import Floats, Plane
 
 
@@ -85,9 +82,6 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     targets = use_points(scope, rows, "target", rig.targets)
     flats = use(scope, rows, "plane", rig.planes, plane_numbers)
     known = [rig.planes[str(label)] for label in flats.labels]
-    for flat in known:
-        if not (np.isfinite([*flat.xyz, *flat.normal]).all() and any(flat.normal)):
-            raise ProblemError(f"plane {flat.name!r}: its point and normal must be finite, its normal not zero")
     point = np.array([flat.xyz for flat in known], dtype=float)[flats.which]
     frames = np.array([frame_of(np.array(flat.normal)) for flat in known])[flats.which]
     refuse(scope, rows, np.isinf(table.value[rows]), "its distance from the plane must be finite")
@@ -118,26 +112,9 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     return RigUse((targets, flats), make)
 
 
-def _plane(**values: Any) -> Plane:
-    plane = Plane(**values)
-    if not any(plane.normal):
-        raise SchemaError("normal must not be zero; [0, 0, 1] is the normal of a horizontal table")
-    return plane
-
-
 PLANE = Entries(
     "plane",
-    Table(
-        (
-            NAME,
-            Key("xyz", XYZ),
-            Key("normal", List(schema.Number("1", most=HUGE), 3)),
-            Key("sigma", SIZE),
-            Key("offset_sigma", schema.sigma("m", unknown=True), optional=True),
-            Key("tilt_sigma", schema.sigma("rad", unknown=True), optional=True),
-        ),
-        _plane,
-    ),
+    Table((NAME, *keys_of(Plane)), Plane),
     "planes",
     by_name,
 )

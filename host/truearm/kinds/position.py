@@ -36,7 +36,6 @@ from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.model.transforms import cross
 from truearm.schema import Entries
 from truearm.types import Device, Floats
-from truearm.units import SMALLEST
 
 STRAIGHT = 1e-9  # points that deviate from a line by 3e-5 of its length do not determine the roll about it
 
@@ -184,8 +183,6 @@ def points_of(
 def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[Number]:
     """Return x, y, z, rx, ry, rz of a device; if the rig has no pose, from its readings and the nominal robot."""
     sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
-    if not np.isfinite(device.rotation).all():
-        raise ProblemError(f"{name} has a rotation that is not finite")
     if device.xyz is not None:
         values = [*device.xyz, 0.0, 0.0, 0.0]
     elif 0.0 in sigmas:
@@ -203,17 +200,7 @@ def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: I
 
     A row's own sigma takes precedence over the device's. The point's own noise is added to either.
     """
-    cov = []
-    for device in devices:
-        matrix = np.array(device.sensor_cov, dtype=float)
-        if matrix.shape != (3, 3) or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-            raise ProblemError(f"sensor_cov of {device.name!r} must be a symmetric 3×3 matrix")
-        if not (np.isfinite(matrix).all() and np.linalg.eigvalsh(matrix)[0] >= SMALLEST**2):
-            raise ProblemError(
-                f"sensor_cov of {device.name!r} must be positive definite, with no sigma below {SMALLEST:g} m"
-            )
-        cov.append(matrix)
-    full = np.array(cov)[which]
+    full = np.array([device.sensor_cov for device in devices])[which]
     own = ~np.isnan(scope.table.sigma[rows])
     sigma = sigmas(scope, rows, np.ones((len(rows), 3)))
     full[own] = sigma[own, :1, None] ** 2 * np.eye(3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from truearm import units
 
@@ -32,6 +33,10 @@ class Quantity:
     def most(self) -> float:
         """Return the largest plausible magnitude, in SI."""
         return units.UNITS[self.unit].largest if math.isnan(self.largest) else self.largest
+
+    def implausible(self, values: Any) -> Any:
+        """Return a mask of the values, in SI, that indicate another unit or, for a positive quantity, are not positive."""
+        return (abs(values) > self.most) | (self.positive & (values < units.SMALLEST))
 
     @property
     def title(self) -> str:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from truearm.schema import IDENTIFIER, Covariance, Entries, Key, List, Number, SchemaError, Sigmas, Table, sigma
-from truearm.types import Device, Point
+from truearm.schema import IDENTIFIER, Entries, Key, SchemaError, Sigmas, Table, keys_of, values_of
+from truearm.types import SIZE, Device, Point
 
 NAME = Key("name", IDENTIFIER)
-SIZE = Number("m", positive=True)
-XYZ = List(Number("m"), 3)
 
 
 def by_name(item: Any) -> str:
@@ -24,17 +22,18 @@ def _device(**values: Any) -> Device:
     return device
 
 
-POINT = Table((NAME, Key("xyz", XYZ), Key("sigma", sigma("m", unknown=True), optional=True)), Point)
+POINT = Table((NAME, *keys_of(Point)), Point)
+OF_DEVICE = values_of(Device)
 DEVICE = Table(
     (
         NAME,
-        Key("covariance_m2", Covariance(3), field="sensor_cov"),
+        Key("covariance_m2", OF_DEVICE["sensor_cov"], field="sensor_cov"),
         Key("sigma", Sigmas(SIZE, 3), field="sensor_cov"),
-        Key("xyz", XYZ, optional=True),
-        Key("rotation", List(Number("rad"), 3), optional=True),
-        Key("position_sigma", sigma("m", unknown=True), optional=True, field="sigma"),
-        Key("turn_sigma", sigma("rad", unknown=True), optional=True),
-        Key("rotation_sigma", Number("rad", positive=True), optional=True),
+        Key("xyz", OF_DEVICE["xyz"], optional=True),
+        Key("rotation", OF_DEVICE["rotation"], optional=True),
+        Key("position_sigma", OF_DEVICE["sigma"], optional=True, field="sigma"),
+        Key("turn_sigma", OF_DEVICE["turn_sigma"], optional=True),
+        Key("rotation_sigma", OF_DEVICE["rotation_sigma"], optional=True),
     ),
     _device,
 )

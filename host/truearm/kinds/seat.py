@@ -18,12 +18,12 @@ from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
-from truearm.kinds.rig_entries import POINT, SIZE, SPHERE
+from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.socket_distance import known_distances
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
-from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table
+from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table, keys_of
 from truearm.types import Floats, ObservationTable, Point, Rig, SocketDistance
 
 
@@ -160,7 +160,7 @@ SOCKET = Entries(
 )
 SOCKET_DISTANCE = Entries(
     "socket_distance",
-    Table((Key("sockets", List(IDENTIFIER, 2)), Key("distance", SIZE), Key("sigma", SIZE)), _socket_distance),
+    Table((Key("sockets", List(IDENTIFIER, 2)), *keys_of(SocketDistance)), _socket_distance),
     "socket_distances",
 )
 KIND = Kind(

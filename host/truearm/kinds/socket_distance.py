@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
 from truearm.kinds.unknowns import Layout, Used
@@ -56,8 +55,6 @@ def known_distances(rig: Rig, sockets: Used, layout: Layout) -> list[Group]:
         return []
     ends = [layout.index(sockets._replace(which=np.array([pair[k] for pair in pairs]))) for k in (0, 1)]
     distance, sigma = np.array([pair[2:] for pair in pairs]).T
-    if not (sigma > 0.0).all():
-        raise ProblemError("a socket distance needs a positive sigma")
     return [
         SocketDistanceRows(
             row=None,
