@@ -52,6 +52,7 @@ LINE_POINTS = Within(5)
 POSES = Within(1)
 MINUTES = Within(1.0, 100_000.0)
 CANDIDATES = Within(9, 100_000)
+REPEATABILITY = Within(1e-8, UNITS["m"].largest)  # m, of a bar; a rig has none that is exact
 TRAVEL = Within(0.0, UNITS["m"].largest)  # m, kept free or varied by a plan
 DWELL = Within(0.5, 600.0)  # s
 VISITS = Within(1, 10)

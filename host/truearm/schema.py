@@ -33,7 +33,7 @@ from typing import (
 )
 
 from truearm.errors import InputError
-from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
+from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 
 if TYPE_CHECKING:
     from truearm.types import Matrix  # which needs numpy
@@ -134,7 +134,7 @@ class Number:
 
     @property
     def suffixes(self) -> Sequence[str]:
-        return self.spelled or tuple(suffixes(self.si)) or NO_UNIT
+        return self.spelled or tuple(suffixes(self.si))
 
     def parse(self, raw: Any, suffix: str = "") -> float | None:
         if self.unknown and raw == UNKNOWN:
@@ -366,7 +366,7 @@ class Key:
     @property
     def spellings(self) -> Mapping[str, str]:
         """Return the names that it may have in a file, each with its suffix."""
-        return {f"{self.name}_{suffix}" if suffix else self.name: suffix for suffix in self.value.suffixes}
+        return {named(self.name, suffix): suffix for suffix in self.value.suffixes}
 
     def parse(self, raw: Any, spelled: str) -> Any:
         with at(spelled):

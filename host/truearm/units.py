@@ -70,14 +70,6 @@ KG = Scale("kg", "kg", "kg", 1.0, 1.0)
 PER_K = Scale("per_k", "1/K", "1/K", 1.0, 1.0)
 PPM_PER_K = Scale("ppm_per_k", "ppm/K", "1/K", 1e-6, 1e6)
 
-SUFFIXES: Mapping[str, Scale] = {
-    scale.suffix: scale
-    for scale in (
-        *(M, CM, MM, UM, INCH, RAD, DEG, MRAD, URAD, ONE, PPM),
-        *(S, MS, US, NS, M_S, MM_S, M_S2, RAD_S, DEG_S, DEGC, MDEGC, KG, PER_K, PPM_PER_K),
-    )
-}
-
 
 def micro(si: str) -> Scale:
     """Return the millionth of a unit that is not in SUFFIXES, such as a volt."""
@@ -88,19 +80,25 @@ def micro(si: str) -> Scale:
 class Unit:
     """An SI unit and its display.
 
-    ``scale``: its display unit. ``decimals``: of a value with its standard deviation. ``largest``: a larger number [SI]
-    was written in another unit. ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting
-    (``estimate.prior``); a parameter known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ
-    [SI] that represents no knowledge where a plan needs a finite one.
+    ``own``: the SI unit as a scale. ``scale``: its display unit. Keys and columns of files may be written in either.
+    ``decimals``: of a value with its standard deviation. ``largest``: a larger number [SI] was written in another unit.
+    ``weak_sigma`` and ``wide_sigma``: σ [SI] of a drawing, and of manual mounting (``estimate.prior``); a parameter
+    known less well than ``weak_sigma`` is hardly identifiable. ``vague_sigma``: σ [SI] that represents no knowledge
+    where a plan needs a finite one. ``others``: further scales that only some files or displays have.
     """
 
-    si: str
+    own: Scale
     scale: Scale
     decimals: int
     largest: float
     weak_sigma: float = math.nan
     wide_sigma: float = math.nan
     vague_sigma: float = 1.0
+    others: tuple[Scale, ...] = ()
+
+    @property
+    def si(self) -> str:
+        return self.own.si
 
     @property
     def symbol(self) -> str:
@@ -114,29 +112,37 @@ class Unit:
 UNITS: Mapping[str, Unit] = {
     unit.si: unit
     for unit in (
-        Unit("m", MM, 4, 100.0, 1e-3, 1e-2),
-        Unit("rad", DEG, 5, 20.0 * math.pi, 5e-3, 0.052),
-        Unit("1", ONE, 6, 100.0, 1e-3, 1e-2, 1e-2),
-        Unit("s", MS, 4, 100.0, 1e-3),
-        Unit("m/s", MM_S, 3, 100.0),
-        Unit("rad/s", DEG_S, 4, 20.0 * math.pi),
-        Unit("m/s2", M_S2, 3, 100.0),
-        Unit("degc", DEGC, 1, 200.0),
-        Unit("kg", KG, 3, 1e4),
-        Unit("1/K", PPM_PER_K, 2, 1e-2, 1e-5, 1e-4, 1e-4),
+        Unit(M, MM, 4, 100.0, 1e-3, 1e-2, others=(CM, UM, INCH)),
+        Unit(RAD, DEG, 5, 20.0 * math.pi, 5e-3, 0.052, others=(MRAD, URAD)),
+        Unit(ONE, ONE, 6, 100.0, 1e-3, 1e-2, 1e-2, others=(PPM,)),
+        Unit(S, MS, 4, 100.0, 1e-3, others=(US, NS)),
+        Unit(M_S, MM_S, 3, 100.0),
+        Unit(RAD_S, DEG_S, 4, 20.0 * math.pi),
+        Unit(M_S2, M_S2, 3, 100.0),
+        Unit(DEGC, DEGC, 1, 200.0, others=(MDEGC,)),
+        Unit(KG, KG, 3, 1e4),
+        Unit(PER_K, PPM_PER_K, 2, 1e-2, 1e-5, 1e-4, 1e-4),
     )
 }
 
+SUFFIXES: Mapping[str, Scale] = {
+    scale.suffix: scale for unit in UNITS.values() for scale in (unit.own, unit.scale, *unit.others)
+}
 
-def suffixes(
-    si: str,
-    of: Iterable[str] = (
-        *("m", "mm", "rad", "deg", "s", "ms", "m_s", "mm_s", "rad_s", "deg_s"),
-        *("m_s2", "degc", "kg", "per_k", "ppm_per_k"),
-    ),
-) -> dict[str, float]:
-    """Return the suffixes ``of`` that a quantity in an SI unit may have, each with the factor to SI; SI's own first."""
+
+def suffixes(si: str, of: Iterable[str] | None = None) -> dict[str, float]:
+    """Return the suffixes that a quantity in an SI unit may have, each with the factor to SI; SI's own first.
+
+    Default: SI's own and that of the display unit, otherwise those of ``of`` that belong to this unit.
+    """
+    if of is None:
+        return {scale.suffix: scale.scale for scale in (UNITS[si].own, UNITS[si].scale)}
     return {name: SUFFIXES[name].scale for name in of if SUFFIXES[name].si == si}
+
+
+def named(name: str, suffix: str) -> str:
+    """Return the name of a number in a file with the suffix of its unit; that of a ratio is empty."""
+    return f"{name}_{suffix}".rstrip("_")
 
 
 def length(name: str) -> Scale | None:
@@ -161,7 +167,7 @@ def symbol(si: str) -> str:
 
 def key(name: str, si: str) -> str:
     """Return the name of a number in a file, in its display unit: "rms_after_mm" for "rms_after" in "m"."""
-    return f"{name}_{UNITS[si].scale.suffix}".rstrip("_")
+    return named(name, UNITS[si].scale.suffix)
 
 
 def number(value: float, si: str, decimals: int | None = None) -> str:

@@ -179,7 +179,7 @@ WRONG = {
     ),
     "rotation sigma in m": (
         "kind,q1_rad,tracker,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,rotation_sigma_mm\npose,0,t,0,0,0,0,0,0,1\n",
-        "unit 'mm' is not known; use one of rad, deg",
+        "unit 'mm' is not known; use rotation_sigma_rad or rotation_sigma_deg",
     ),
     "pose without a turn": (
         "kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n",
@@ -189,7 +189,7 @@ WRONG = {
     "touch of no plane": ("kind,q1_rad,plane\nplane,0,\n", "a plane row needs a plane"),
     "speed of one joint": ("kind,q1_rad,q2_rad,qd1_rad_s,place,socket\nseat,0,0,0,a,0\n", "2 joint columns but 1"),
     "speed of a slide": ("kind,q1_rad,qd1_mm_s,place,socket\nseat,0,0,a,0\n", "qd1_mm_s: does not fit q1_rad"),
-    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use one of rad_s"),
+    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use qd1_rad_s or"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
     "a length of nothing": (GOOD.replace("460.25", "1e-300"), "row 2 column length_mm: '1e-300' is too small"),
     "mm called m": (GOOD.replace("length_mm", "length_m"), "in another unit"),

@@ -28,7 +28,11 @@ def test_a_unit_is_shown_in_a_scale_of_its_own(si):
     assert unit.scale is units.SUFFIXES[unit.scale.suffix]
     assert unit.factor * units.suffixes(si, units.SUFFIXES)[unit.scale.suffix] == pytest.approx(1.0, abs=1e-15)
     assert unit.largest > 0.0
-    assert units.SUFFIXES[next(iter(units.suffixes(si)), "")].scale == 1.0  # SI's own comes first
+    assert units.SUFFIXES[next(iter(units.suffixes(si)))].scale == 1.0  # SI's own comes first
+
+
+def test_every_scale_belongs_to_a_unit():
+    assert {one.suffix: one for one in vars(units).values() if isinstance(one, units.Scale)} == units.SUFFIXES
 
 
 def test_symbols_and_suffixes_name_one_scale_each():

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import completed, numbers_of
+from truearm.bounds import REPEATABILITY
+from truearm.cli.options import bounded, completed, numbers_of
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
 from truearm.units import DEG, MM, MRAD
@@ -55,9 +56,9 @@ RepeatabilityOption = Annotated[
     float | None,
     typer.Option(
         "--repeatability-mm",
-        min=0.0,
         metavar="MM",
         help="Repeatability of the bars, which the rig declares too. Default: 0.084.",
+        **bounded(REPEATABILITY, MM),
     ),
 ]
 TruthOutOption = Annotated[

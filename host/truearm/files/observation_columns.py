@@ -11,10 +11,15 @@ from truearm.errors import TableError
 from truearm.kinds import registry
 from truearm.schema import quoted
 from truearm.text import counted
-from truearm.units import SUFFIXES, suffixes
+from truearm.units import SUFFIXES, named, suffixes
 
-JOINTS = {"q": ("rad", "deg", "m", "mm"), "qd": ("rad_s", "deg_s", "m_s", "mm_s")}
-MEASURED_X = ("x_m", "x_mm")  # the only titles x_… that are not reserved for the user
+JOINTS = {
+    "q": (*suffixes("rad"), *suffixes("m")),
+    "qd": (*suffixes("rad/s"), *suffixes("m/s")),
+}
+MEASURED_X = tuple(
+    named("x", suffix) for suffix in suffixes("m")
+)  # the only titles x_… that are not reserved for the user
 
 
 class Column(NamedTuple):
@@ -68,11 +73,13 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(longest_first)})([0-9]{{0,3}})(?:_(\w*))?", title)
     if match is None or (match[2] != "") != (match[1] in JOINTS):
         raise TableError(f"{where}: is not a known column; {_suggestion(title)}")
-    quantity, unit, known = match[1] + match[2], match[3], units[match[1]]
-    if unit is None:
-        raise TableError(f"{where}: has no unit; name it {' or '.join(f'{quantity}_{u}' for u in known)}")
+    quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
+    if not unit and "" not in known:
+        raise TableError(f"{where}: has no unit; name it {' or '.join(named(quantity, u) for u in known)}")
     if unit not in known:
-        raise TableError(f"{where}: unit {quoted(unit)} is not known; use one of {', '.join(known)}")
+        raise TableError(
+            f"{where}: unit {quoted(unit)} is not known; use {' or '.join(named(quantity, u) for u in known)}"
+        )
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 
@@ -83,7 +90,7 @@ def sigma_column(si: str) -> str:
 
 def _suggestion(title: str) -> str:
     joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
-    numbers = [f"{quantity}_{unit}" for quantity, units in number_units().items() for unit in units]
+    numbers = [named(quantity, unit) for quantity, units in number_units().items() for unit in units]
     known = ["kind", *registry.identifiers(), *numbers, *joints]
     close = difflib.get_close_matches(title[:40].lower(), known, n=2)
     return f"did you mean {' or '.join(close)}?" if close else "begin its name with x_ if it is to be ignored"

@@ -26,7 +26,7 @@ from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
-from truearm.units import SMALLEST, SUFFIXES, UNITS, suffixes
+from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 
@@ -237,11 +237,11 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
     for quantity in registry.quantities():
         column = table.column(quantity.field, np.nan).reshape(len(table), -1)
         others |= {
-            f"{title}_{_own(quantity.unit)}": part for title, part in zip(quantity.columns, column.T, strict=False)
+            named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, column.T, strict=False)
         }
     for unit in registry.units():
         mine = [key for key, kind in registry.kinds().items() if kind.components[0] == unit]
-        others[f"sigma_{_own(unit)}"] = np.where(np.isin(table.kind, mine), table.sigma, np.nan)
+        others[named("sigma", _own(unit))] = np.where(np.isin(table.kind, mine), table.sigma, np.nan)
     others |= {f"qd{i}_{unit}_s": table.q_rate[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     return joints | {title: column for title, column in others.items() if not np.isnan(column).all()}
 

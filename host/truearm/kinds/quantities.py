@@ -43,9 +43,9 @@ class Quantity:
         """Return the columns as a person writes them: "length_mm or length_m", "x_mm, y_mm, z_mm (or _m)"."""
         first, *others = sorted(units.suffixes(self.unit), key=lambda suffix: suffix == self.unit)
         if len(self.columns) == 1:
-            return " or ".join(f"{self.columns[0]}_{suffix}" for suffix in (first, *others))
+            return " or ".join(units.named(self.columns[0], suffix) for suffix in (first, *others))
         rest = " ".join(f"(or _{suffix})" for suffix in others)
-        return f"{', '.join(f'{column}_{first}' for column in self.columns)} {rest}".rstrip()
+        return f"{', '.join(units.named(column, first) for column in self.columns)} {rest}".rstrip()
 
 
 LARGEST_NOISE = 0.1  # m: a decimetre of noise indicates another unit
