@@ -110,10 +110,10 @@ def identified(table, effects=()):
     return identify(CHAIN, RIG, table, free=FREE, prefer=FREE, options=SolverOptions(effects=tuple(effects)))
 
 
-def tool_error(estimate, plan):
+def tool_error(estimate, plan, true_tool=TOOL):
     """Return the true RMS error [m] of the tool over the planned poses."""
     params = estimate.value[: estimate.n_robot_parameters]
-    apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, TOOL)
+    apart = point_forward(CHAIN, params, plan.q, TOOL) - point_forward(CHAIN, TRUTH, plan.q, true_tool)
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 

@@ -33,6 +33,7 @@ from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
 from truearm.estimate.solution import Options
+from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
 from truearm.types import Defaults, Floats, ObservationTable, StillJoint
@@ -48,16 +49,23 @@ MOTION = 0.5  # rad, m: assumed motion of a still joint
 
 
 def choose_defaults(
-    chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, named: Mask, prior: bool
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: Mask,
+    named: Mask,
+    prior: bool,
+    effects: Sequence[Modelled] = (),
 ) -> tuple[Mask, Floats, Defaults]:
     """Return which of ``free`` (p,) to identify from the rows of a table, the σ (p,) of the prior (inf for none), and why.
 
     ``named`` (p,) are the parameters that the user asked for by name; these are never fixed. ``prior`` is whether a
-    prior may be used. Raises ProblemError for the same reasons as ``build_problem``.
+    prior may be used. ``effects`` are the systematic errors that the identification estimates too: what they explain is
+    not noise. Raises ProblemError for the same reasons as ``build_problem``.
     """
     if len(table) == 0:
         return free, np.full(free.size, np.inf), Defaults()
-    problem = build_problem(chain, rig, table)
+    problem = build_problem(chain, rig, table, None, effects)
     p = problem.n_robot
     rig_only = np.arange(problem.start.size) >= p
     x = fit(problem, rig_only, problem.start, Options()).x if rig_only.any() else problem.start
@@ -103,7 +111,7 @@ def with_frames(
     problem = build_problem(chain, rig, in_any_pose(chain, table))
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
-    root = _root(problem, value[: problem.start.size], free)
+    root = _root(problem, value, free)
     found = identifiability(root, int(free.sum()), names).null_space
     return replace(chosen, frames=tuple(direction for direction in found if held & set(direction.names)))
 
@@ -191,7 +199,11 @@ def _seen_by_moving_only(
 
 
 def _root(problem: Problem, x: Floats, free: Mask) -> Floats:
-    """Return the information of rows and rig at x (P,), without a prior of the robot; the robot's columns come first."""
+    """Return the information of rows and rig at x, without a prior of the robot; the robot's columns come first.
+
+    Of x, only the P values of the problem are used.
+    """
+    x = x[: problem.start.size]
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     sigma = np.where(np.arange(problem.start.size) < free.size, np.inf, problem.prior_sigma)[columns]
     seen = observe(settled(problem, x), x, columns)

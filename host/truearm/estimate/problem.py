@@ -159,15 +159,16 @@ def _errors(
 
 
 def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
-    """Return the problem with effects as its last parameters, with the weak prior.
+    """Return the problem with effects as its last parameters, with the wide prior.
 
-    The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. An
-    offset in all rows of an existing parameter is that parameter with an equally weak prior.
+    The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. It is
+    that of manual mounting: an effect is linear, so a larger one is better described by a rig of its own. An offset in
+    all rows of an existing parameter is that parameter with an equally wide prior.
     """
     named = {one.effect.parameter(one.column): one for one in effects}
-    weak = np.array([UNITS[unit].weak_sigma for unit in problem.units])
-    wider = np.isin(problem.names, list(named)) & (problem.prior_sigma < weak)
-    problem = replace(problem, prior_sigma=np.where(wider, weak, problem.prior_sigma))
+    wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
+    wider = np.isin(problem.names, list(named)) & (problem.prior_sigma < wide)
+    problem = replace(problem, prior_sigma=np.where(wider, wide, problem.prior_sigma))
     effects = [one for name, one in named.items() if name not in problem.names]
     if not effects:
         return problem
@@ -190,7 +191,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
         names=(*problem.names, *names),
         units=(*problem.units, *units),
         start=np.concatenate([problem.start, np.zeros(at.size)]),
-        prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].weak_sigma for unit in units]]),
+        prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].wide_sigma for unit in units]]),
         groups=with_effects(problem.groups, problem.errors.tool, at, profiles),
     )
 

@@ -34,16 +34,21 @@ the eigenvalues of V in units of that prior (Kass and Raftery 1995). Candidates 
 reported with it.
 
 **Several errors.** The columns of the best finding are added to Q and the rest is searched again, until nothing beyond
-chance is left.
+chance is left. Then each finding is tested again with all others as parameters. If one is not beyond chance any more,
+because another one explains the same residuals, the least probable is dropped and the search continues without its
+family. The reported figures are those of this joint test.
 
 **Gross errors.** If GROSS σ distort a fit, the first-order analysis shows only which rows distort it, so only blocks
 are searched.
 
 **Where the model is wrong anyway.** If χ²/ν is outside its range, the noise is unknown. A drop with d degrees of
-freedom is then also tested against the remaining unexplained variance, F(d, ν − d), and again with the sum of squares
-of each pose's score in place of V, since residuals of one pose have correlated errors. Smooth model errors can mimic
-many effects in the order of measurement, so a finding must also reduce the error on rows held out in contiguous
-stretches of that order.
+freedom is then tested against the remaining unexplained variance, F(d, ν − d), and in the joint test again with the sum
+of squares of each pose's score in place of V, since residuals of one pose have correlated errors. Along a path, poses
+that follow each other are close together, so smooth model errors are correlated in the order of measurement and can mimic
+steps in it. The variance of every sum over that order is therefore multiplied by 1 + 2 Σ ρ_k, with ρ_k the
+autocorrelation of the remaining residuals at a lag of k poses, summed as long as it is beyond chance (Bartlett 1946). A
+finding must also reduce the sum of squares of rows held out in contiguous stretches of the order by SURE standard errors,
+paired by pose.
 """
 
 from __future__ import annotations
@@ -80,7 +85,8 @@ SEEN = 1e-8  # share of a column's square that must remain after the parameters
 AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 STRETCHES, FOLDS = 40, 8  # of the order of measurement, to hold out
-LOWER = 2.0 * AS_LIKELY  # variances by which a finding must reduce the sum of squares of the held-out residuals
+SURE = 2.0  # standard errors, of the held-out reduction and of an autocorrelation
+LONGEST_LAG = 8  # of the poses, as a divisor, that autocorrelations are summed to
 
 
 class Measured(NamedTuple):
@@ -104,6 +110,10 @@ class FitChi2(NamedTuple):
     chi2: float
     freedom: float
     explained: bool
+
+    def more(self, drop: float, freedom: int) -> FitChi2:
+        """Return χ² with fewer parameters."""
+        return FitChi2(self.chi2 + drop, self.freedom + freedom, self.explained)
 
     def less(self, drop: float, freedom: int) -> FitChi2:
         """Return χ² with further parameters; after gross errors only rounding may be left."""
@@ -145,14 +155,52 @@ class _Family(NamedTuple):
 
 
 class _Best(NamedTuple):
-    """A family's most probable candidate, with the logarithms of its probability by chance in the family and of its evidence."""
+    """A family's most probable candidate, off in the fitted rows from ``first`` up to but excluding ``last``.
+
+    ``log_count`` is the logarithm of the number of candidates, ``log_p`` that of the probability of such a drop by
+    chance in the family, ``evidence`` that of its evidence. ``rivals`` explain the data nearly as well.
+    """
 
     family: _Family
-    at: int
+    first: int
+    last: int
     drop: float
     freedom: int
+    log_count: float
     log_p: float
     evidence: float
+    rivals: tuple[str, ...] = ()
+
+
+class _Test(NamedTuple):
+    """The rows of a fit to test: what can be off in them, how they were measured, χ², and the number of families.
+
+    ``inflation`` is the factor by which unexplained errors that are correlated in the order of measurement enlarge drops
+    of χ².
+    """
+
+    errors: Errors
+    rows: _Whitened
+    how: Measured
+    state: FitChi2
+    log_families: float
+    inflation: float = 1.0
+
+    def given(self, found: Sequence[_Best]) -> _Test:
+        """Return the test with some findings as further parameters."""
+        rows, state = self.rows, self.state
+        for one in found:
+            added = _directions(_effect_columns(one, self.errors, rows, self.how), rows.basis)
+            along = added.T @ rows.residual
+            rows = rows._replace(
+                basis=np.concatenate([rows.basis, added], axis=1), residual=rows.residual - added @ along
+            )
+            state = state.less(float(along @ along), along.size)
+        return self._replace(rows=rows, state=state)
+
+    def by_chance(self, log_p: float) -> bool:
+        """Return whether clean data give such a probability within a family more often than LEVEL."""
+        return log_p + self.log_families > math.log(LEVEL)
 
 
 def systematic_errors(
@@ -163,40 +211,113 @@ def systematic_errors(
     The module docstring describes the tests. None if nothing is found, and for a fit without degrees of freedom or with
     residuals that are not finite.
     """
-    rows = first = _whitened(problem, x, columns, fit)
+    rows = _whitened(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
         return None
     gross = goodness.chi2 > GROSS**2 * goodness.freedom
     every = list(_blocks(how) if gross else _families(problem.causes, problem.errors, rows, how))
+    test = _Test(problem.errors, rows, how, goodness, math.log(max(len(every), 1)))
     found: list[_Best] = []
-    rivals: list[tuple[str, ...]] = []
-    state, families = goodness, len(every)
-    while len(found) < MOST_FINDINGS:
-        searched = (_search(family, problem.errors, rows, how, state) for family in every)
-        beyond_chance = [of for of in searched if of is not None and of.log_p + math.log(families) <= math.log(LEVEL)]
+    while True:
+        searched = _searched(found, every, test)
+        found, inflation = _confirmed(searched, test)
+        dropped = [one.family for one in searched if all(one.family is not of.family for of in found)]
+        if not dropped:
+            break
+        every = [family for family in every if all(family is not of for of in dropped)]
+        test = test._replace(inflation=inflation)
+    if not found:
+        return None
+    after = test.given(found)
+    described, part = _described(found, test, after.state)
+    shift = np.zeros(x.size)
+    shift[columns] = -fit.root @ part
+    before, left = (_held_out(of, how)[_judging(after.rows, how)].sum() for of in (rows, after.rows))
+    ratio = math.sqrt(left / before) if before > 0.0 else math.nan
+    return SystematicErrors(described, after.state.chi2 / max(after.state.freedom, 1.0), shift, held_out_ratio=ratio)
+
+
+def _searched(found: Sequence[_Best], every: Sequence[_Family], test: _Test) -> list[_Best]:
+    """Return the findings followed by all others beyond chance, one after the other, each given those before it."""
+    out = list(found)
+    now = test.given(out)
+    while len(out) < MOST_FINDINGS:
+        candidates = [_search(family, now) for family in every]
+        beyond_chance = [of for of in candidates if of is not None and not test.by_chance(of.log_p)]
         if not beyond_chance:
             break
         best = max(beyond_chance, key=lambda of: of.evidence)
-        added = _directions(_effect_columns(best, problem.errors, rows, how), rows.basis)
-        more = rows._replace(
-            basis=np.concatenate([rows.basis, added], axis=1),
-            residual=rows.residual - added @ (added.T @ rows.residual),
-        )
-        if not (goodness.explained or _survives(best, added, rows, more, how, math.log(families))):
-            every = [family for family in every if family is not best.family]
-            continue
         near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
-        rivals.append(tuple(_label(of, how) for of in near if of.evidence > best.evidence - AS_LIKELY))
-        found.append(best)
-        rows, state = more, state.less(best.drop, best.freedom)
-    if not found:
-        return None
-    described, part = _described(found, rivals, problem.errors, first, how, state, families)
-    shift = np.zeros(x.size)
-    shift[columns] = -fit.root @ part
-    before, after = (_held_out(of, _stretches(how))[_judging(rows, how)].sum() for of in (first, rows))
-    ratio = math.sqrt(after / before) if before > 0.0 else math.nan
-    return SystematicErrors(described, state.chi2 / max(state.freedom, 1.0), shift, held_out_ratio=ratio)
+        rivals = tuple(
+            _label(_in_fewer_rows(of, now), test.how) for of in near if of.evidence > best.evidence - AS_LIKELY
+        )
+        best = _in_fewer_rows(best._replace(rivals=rivals), now)
+        out.append(best)
+        now = now.given([best])
+    return out
+
+
+def _in_fewer_rows(best: _Best, test: _Test) -> _Best:
+    """Return a step that is off before its row instead of from it on, if these are fewer rows and the data are the same.
+
+    They are the same if the parameters follow the item's error in all rows: where the base or a tracker stood is
+    unknown, only that it moved is known. The robot is then described as in most rows.
+    """
+    cause, n = best.family.cause, test.how.row.size
+    if cause is None or best.family.drift or not 0 < best.first < n - best.first or best.last < n:
+        return best
+    by = _columns(cause, test.errors, test.rows)
+    followed = not _left(by.T @ by, by.T @ test.rows.basis)[2].any()
+    return best._replace(first=0, last=best.first) if followed else best
+
+
+def _confirmed(found: Sequence[_Best], test: _Test) -> tuple[list[_Best], float]:
+    """Return the findings that hold with all others as parameters, with their figures of this joint test.
+
+    Also returns the inflation of drops of χ² by the errors that remain.
+    """
+    left = list(found)
+    while True:
+        together = test.given(left)
+        together = together._replace(inflation=1.0 if test.state.explained else _inflation(together.rows, test.how))
+        again = _jointly(left, test, together)
+        worst = max(range(len(left)), key=lambda i: again[i].log_p, default=None)
+        if worst is None or not test.by_chance(again[worst].log_p):
+            return again, together.inflation
+        del left[worst]
+
+
+def _jointly(found: Sequence[_Best], test: _Test, together: _Test) -> list[_Best]:
+    """Return the findings, each with its figures given all others; a probability of 1 if held-out rows do not confirm it.
+
+    ``together`` is the ``test`` with all of them as parameters, along ``along`` (m, D). The directions of one that are
+    not those of the others are found among these D.
+    """
+    along = together.rows.basis[:, test.rows.basis.shape[1] :]
+    columns = [_effect_columns(one, test.errors, test.rows, test.how) for one in found]
+    ways, step = [along.T @ of for of in columns], along.T @ test.rows.residual
+    again = []
+    for i, (one, by) in enumerate(zip(found, columns, strict=True)):
+        others = _span_of([of for k, of in enumerate(ways) if k != i], along.shape[1])
+        left = ways[i] - others @ (others.T @ ways[i])
+        values, vectors = np.linalg.eigh(left.T @ left)
+        seen = values > SEEN * np.trace(by.T @ by)
+        own = left @ vectors[:, seen] / np.sqrt(values[seen])
+        drop, freedom = float(((own.T @ step) ** 2).sum()), own.shape[1]
+        state = together.state.more(drop, freedom)
+        log_p = float(_log_chance(np.array([drop / together.inflation]), np.array([freedom]), state)[0])
+        if not (state.explained or test.by_chance(log_p + one.log_count)):
+            log_p = max(log_p, _with_unknown_noise(one, own, test, together))
+        again.append(one._replace(drop=drop, freedom=freedom, log_p=min(log_p + one.log_count, 0.0)))
+    return again
+
+
+def _span_of(ways: Sequence[Floats], size: int) -> Floats:
+    """Return an orthonormal basis (size, r) of some columns (size, ·)."""
+    if not ways:
+        return np.zeros((size, 0))
+    basis, weight, _ = np.linalg.svd(np.concatenate(ways, axis=1), full_matrices=False)
+    return np.asarray(basis[:, weight > math.sqrt(SEEN) * weight.max(initial=0.0)])
 
 
 def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted) -> _Whitened:
@@ -275,7 +396,7 @@ def _families(causes: Sequence[Cause], errors: Errors, rows: _Whitened, how: Mea
                 mine = np.flatnonzero(how.session == number)
                 for drift in DriftWith:
                     family = _Family(cause, mine[:1], mine[-1:] + 1, drift)
-                    along = how.table.during(drift, *_span(family, 0, how))
+                    along = how.table.during(drift, *_span(mine[0], mine[-1] + 1, how))
                     if along is not None and (drift is DriftWith.TIME or np.ptp(along) >= LEAST_WARMING):
                         yield family
     yield from _blocks(how)
@@ -300,14 +421,15 @@ def _even(values: Indices, most: int) -> Indices:
     return values if values.size <= most else values[np.linspace(0, values.size - 1, most).astype(np.intp)]
 
 
-def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, state: FitChi2) -> _Best | None:
+def _search(family: _Family, test: _Test) -> _Best | None:
     """Return the family's best candidate, or None if the parameters can follow all of them."""
+    errors, rows, how, state = test.errors, test.rows, test.how, test.state
     if family.cause is None:
         drop, freedom, known = _block_drops(family, rows)
     else:
         by = _columns(family.cause, errors, rows)
         if family.drift:
-            by = _with_offset(by, _profile(family, 0, how)[rows.row])
+            by = _with_offset(by, _profile(family.drift, family.first[0], family.last[0], how)[rows.row])
         drop, freedom, known = _drops(by, family, rows)
     if not freedom.any():
         return None
@@ -318,8 +440,9 @@ def _search(family: _Family, errors: Errors, rows: _Whitened, how: Measured, sta
     log_count = math.log((freedom > 0).sum())
     evidence = half_drop - np.log1p(known / variance[:, None]).sum(axis=1) / 2.0 - log_count
     at = int(np.argmax(np.where(freedom > 0, evidence, -np.inf)))
-    log_p = float(_log_chance(drop[[at]], freedom[[at]], state)[0]) + log_count
-    return _Best(family, at, float(drop[at]), int(freedom[at]), log_p, float(evidence[at]))
+    log_p = float(_log_chance(drop[[at]] / test.inflation, freedom[[at]], state)[0]) + log_count
+    first, last = int(family.first[at]), int(family.last[at])
+    return _Best(family, first, last, float(drop[at]), int(freedom[at]), log_count, log_p, float(evidence[at]))
 
 
 def _columns(cause: Cause, errors: Errors, rows: _Whitened) -> Floats:
@@ -405,29 +528,27 @@ def _effect(best: _Best, how: Measured) -> Effect | None:
     """Return the candidate as an effect in rows of the user's table."""
     if best.family.cause is None:
         return None
-    first, last = _span(best.family, best.at, how)
+    first, last = _span(best.first, best.last, how)
     return Effect(best.family.cause.name, first, None if last == how.total else last, best.family.drift)
 
 
-def _span(family: _Family, at: int, how: Measured) -> tuple[int, int]:
-    """Return the first row and the one after the last in the user's table."""
-    n, first, last = how.row.size, int(family.first[at]), int(family.last[at])
-    return (int(how.row[first]) if first else 0), (how.total if last == n else int(how.row[last]))
+def _span(first: int, last: int, how: Measured) -> tuple[int, int]:
+    """Return the first row and the one after the last in the user's table, from those among the fitted rows."""
+    return (int(how.row[first]) if first else 0), (how.total if last == how.row.size else int(how.row[last]))
 
 
-def _profile(family: _Family, at: int, how: Measured) -> Floats:
+def _profile(drift: DriftWith | None, first: int, last: int, how: Measured) -> Floats:
     """Return the profile (n + 1,) over the fitted rows, with 0 for knowledge."""
-    first, last = _span(family, at, how)
-    return np.append(profile(Effect("", first, last, family.drift), how.table)[how.row], 0.0)
+    return np.append(profile(Effect("", *_span(first, last, how), drift), how.table)[how.row], 0.0)
 
 
 def _effect_columns(best: _Best, errors: Errors, rows: _Whitened, how: Measured) -> Floats:
     """Return the effect's change (m, d) of the whitened predictions; for a block, one column per residual."""
     if best.family.cause is None:
-        a, b = np.searchsorted(rows.row, [best.family.first[best.at], best.family.last[best.at]])
+        a, b = np.searchsorted(rows.row, [best.first, best.last])
         return np.eye(rows.row.size, b - a, -a)
     by = _columns(best.family.cause, errors, rows)
-    profile_of_rows = _profile(best.family, best.at, how)[rows.row]
+    profile_of_rows = _profile(best.family.drift, best.first, best.last, how)[rows.row]
     return _with_offset(by, profile_of_rows) if best.family.drift else np.asarray(by * profile_of_rows[:, None])
 
 
@@ -447,27 +568,53 @@ def _directions(by: Floats, basis: Floats) -> Floats:
     return np.asarray(left @ (vectors[:, seen] / np.sqrt(values[seen])))
 
 
-def _survives(best: _Best, added: Floats, rows: _Whitened, more: _Whitened, how: Measured, log_families: float) -> bool:
-    """Return whether a finding holds with unknown noise: by pose, and on held-out rows."""
-    scores, mine = np.zeros((int(how.pose.max()) + 1, added.shape[1])), rows.row < how.row.size
-    np.add.at(scores, how.pose[rows.row[mine]], (added * more.residual[:, None])[mine])
-    found = added.T @ rows.residual
-    if best.family.cause is not None:
+def _with_unknown_noise(one: _Best, own: Floats, test: _Test, together: _Test) -> float:
+    """Return the log probability of a finding by chance where the noise is unknown; 0 if held-out rows do not confirm it.
+
+    ``together`` is the ``test`` with all findings as parameters along D further directions, of which ``own`` (D, d) are
+    this finding's.
+    """
+    rows, how, basis = together.rows, test.how, test.rows.basis
+    mine, along = rows.row < how.row.size, rows.basis[:, basis.shape[1] :]
+    pose, added = how.pose[rows.row[mine]], along @ own
+    found = added.T @ test.rows.residual
+    log_p = -math.inf  # of rows left out there is no score
+    if one.family.cause is not None:
+        scores = np.zeros((int(pose.max()) + 1, found.size))
+        np.add.at(scores, pose, (added * rows.residual[:, None])[mine])
         values, vectors = np.linalg.eigh(scores.T @ scores)
         if values[0] <= 0.0:
-            return False
-        robust = (vectors.T @ found) ** 2 / values
-        chance = _log_chance(robust.sum(keepdims=True), np.array([found.size]), FitChi2(0.0, 0.0, True))
-        if chance[0] + math.log(best.family.first.size) + log_families > math.log(LEVEL):
-            return False
-    variance = float(more.residual @ more.residual) / max(more.residual.size - more.basis.shape[1], 1)
-    gain = _held_out(rows, _stretches(how)) - _held_out(more, _stretches(how))
-    return bool(gain[_judging(more, how)].sum() > LOWER * variance)
+            return 0.0
+        robust = (vectors.T @ found) ** 2 / (values * together.inflation)
+        noise_known = FitChi2(0.0, 0.0, True)
+        log_p = float(_log_chance(robust.sum(keepdims=True), np.array([values.size]), noise_known)[0])
+        if test.by_chance(log_p + one.log_count):
+            return log_p
+    rest = np.linalg.svd(own)[0][:, own.shape[1] :]
+    without = rows._replace(basis=np.concatenate([basis, along @ rest], axis=1), residual=rows.residual + added @ found)
+    gain, judging = _held_out(without, how) - _held_out(rows, how), _judging(rows, how)[mine]
+    of_pose = np.bincount(pose[judging], gain[mine][judging])[np.unique(pose[judging])]
+    error = math.sqrt(of_pose.size * float(of_pose.var()) * together.inflation)
+    return log_p if of_pose.sum() > SURE * error else 0.0
 
 
-def _stretches(how: Measured) -> Indices:
-    """Return the stretch (n,) of the order of measurement that each row belongs to."""
-    return np.asarray((np.arange(how.row.size) * STRETCHES) // how.row.size)
+def _inflation(rows: _Whitened, how: Measured) -> float:
+    """Return the ratio of the variance of sums over consecutive poses to that of sums over independent ones, at least 1."""
+    mine = rows.row < how.row.size
+    order = np.argsort(how.pose[rows.row[mine]], kind="stable")
+    pose, residual = how.pose[rows.row[mine]][order], rows.residual[mine][order]
+    place = np.arange(pose.size) - np.searchsorted(pose, pose)
+    series = np.zeros((int(pose[-1]) + 1, int(place.max()) + 1))
+    series[pose, place] = residual
+    variance, total = float((series**2).sum()), 1.0
+    if variance <= 0.0:
+        return total
+    for lag in range(1, len(series) // LONGEST_LAG):
+        correlation = float((series[:-lag] * series[lag:]).sum()) / variance
+        if correlation < SURE / math.sqrt(series.size):
+            break
+        total += 2.0 * correlation
+    return total
 
 
 def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
@@ -475,8 +622,12 @@ def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
     return np.asarray((np.einsum("ij,ij->i", rows.basis, rows.basis) < 1.0 - SEEN) & (rows.row < how.row.size))
 
 
-def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
-    """Return squared residuals (m,) of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F."""
+def _held_out(rows: _Whitened, how: Measured) -> Floats:
+    """Return squared residuals (m,) of each row by the fit without its fold, linearised: (I − Q_F Q_Fᵀ)⁻¹ e_F.
+
+    A fold is every FOLDS-th of STRETCHES contiguous stretches of the order of measurement.
+    """
+    stretch = (np.arange(how.row.size) * STRETCHES) // how.row.size
     out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is never held out
     for number in range(FOLDS):
         mine = fold == number
@@ -488,36 +639,32 @@ def _held_out(rows: _Whitened, stretch: Indices) -> Floats:
 
 def _label(best: _Best, how: Measured) -> str:
     effect = _effect(best, how)
-    first, last = _span(best.family, best.at, how)
+    first, last = _span(best.first, best.last, how)
     return f"rows {first + 1} to {last}" if effect is None else str(effect)
 
 
-def _described(
-    found: Sequence[_Best],
-    rivals: Sequence[tuple[str, ...]],
-    errors: Errors,
-    rows: _Whitened,
-    how: Measured,
-    state: FitChi2,
-    families: int,
-) -> tuple[tuple[SystematicError, ...], Floats]:
-    """Return the findings with their sizes, from a fit of all of them together, and their effect (r,) along Q."""
+def _described(found: Sequence[_Best], test: _Test, after: FitChi2) -> tuple[tuple[SystematicError, ...], Floats]:
+    """Return the findings with their sizes, from a fit of all of them together, and their effect (r,) along Q.
+
+    ``after`` is χ² of that fit.
+    """
+    errors, rows, how = test.errors, test.rows, test.how
     parts = [_effect_columns(best, errors, rows, how) for best in found]
     by = np.concatenate(parts, axis=1)
     values, vectors, seen = _left(by.T @ by, by.T @ rows.basis)
     root = vectors[:, seen] / np.sqrt(values[seen])
-    scale = 1.0 if state.explained else max(math.sqrt(state.chi2 / max(state.freedom, 1.0)), 1.0)
+    scale = 1.0 if after.explained else max(math.sqrt(after.chi2 / max(after.freedom, 1.0)), 1.0)
     value, covariance = root @ (root.T @ (by.T @ rows.residual)), scale**2 * root @ root.T
     unseen = np.abs(vectors[:, ~seen]).max(axis=1, initial=0.0) > 1e-6 * np.abs(vectors).max(axis=1)
     out, at = [], 0
-    for best, part, near in zip(found, parts, rivals, strict=True):
+    for best, part in zip(found, parts, strict=True):
         numbers = () if best.family.cause is None else best.family.cause.numbers
         mine = slice(at, at + (len(numbers) or part.shape[1]))  # for a drift, without its offset
         at += part.shape[1]
         off_by = _off_by(numbers, errors, value[mine], covariance[mine, mine], unseen[mine])
-        chance = math.exp(min(best.log_p + math.log(families), 0.0))
-        span, effect = _span(best.family, best.at, how), _effect(best, how)
-        out.append(SystematicError(effect, span, *off_by, best.drop, best.freedom, chance, near))
+        chance = math.exp(min(best.log_p + test.log_families, 0.0))
+        span, effect = _span(best.first, best.last, how), _effect(best, how)
+        out.append(SystematicError(effect, span, *off_by, best.drop, best.freedom, chance, best.rivals))
     return tuple(out), rows.basis.T @ (by @ value)
 
 

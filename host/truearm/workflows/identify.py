@@ -15,7 +15,7 @@ from truearm.arguments import check_fields
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.defaults import choose_defaults, with_frames
-from truearm.estimate.identify import SolverOptions, rows_left_out
+from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.prediction import predicted_point_error
@@ -315,7 +315,9 @@ def identified(
     if unused.all():
         raise ProblemError("no observations are left to fit; hold out or leave out fewer")
     fitted = table.select(~unused)
-    free, weak, chosen = choose_defaults(chain, rig, fitted, selection.free, named, prior is Prior.DEFAULT)
+    effects = tuple(map(parse_effect, options.allow))
+    allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
+    free, weak, chosen = choose_defaults(chain, rig, fitted, selection.free, named, prior is Prior.DEFAULT, allowed)
     sigma = weak if prior is Prior.DEFAULT else prior_named(chain, prior)
     if prior is Prior.DEFAULT and not chosen.believed:
         prior = Prior.NONE
@@ -331,13 +333,13 @@ def identified(
             loss=options.loss,
             max_iterations=options.max_iterations,
             progress=progress,
-            effects=tuple(map(parse_effect, options.allow)),
+            effects=effects,
             leave_out=leave_out,
             reject=True,
         ),
         prefer=default_free(robot),
     )
-    request = LawRequest(LawMode(options.joint_laws), sigma, tuple(map(parse_effect, options.allow)), robot.gravity)
+    request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
     with step("trying other interpretations of the inputs"):
