@@ -608,7 +608,7 @@ class Unusable(StrEnum):
     """Why a fit is not usable."""
 
     NOT_CONVERGED = "not converged"
-    WRONG_INPUTS = "wrong inputs"  # residuals that another interpretation of the inputs explains
+    WRONG_INPUTS = "wrong inputs"  # another interpretation of the inputs explains the observations better
     RESIDUALS = "residuals"  # residuals that nothing explains
 
 
@@ -692,7 +692,7 @@ class SystematicError:
     """A systematic error in the rows of a fit that chance does not explain (``estimate.systematic``).
 
     ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows`` are the first row and
-    the one after the last. ``size`` ± ``sigma`` is the norm of those values in ``off_by`` that have the ``unit`` of the
+    the one after the last, ``within`` the range of each of the two, with a probability of 95 %. ``size`` ± ``sigma`` is the norm of those values in ``off_by`` that have the ``unit`` of the
     first one. ``drop`` is the reduction of χ² if the error becomes a parameter (or if these rows are left out), with
     ``freedom`` degrees of freedom. ``chance`` is the probability that clean data give such a finding anywhere.
     ``rivals`` explain the data nearly as well.
@@ -700,6 +700,7 @@ class SystematicError:
 
     effect: Effect | None
     rows: tuple[int, int]
+    within: tuple[tuple[int, int], tuple[int, int]]
     off_by: tuple[OffBy, ...]
     unit: str  # SI; "" for a block of rows
     size: float

@@ -188,7 +188,10 @@ def test_suspects_are_named_the_farthest_first():
 
 def test_a_fit_that_is_not_usable_is_the_headline_and_what_explains_it_the_first_doubt():
     page = make_page(20)
-    said = ("This fit is not usable. Residuals of 43.0 mm RMS remain.", "This explains the observations: labels.")
+    said = (
+        "This fit is not usable. Its inputs are probably wrong. Residuals of 43.0 mm RMS remain.",
+        "This explains the observations: labels.",
+    )
     bad = replace(page, estimate=replace(page.estimate, unusable=Unusable.WRONG_INPUTS), usability=said)
     assert (verdict(bad), caveats(bad)[0]) == said
     assert "times smaller" not in render(bad)

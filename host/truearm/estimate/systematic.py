@@ -82,6 +82,7 @@ AT_ONCE = 100_000  # derivatives of each component, 0.8 MB: observations of so m
 SPANS = 64  # tested at once
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
+LIKELY = 0.95  # that an error begins and ends within the rows named
 AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 STRETCHES, FOLDS = 40, 8  # of the order of measurement, to hold out
@@ -157,6 +158,7 @@ class _Family(NamedTuple):
 class _Best(NamedTuple):
     """A family's most probable candidate, off in the fitted rows from ``first`` up to but excluding ``last``.
 
+    ``within`` is the range of each of the two, of candidates that together have the probability LIKELY.
     ``log_count`` is the logarithm of the number of candidates, ``log_p`` that of the probability of such a drop by
     chance in the family, ``evidence`` that of its evidence. ``rivals`` explain the data nearly as well.
     """
@@ -169,6 +171,7 @@ class _Best(NamedTuple):
     log_count: float
     log_p: float
     evidence: float
+    within: tuple[tuple[int, int], tuple[int, int]]
     rivals: tuple[str, ...] = ()
 
 
@@ -268,7 +271,7 @@ def _in_fewer_rows(best: _Best, test: _Test) -> _Best:
         return best
     by = _columns(cause, test.errors, test.rows)
     followed = not _left(by.T @ by, by.T @ test.rows.basis)[2].any()
-    return best._replace(first=0, last=best.first) if followed else best
+    return best._replace(first=0, last=best.first, within=((0, 0), best.within[0])) if followed else best
 
 
 def _confirmed(found: Sequence[_Best], test: _Test) -> tuple[list[_Best], float]:
@@ -439,10 +442,36 @@ def _search(family: _Family, test: _Test) -> _Best | None:
         half_drop, variance = np.log(state.chi2 / left) * state.freedom / 2.0, left / max(state.freedom, 1.0)
     log_count = math.log((freedom > 0).sum())
     evidence = half_drop - np.log1p(known / variance[:, None]).sum(axis=1) / 2.0 - log_count
-    at = int(np.argmax(np.where(freedom > 0, evidence, -np.inf)))
+    evidence = np.where(freedom > 0, evidence, -np.inf)
+    at = int(np.argmax(evidence))
     log_p = float(_log_chance(drop[[at]] / test.inflation, freedom[[at]], state)[0]) + log_count
     first, last = int(family.first[at]), int(family.last[at])
-    return _Best(family, first, last, float(drop[at]), int(freedom[at]), log_count, log_p, float(evidence[at]))
+    return _Best(
+        family,
+        first,
+        last,
+        float(drop[at]),
+        int(freedom[at]),
+        log_count,
+        log_p,
+        float(evidence[at]),
+        _within(family, evidence),
+    )
+
+
+def _within(family: _Family, evidence: Floats) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the ranges of ``first`` and ``last`` of the family's most probable candidates (w,), up to the next ones."""
+    order = np.argsort(-evidence, kind="stable")
+    share = np.cumsum(np.exp(evidence[order] - evidence[order[0]]))
+    likely = order[: int(np.searchsorted(share, LIKELY * share[-1])) + 1]
+
+    def span(values: Indices) -> tuple[int, int]:
+        every = np.unique(values)
+        low, high = np.searchsorted(every, [values[likely].min(), values[likely].max()])
+        before, after = every[max(low - 1, 0)], every[min(high + 1, every.size - 1)]
+        return int(before + 1 if low else before), int(after - 1 if high + 1 < every.size else after)
+
+    return span(family.first), span(family.last)
 
 
 def _columns(cause: Cause, errors: Errors, rows: _Whitened) -> Floats:
@@ -664,7 +693,9 @@ def _described(found: Sequence[_Best], test: _Test, after: FitChi2) -> tuple[tup
         off_by = _off_by(numbers, errors, value[mine], covariance[mine, mine], unseen[mine])
         chance = math.exp(min(best.log_p + test.log_families, 0.0))
         span, effect = _span(best.first, best.last, how), _effect(best, how)
-        out.append(SystematicError(effect, span, *off_by, best.drop, best.freedom, chance, best.rivals))
+        (first, last), (first_most, last_most) = (_span(*of, how) for of in zip(*best.within, strict=True))
+        within = (first, first_most), (last, last_most)
+        out.append(SystematicError(effect, span, within, *off_by, best.drop, best.freedom, chance, best.rivals))
     return tuple(out), rows.basis.T @ (by @ value)
 
 

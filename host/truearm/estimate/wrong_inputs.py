@@ -121,6 +121,9 @@ def diagnosed(
     elif elsewhere(estimate) or (finished is not None and max(finished.moved, finished.shifted) > FAR):
         explanations, labels = _as_described(chain, rig, table, estimate.fitted, free, robots or {})
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
+    if any(one.what is not WrongInput.HELD for one in explanations):
+        # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
+        estimate = replace(estimate, systematic=None)
     return replace(estimate, unusable=_unusable(estimate))
 
 
@@ -210,7 +213,7 @@ def _unusable(estimate: Estimate) -> Unusable | None:
         return Unusable.NOT_CONVERGED
     if any(one.what is WrongInput.HELD for one in estimate.explanations):
         return None
-    if estimate.explanations and _beyond(estimate, "weak_sigma"):
+    if estimate.explanations:
         return Unusable.WRONG_INPUTS
     return Unusable.RESIDUALS if _beyond(estimate, "wide_sigma") else None
 
@@ -478,10 +481,19 @@ def _by_labels(labels: Search, table: ObservationTable, n: int) -> Iterator[_Fou
     if before is not None and after is not None:
         text = "; ".join(label_sentences(labels.found, table))
         if before.moved > FAR and after.moved < NEAR and after.reduced > HUNDREDFOLD * before.reduced:
-            text += "; alternatively, base or tool is mounted rotated"
+            text += "; or base or tool is mounted rotated, which the robot file should then describe"
         chance = math.exp(labels.log_chance)
-        explanation = Explanation(WrongInput.LABELS, text, "", n, before.rms, after.rms, chance)
+        explanation = Explanation(
+            WrongInput.LABELS, text, _few_in_one_run(labels.found, n), n, before.rms, after.rms, chance
+        )
         yield _Found(explanation, after, math.log(after.reduced / before.reduced))
+
+
+def _few_in_one_run(found: Sequence[Relabelling], n: int) -> str:
+    """Return the rows with a wrong label as rows to leave out, if they follow each other and are few of ``n``; otherwise ""."""
+    rows = sorted(row for one in found for row in one.rows)
+    together = rows[-1] - rows[0] == len(rows) - 1
+    return f"{rows[0] + 1}:{rows[-1] + 1}" if together and len(rows) <= n // 2 else ""
 
 
 def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:

@@ -391,6 +391,8 @@ def _systematic(found: SystematicError, table: ObservationTable) -> dict[str, An
         "what": None if effect is None else effect.what,
         "form": found.form.value,
         "rows": [first + 1, last],
+        "first_within": [row + 1 for row in found.within[0]],
+        "last_within": list(found.within[1]),
         "from": _source(table, first),
         "to": _source(table, last - 1),
         "unit": found.unit or None,

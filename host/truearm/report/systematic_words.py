@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, assert_never
 
 from truearm.text import counted, one_line
@@ -40,7 +40,7 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
 def _sentence(entry: Mapping[str, Any]) -> str:
     first, last = entry["rows"]
     places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
-    rows = f"rows {first} to {last} ({places})"
+    rows = f"rows {_about(first, entry['first_within'])} to {_about(last, entry['last_within'])} ({places})"
     freedom = counted(entry["freedom"], "degree of freedom", "degrees of freedom")
     gain = f"χ² falls by {entry['chi2_drop']:.4g} with {freedom}"
     match ErrorForm(entry["form"]):
@@ -57,6 +57,12 @@ def _sentence(entry: Mapping[str, Any]) -> str:
     if entry["rivals"]:
         line += f" Other possible explanations: {', '.join(map(one_line, entry['rivals']))}."
     return line
+
+
+def _about(row: int, within: Sequence[int]) -> str:
+    """Return a row's number, and how far off it may be."""
+    off = max(row - within[0], within[1] - row)
+    return f"{row}±{off}" if off else str(row)
 
 
 def _along(entry: Mapping[str, Any]) -> str:

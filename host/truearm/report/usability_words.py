@@ -38,7 +38,10 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
         lead = "This explains the observations" if i == 0 else "This explains them too"
         text = one_line(one["text"])
         fits = f"RMS {_sizes(one, 'rms')} in a quick fit, {_sizes(one, 'rms_given')} as given"
-        apply = "".join(f"; {argument(name)} {value}" for name, value in (one["apply"] or {}).items())
+        apply = "".join(
+            f"; {argument(name)} {value} (rows numbered from 1 over all inputs)"
+            for name, value in (one["apply"] or {}).items()
+        )
         lines.append(f"{lead}: {text} ({fits}){apply}.")
     if explanations:
         lines.append("Everything below is for the inputs as given.")
@@ -50,7 +53,7 @@ def _because(unusable: Unusable, document: Document) -> str:
         case Unusable.NOT_CONVERGED:
             return f"It did not converge: {one_line(document['message'])}."
         case Unusable.WRONG_INPUTS:
-            return f"Residuals of {_sizes(document, 'rms_after')} RMS remain."
+            return f"Its inputs are probably wrong. Residuals of {_sizes(document, 'rms_after')} RMS remain."
         case Unusable.RESIDUALS:
             return (
                 f"Residuals of {_sizes(document, 'rms_after')} RMS remain, more than the errors of any arm. Check the robot, the units, the "
