@@ -1,31 +1,18 @@
 """The report page with all its sections, read by a parser and a browser."""
 
 import html
-import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import needs_browser, probed
 from report_bench import Strict, drawings, full_page, titles
 
 from truearm.report.calibration_page import render
 
 # --- the page in a browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-QUIET = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 # A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width. The page
 # inside is the unchanged one; the script stands in the frame around it, since the page's own policy would stop it.
 AROUND = """<!DOCTYPE html><meta name="color-scheme" content="light dark"><iframe id="page" width="WIDTH" height="900"
@@ -55,19 +42,8 @@ onload = () => {
 
 def look(page, folder, width, dark):
     """The page laid out by the browser: what the probe found."""
-    path = folder / "around.html"
-    whole = AROUND.replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
-    path.write_text(whole, encoding="utf-8")
-    theme = ("--blink-settings=preferredColorScheme=0",) if dark else ()
-    profile = f"--user-data-dir={folder / 'profile'}"
-    run = subprocess.run(
-        [CHROMIUM, *QUIET, *theme, profile, "--window-size=1400,1000", "--dump-dom", path.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    return json.loads(html.unescape(re.search(r'<pre id="probe">(.*?)</pre>', run.stdout, re.S).group(1)))
+    around = AROUND.replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
+    return probed(folder, around, *(("--blink-settings=preferredColorScheme=0",) if dark else ()))
 
 
 def luminance(colour):
@@ -105,9 +81,7 @@ UNITLESS = {
 }
 
 
-@pytest.mark.skipif(
-    CHROMIUM is None, reason="no browser: install chromium (apt-get install chromium) to lay out the page"
-)
+@needs_browser
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
 def test_in_a_browser(tmp_path, width, dark):

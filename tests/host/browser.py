@@ -1,0 +1,84 @@
+"""A browser for tests: how wide pages are laid out, and what they print on A4."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="no browser: install chromium (apt-get install chromium) to lay out the pages"
+)
+needs_printer = pytest.mark.skipif(
+    CHROMIUM is None or shutil.which("pdftotext") is None,
+    reason="no browser or no PDF reader: apt-get install chromium poppler-utils to print the pages",
+)
+QUIET = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--allow-file-access-from-files",  # a page around others can read how they are laid out
+)
+A4_PT = (595.0, 842.0)
+MARGIN_PT = 14.0 / 25.4 * 72.0  # of page.css
+
+# A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width.
+_FRAMES = """<!DOCTYPE html>{frames}<pre id="probe"></pre><script>
+onload = () => {{ document.getElementById('probe').textContent = JSON.stringify(
+  [...document.querySelectorAll('iframe')].map(f => f.contentDocument.documentElement.scrollWidth)); }};
+</script>"""
+
+
+def browse(folder: Path, *arguments: str) -> str:
+    """Run the browser with a profile in ``folder``; return what it prints."""
+    command = [CHROMIUM, *QUIET, f"--user-data-dir={folder / 'profile'}", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+def probed(folder: Path, around: str, *arguments: str):
+    """Load a page that writes JSON into its element "probe"; return what it wrote."""
+    path = folder / "around.html"
+    path.write_text(around, encoding="utf-8")
+    dom = browse(folder, *arguments, "--window-size=1400,1000", "--dump-dom", path.as_uri())
+    return json.loads(html.unescape(re.search(r'<pre id="probe">(.*?)</pre>', dom, re.S).group(1)))
+
+
+def scroll_widths(folder: Path, pages: dict[str, Path], width: int) -> dict[str, int]:
+    """Return the width [px] that each page needs in a window of ``width``."""
+    frames = "".join(f'<iframe width="{width}" height="900" src="{path.as_uri()}"></iframe>' for path in pages.values())
+    return dict(zip(pages, probed(folder, _FRAMES.format(frames=frames)), strict=True))
+
+
+@dataclass(frozen=True)
+class Word:
+    """A printed word and its box on the sheet [pt]."""
+
+    text: str
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
+def printed(folder: Path, page: Path) -> list[list[Word]]:
+    """Print a page to PDF; return the words of each sheet."""
+    pdf = folder / "printed.pdf"
+    browse(folder, "--no-pdf-header-footer", f"--print-to-pdf={pdf}", page.as_uri())
+    boxes = subprocess.run(["pdftotext", "-bbox", pdf, "-"], capture_output=True, text=True, timeout=60, check=True)
+    sheets = []
+    for sheet in re.findall(r"<page (.*?)</page>", boxes.stdout, re.S):
+        size = re.match(r'width="([\d.]+)" height="([\d.]+)"', sheet)
+        assert (round(float(size[1])), round(float(size[2]))) == A4_PT
+        box = r'<word xMin="([-\d.]+)" yMin="([-\d.]+)" xMax="([-\d.]+)" yMax="([-\d.]+)">(.*?)</word>'
+        sheets.append([Word(html.unescape(w[4]), *map(float, w[:4])) for w in re.findall(box, sheet)])
+    return sheets

@@ -1,0 +1,129 @@
+"""Every page that truearm writes, laid out by a browser: nothing wider than a phone, everything on A4."""
+
+import html
+import re
+
+import numpy as np
+import pytest
+from browser import A4_PT, MARGIN_PT, needs_browser, needs_printer, printed, scroll_widths
+from report_bench import full_page, make_page
+
+from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page
+from truearm.report.map_picture import map_picture
+
+PHONE = 400
+LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.mcap --serial 2019-7 --out " + "x" * 60
+
+
+def demo():
+    """The report of ``truearm demo``, whose steps are as long as their names get."""
+    steps = (("plan 800 poses on the shells of each bar", 1.5), ("record 1600 dwells, 73 minutes of robot time", 75.0))
+    return calibration_page.render(make_page(100, steps=steps, command=LONG, notes=(LONG,)))
+
+
+def gauge():
+    x = np.linspace(-0.03, 0.03, 9)
+    group = (("sensor", "lvdt, serial LV-1"), ("coefficients", ", ".join(["-0.00123457"] * 8)))
+    return gauge_page.render(
+        gauge_page.GaugePage(
+            title="Calibration of lvdt",
+            subtitle=LONG,
+            unit="V",
+            reference=x,
+            reading=10.0 * x,
+            noise=np.full(9, 1e-6),
+            residual=1e-7 * np.cos(np.arange(9)),
+            left_out=1e-7 * np.sin(np.arange(9)),
+            sigma=1e-7,
+            orders=(1, 2, 3),
+            press=np.array([1e-5, 1e-6, 1e-7]),
+            order=3,
+            certificate=(("What", group),),
+        )
+    )
+
+
+def program(n=30):
+    """The report of ``truearm correct`` with straight moves and refused ones."""
+    at = np.linspace(0.0, 1.0, 3 * n).reshape(n, 3)
+    one = (
+        "line 1234, Target_120 in Path_10",
+        "line 1233",
+        "0.123",
+        "joint 5: 12.3 deg",
+        "0.123",
+        "may not be drivable",
+    )
+    return correction_page.render(
+        correction_page.CorrectionPage(
+            title="welding_left.mod corrected",
+            subtitle=LONG,
+            places=(one[0],) * n,
+            asked=at,
+            shift=np.full((n, 3), 1e-3),
+            sizes=np.full((n, 2), 1e-3),
+            before=np.full(n, 2e-3),
+            expected=np.full((n, 2), 1e-4),
+            limits=("joint 5: 12.3 deg",) * n,
+            singular_value=np.full(n, 0.12),
+            moves=(one,) * 5,
+            refused=(("1240", "MoveL Offs(Target_120, a, b, c), v1000, fine, tool\\WObj:=wobj0;", "a is not known"),),
+            warnings=(LONG,),
+            notes=(LONG,),
+            facts=(("expected error", LONG),),
+        )
+    )
+
+
+def reproduced():
+    """A page of ``truearm reproduce``."""
+    claim = reproduce_page.Claim("RMS of the 61 cm shells after calibration", "mm", 0.11, 0.0855, 0.0842, None, LONG)
+    names = ("all rows, before", "all rows, after", "held out", "mean", "largest", "rank", "iterations")
+    table = reproduce_page.Table("Table II", names, (("link1.alpha [deg]", *["−123.45678"] * 6),) * 4)
+    chapter = reproduce_page.Chapter("Table I", LONG, (claim,), (table,))
+    steps = (("Table II: 36 parameters from 800 dwells, ten seeds", 3.0),)
+    return reproduce_page.render(reproduce_page.ReproducePage("Goswami 1993", LONG, (chapter,), steps, LONG))
+
+
+def map_():
+    u, v = np.arange(0.0, 900.0, 25.0), np.arange(0.0, 300.0, 25.0)
+    error = np.hypot(*np.meshgrid(u, v)) / 1e3
+    return map_picture(u, v, error, np.full_like(error, 0.1), "Error of ur5e as described", (100.0, 400.0, 50.0, 250.0))
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """By name, the file of each kind of page."""
+    folder = tmp_path_factory.mktemp("pages")
+    made = {
+        "report.html": calibration_page.render(full_page()),
+        "demo.html": demo(),
+        "gauge.html": gauge(),
+        "program.html": program(),
+        "reproduced.html": reproduced(),
+        "map.svg": map_(),
+    }
+    for name, text in made.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return {name: folder / name for name in made}
+
+
+@needs_browser
+def test_no_page_is_wider_than_a_phone(pages, tmp_path):
+    assert {name: w for name, w in scroll_widths(tmp_path, pages, PHONE).items() if w > PHONE} == {}
+
+
+@needs_printer
+@pytest.mark.parametrize("name", ["report.html", "demo.html", "gauge.html", "program.html", "reproduced.html"])
+def test_everything_is_on_the_sheets_of_a4(pages, tmp_path, name):
+    """All table heads and the whole command are printed within the margins, and no sheet but the last is half empty."""
+    sheets = printed(tmp_path, pages[name])
+    text = pages[name].read_text()
+    words = {word.text for sheet in sheets for word in sheet}
+    heads = [html.unescape(re.sub("<.*?>", "", head)) for head in re.findall(r"<th scope=\"col\">.*?</th>", text)]
+    assert {word for head in heads for word in head.split()} <= words
+    for word in (word for sheet in sheets for word in sheet):
+        assert word.left >= MARGIN_PT - 1.0, word
+        assert word.right <= A4_PT[0] - MARGIN_PT + 1.0, word
+    for sheet in sheets[:-1]:
+        assert max(word.bottom for word in sheet) > 0.6 * A4_PT[1]
