@@ -8,8 +8,13 @@ import pytest
 from line_stream import line_session, some_lines, true_params
 from mcap.reader import make_reader
 from record_box import Lab
+from session_stream import RIG
+from session_stream import session as ball_bar_session
 
 from truearm.cli.main import main
+from truearm.files.column_writers import Placement
+from truearm.files.mcap_tables import McapTables
+from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.types import Message
 
@@ -93,3 +98,28 @@ def test_samples_are_thinned_out_and_all_else_is_whole(session, tmp_path):
         assert set(times) <= {t for t, _ in whole[name][1]}
     for name in whole.keys() - {"/box_adc", "/box_mag", "/joints"}:
         assert thin[name][1] == whole[name][1]
+
+
+def test_observations_stand_at_their_times(session, tmp_path):
+    """Of a session with a rig: each row of a dwell is a message at the dwell's time, not at the start of the session."""
+    path = tmp_path / "s.mcap"
+    with SessionWriter(path, Lab()) as writer:
+        for message in ball_bar_session(np.random.default_rng(1), dwells=4)[0]:
+            writer.add(*message)
+    write_rig(tmp_path / "rig.toml", RIG)
+    channels = read(export(path, tmp_path / "x", "--format", "mcap", "--rig", str(tmp_path / "rig.toml")))
+    rows, dwells = channels["/observations"][1], [row for _, row in channels["/dwells"][1] if not row["reason"]]
+    offset = utc_less_host(path)
+    assert len(rows) == len(dwells) >= 3
+    for (t, row), dwell in zip(rows, dwells, strict=True):
+        assert abs(t - offset - 1e9 * row["time_s"]) <= 1e3  # a double holds seconds of a host's clock to 0.1 µs
+        assert dwell["host_start_ns"] <= t - offset <= dwell["host_end_ns"]
+
+
+def test_a_row_without_a_time_stands_at_the_start(tmp_path):
+    tables = McapTables(tmp_path, Placement(utc_offset_ns=10**18, begin_ns=5 * 10**9))
+    columns = {"time_s": np.array([6.5, np.nan]), "length_m": np.array([0.4, 0.5])}
+    tables.begin("observations", columns)[1].write(columns)
+    tables.close()
+    ((_, rows),) = read(tmp_path).values()
+    assert rows == [(10**18 + 5 * 10**9, {"length_m": 0.5}), (10**18 + 6_500_000_000, {"time_s": 6.5, "length_m": 0.4})]

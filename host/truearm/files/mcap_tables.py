@@ -17,9 +17,12 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from truearm.files.column_writers import Columns, Placement, Table
+from truearm.units import NS
 
 FILE = "session.mcap"
-TIMES = ("host_time_ns", "host_start_ns", "arrival_ns")  # the first of these that a table has
+# The time of a row on the host's clock is the first of these columns that a table has.
+TIMES = ("host_time_ns", "host_start_ns", "arrival_ns", "time_s")
+UNKNOWN = -1  # the time of a row that has none: it is placed at the start of the session
 TYPES = {"i": "integer", "u": "integer", "f": "number", "U": "string"}
 CHUNK_BYTES = 1 << 20
 
@@ -65,7 +68,7 @@ class McapTable(Table):
 
     def _write(self, columns: Columns) -> int:
         n = len(next(iter(columns.values())))
-        times = columns[self._time].astype(np.int64) if self._time else np.full(n, self._placement.begin_ns)
+        times = _times_ns(columns[self._time]) if self._time else np.full(n, UNKNOWN)
         rows = np.arange(n)
         if self._dense and self._placement.rate_hz:
             rows = self._thinned(columns, times)
@@ -93,3 +96,10 @@ class McapTable(Table):
 
     def close(self) -> None:
         """Do nothing; see ``McapTables.close``, which completes the file."""
+
+
+def _times_ns(column: NDArray[Any]) -> NDArray[np.int64]:
+    """Return a column of times as nanoseconds on the host's clock; UNKNOWN for NaN. Floats are seconds."""
+    if column.dtype.kind != "f":
+        return column.astype(np.int64)
+    return np.rint(np.where(np.isnan(column), UNKNOWN, NS.of(column))).astype(np.int64)
