@@ -12,8 +12,10 @@ import pytest
 from session_stream import RIG, session
 
 from truearm.cli.project import defaults
+from truearm.files.disk import sha256
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE, find_project
+from truearm.files.result_file import FORMAT
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
@@ -282,3 +284,22 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
         assert [path.stem for path in of(tmp_path)] == names
         os.utime(tmp_path / f"z-old{suffix}", ns=(0, 3 * 10**9))
         assert [path.stem for path in of(tmp_path)] == ["2026-11-25-120000", "a-new", "z-old"]
+
+
+def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, run):
+    """For the session and the result of a rehearsal, which are in no usual folder, the whole command line is printed."""
+    assert "sessions has no session yet; make one with truearm record" in run("inspect").err
+    assert "results has no result yet; make one with truearm identify" in run("report").err
+    (project / "rehearsal").mkdir()
+    recorded(project / "rehearsal" / "session.mcap")
+    recorded(project / "other.mcap")
+    os.utime(project / "other.mcap", (1e9, 1e9))
+    (project / "notes.json").write_text("[1]")
+    code, _, err = run("inspect")
+    assert code == 2
+    assert "type: truearm inspect rehearsal/session.mcap (there is also other.mcap)" in err
+    read = {"role": "observations", "name": "session.mcap", "sha256": sha256(project / "rehearsal" / "session.mcap")}
+    (project / "result.json").write_text(json.dumps({"format": FORMAT, "inputs": [read]}))
+    assert "results has no result; type: truearm report result.json rehearsal/session.mcap (" in run("report").err
+    assert "type: truearm report result.json rehearsal/session.mcap (" in run("report", "result.json").err
+    assert "type: truearm map --cell 50 result.json (" in run("map", "--cell", 50).err

@@ -28,6 +28,7 @@ from truearm.cli.identify import identify
 from truearm.cli.init import init
 from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
+from truearm.cli.missing_file import missing_file
 from truearm.cli.options import EARLIER_WORDS
 from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
@@ -137,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain(exc.text(_option_of(arguments)))
         return exc.exit_code
     except _UsageError as exc:
-        message = _renamed(exc) or _plain(exc.format_message())
+        message = _renamed(exc) or _missing(exc, arguments) or _plain(exc.format_message())
         _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
@@ -188,6 +189,13 @@ def _renamed(exc: typer.BadParameter) -> str | None:
     now = EARLIER_WORDS.get(f"{exc.ctx.info_name} {earlier}", EARLIER_WORDS.get(earlier))
     has_it = any(now in one.opts for one in exc.ctx.command.params)
     return f"{earlier} is now {now}" if has_it else None
+
+
+def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
+    """Return the message for a file that is missing on a project's command line, None for any other error."""
+    parameter = getattr(exc, "param", None)
+    wanted = type(exc).__name__ == "MissingParameter" and parameter is not None
+    return missing_file(parameter.name or "", arguments, Path.cwd()) if wanted and parameter else None
 
 
 def _run(arguments: list[str]) -> int:
