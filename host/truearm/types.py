@@ -796,13 +796,24 @@ class WithOutliers(NamedTuple):
 
 @dataclass(frozen=True)
 class CurveKnots:
-    """The error curve of one joint: ``count`` coefficients at intervals of ``spacing`` [rad], repeating if ``periodic``."""
+    """The error curve of one joint: ``count`` coefficients at intervals of ``spacing`` [rad], repeating if ``periodic``.
+
+    ``covered`` [rad]: the intervals of readings near fitted ones, in ascending order. Elsewhere the curve is unknown.
+    """
 
     joint: int
     first: float
     spacing: float
     count: int
     periodic: bool
+    covered: tuple[tuple[float, float], ...] = ()
+
+    def covers(self, q: Floats) -> NDArray[np.bool_]:
+        """Return a mask like q [rad] of covered readings; readings a full turn apart are equivalent."""
+        out = np.zeros(q.shape, dtype=bool)
+        for low, high in self.covered:
+            out |= np.mod(q - low, 2.0 * math.pi) <= high - low
+        return out
 
     @property
     def size(self) -> int:
@@ -854,9 +865,10 @@ class Period(NamedTuple):
 class TriedLaw:
     """A joint law that was tried. It raises the log evidence by ``nats`` and is ``kept`` if that is enough.
 
-    ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses. ``covered``
-    [rad] is the smallest and the largest reading. Both are NaN unless the law is kept. ``periods`` are the strongest
-    components of a curve.
+    ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
+    the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
+    ``periods`` its strongest components, and ``resolution`` [cycles per turn] how far apart components must be to be
+    distinguished. The resolution is NaN if the intervals are too short for any component.
     """
 
     joint: str
@@ -864,8 +876,9 @@ class TriedLaw:
     nats: float
     kept: bool
     rms: float = math.nan
-    covered: tuple[float, float] = (math.nan, math.nan)
+    covered: tuple[tuple[float, float], ...] = ()
     periods: tuple[Period, ...] = ()
+    resolution: float = math.nan
 
 
 class LawStep(NamedTuple):

@@ -15,7 +15,8 @@ from truearm.correct.model_pair import ModelPair
 from truearm.errors import InputError, ProblemError
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
-from truearm.estimate.law_curves import sampled_curves
+from truearm.estimate.law_candidates import knots
+from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
 from truearm.estimate.problem import build_problem
 from truearm.files.observation_table import format_table, parse_table
 from truearm.files.result_file import format_document, parse_result
@@ -28,6 +29,7 @@ from truearm.model.law_chain import carries, distal_frames, with_laws
 from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Known
 from truearm.plan.law_forecast import curve_forecasts
+from truearm.report.law_figures import law_figures
 from truearm.report.law_words import law_sentences
 from truearm.types import CurveKnots, ObservationTable, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
@@ -36,7 +38,7 @@ from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 from truearm.workflows.curve_table import curve_table
 from truearm.workflows.export import ExportOptions, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.map import Mapped, Section, mapped
+from truearm.workflows.map import MapFiles, Mapped, Section, map_files, mapped
 from truearm.workflows.validate import validated
 
 H = 1e-30  # of a complex step
@@ -383,9 +385,8 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
 def test_a_curve_is_stored_as_it_is_with_a_band_that_opens_outside(learned_arm):
     """The curve of joint 1 is 0.4 mrad·sin(17 q + 0.4), about its mean over the poses; 0.05 mrad is a sixth of it."""
     found, _ = learned_arm
-    q = found.table.q[found.estimate.fitted]
     laws = found.estimate.joint_laws.kept
-    curves = sampled_curves(found.chain, laws, found.identified, found.covariance, q.min(axis=0), q.max(axis=0))
+    curves = sampled_curves(found.chain, laws, found.identified, found.covariance)
     first = next(curve for curve in curves if curve.joint == "joint1")
     truth = 4e-4 * np.sin(17.0 * first.readings + 0.4)
     inside = first.covered
@@ -410,6 +411,109 @@ def test_the_report_shows_the_laws(learned_arm, tmp_path):
     assert "joint1.curve.3" not in page
 
 
+@pytest.fixture(scope="module")
+def gap_arm():
+    """Joint 1 was never measured between -0.4 and 0.4 rad."""
+    table, _ = world(np.random.default_rng(13), 400)
+    table = table.select(np.abs(table.q[:, 0]) > 0.4)
+    return identified_with(table, np.zeros(len(table), dtype=bool), "curve")
+
+
+def test_a_gap_in_the_readings_is_not_covered(gap_arm, tmp_path):
+    """In the result, the table of curves, the words, the report, a correction and a map."""
+    found = gap_arm
+    text = format_document(found.document)
+    again = calibration_of(parse_result(text, "r.json"), ROBOT, "ur10", "r.json")
+    law = next(law for law in again.stored.laws if isinstance(law, CurveKnots) and law.joint == 0)
+    (_, left), (right, _) = law.covered
+    near = np.abs(found.table.q[:, 0]).min()
+    assert -0.4 < left < -0.3 < 0.3 < right < 0.4
+    assert min(-left, right) == pytest.approx(near - 0.05, abs=1e-12)
+    curve = next(
+        one
+        for one in sampled_curves(again.chain, again.stored.laws, again.identified, again.covariance)
+        if one.joint == "joint1"
+    )
+    inside = np.abs(curve.readings) < 0.3
+    assert inside.sum() > 60
+    assert not curve.covered[inside].any()
+    assert {line.rpartition(",")[2] for line in np.array(curve_table([curve]).splitlines()[1:])[inside]} == {"0"}
+    gap = f"except {np.degrees(left):.0f} to {np.degrees(right):.0f} deg"
+    assert any(line.startswith("joint1 curve") and gap in line for line in law_sentences(found.document))
+    write_page(tmp_path / "page.html", found)
+    assert gap in (tmp_path / "page.html").read_text()
+    q = np.tile(found.table.q.mean(axis=0), (3, 1))
+    q[:, 0] = 0.0, 0.8, 0.8 + 2.0 * np.pi
+    np.testing.assert_array_equal(again.outside(q)[:, 0], [True, False, False])
+
+
+def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
+    found = gap_arm
+    section = Section(at=tuple(found.table.q.mean(axis=0) * [0, 1, 1, 1, 1, 1]), cell=0.1)
+    everywhere = mapped(found, section)
+    reached = ~np.isnan(everywhere.error)
+    assert everywhere.outside[reached].all()  # joint 1 stands in the gap
+    section = section._replace(at=(0.8, *section.at[1:]))
+    some = mapped(found, section)
+    q, limits = some.q[reached], np.array([found.table.q.min(axis=0), found.table.q.max(axis=0)])
+    beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
+    assert 0 < some.outside[reached].sum() < reached.sum()
+    assert some.outside[reached][beyond].all()
+    said = map_lines(Mapped(some, None), 0.1, None)
+    assert any(f"In {some.outside[reached].sum()} cells a joint is outside the readings" in line for line in said)
+    files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
+    map_files(found, files, section)
+    rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
+    assert rows[0] == "covered"
+    assert rows[1:] == [str(int(not one)) for one in some.outside[reached]]
+    assert (tmp_path / "map.svg").read_text().count('class="pale"') == some.outside[reached].sum()
+
+
+def sampled(error, intervals):
+    """A curve at half a degree over a turn, known in some intervals [rad]."""
+    law = CurveKnots(0, -np.pi, 2.0 * np.pi / 126, 126, True, intervals)
+    readings = law_readings(law)
+    return SampledCurve("joint1", readings, error(readings), 0.0 * readings, law.covers(readings), intervals)
+
+
+@pytest.mark.parametrize("intervals", [((-1.2, 1.2),), ((-2.0, -0.8), (-0.2, 1.2))])
+def test_periods_need_two_of_them_in_the_covered_range(intervals):
+    """One and two cycles a turn are slow drifts there, and a line has no period at all."""
+    lowest = 2.0 * 2.0 * np.pi / max(high - low for low, high in intervals)
+    slow = sampled(lambda q: 4e-4 * np.sin(q) + 1e-4 * np.sin(2.0 * q + 1.0) + 1e-3 * q, intervals)
+    both = sampled(lambda q: slow.error + 2e-4 * np.sin(17.0 * q + 0.3), intervals)
+    assert spectrum(slow).resolution == pytest.approx(0.5 * lowest)
+    assert spectrum(slow).cycles[0] >= lowest
+    assert spectrum(slow).amplitude.max() < 2e-5
+    first, *others = strongest_periods(both)
+    assert first.cycles == 17.0
+    assert first.amplitude == pytest.approx(2e-4, rel=0.02)
+    assert all(one.amplitude < 2e-5 for one in others)
+
+
+def test_a_complete_turn_has_every_period_and_a_short_range_none():
+    turn = sampled(lambda q: 4e-4 * np.sin(q) + 2e-4 * np.sin(2.0 * q), ((-np.pi, np.pi),))
+    assert [one.cycles for one in strongest_periods(turn)[:2]] == [1.0, 2.0]
+    assert spectrum(turn).resolution == pytest.approx(1.0)
+    short = sampled(np.sin, ((0.0, 0.15),))
+    assert strongest_periods(short) == ()
+    assert np.isnan(spectrum(short).resolution)
+    assert len(law_figures((short,))) == 1
+
+
+@pytest.mark.parametrize("shift", [0.0, 2.0, 5.5])
+def test_readings_of_a_joint_that_turns_completely_have_gaps_on_the_circle(shift):
+    """Wherever the gap of 0.2 rad lies, also over several turns; without it everything is covered."""
+    turn = np.arange(0.0, 2.0 * np.pi - 0.2, 0.02)
+    (interval,) = knots(0, turn + shift).covered
+    assert interval[1] - interval[0] == pytest.approx(turn[-1] + 0.1, abs=1e-9)
+    law = knots(0, np.concatenate([turn[:100] + 2.0 * np.pi, turn[100:]]) + shift)
+    at = shift + np.array([-0.1, -0.04, 0.5, 0.5 - 4.0 * np.pi, turn[-1] + 0.04, turn[-1] + 0.1])
+    np.testing.assert_array_equal(law.covers(at), [False, True, True, True, True, False])
+    ((low, high),) = knots(0, np.linspace(0.0, 7.0, 500) + shift).covered
+    assert high - low == pytest.approx(2.0 * np.pi)
+
+
 def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen():
     """Twice the poses tell more; where joint 1 never goes, within its covered range, nothing will be known."""
     table, _ = world(np.random.default_rng(9), 500)
@@ -420,6 +524,14 @@ def test_a_plan_says_how_well_curves_will_be_known_and_where_they_are_not_seen()
     assert all(by_joint[1][name].sigma < by_joint[0][name].sigma for name in ("joint1", "joint2", "joint3"))
     assert any(low < -0.15 and high > 0.15 for low, high in by_joint[1]["joint1"].unseen)
     assert not by_joint[1]["joint2"].unseen
+    for curve in by_joint[1].values():
+        assert all(0.0 < part.upper - part.lower < np.radians(30.5) for part in curve.ranges)
+        assert min(p.sigma for p in curve.ranges) <= curve.sigma <= max(p.sigma for p in curve.ranges)
+    unseen = by_joint[1]["joint6"]  # the point lies on its axis
+    assert unseen.sigma == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.05)
+    assert np.ptp(unseen.unseen) > 2.9
+    parts = by_joint[1]["joint1"].ranges
+    assert not any(part.lower < 0.2 and part.upper > -0.2 for part in parts)
 
 
 @pytest.mark.parametrize("method", ["newton", "false-target", "joints"])
@@ -462,7 +574,7 @@ def test_beyond_the_covered_range_curves_fade_to_the_geometry_and_correct_says_s
     (tmp_path / "targets.csv").write_text("\n".join(lines) + "\n")
     files = CorrectFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "targets.csv", tmp_path / "corrected.csv")
     done = correct_file(found, files, CorrectOptions())
-    assert any("Error curves end there" in line and "rows 3, 4, 5" in line for line in done.warnings)
+    assert any("Error curves are unknown there" in line and "rows 3, 4, 5" in line for line in done.warnings)
 
 
 def test_a_second_day_is_validated_with_the_laws(learned_arm):

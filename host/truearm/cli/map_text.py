@@ -31,11 +31,21 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
         text.append(
             f"In {counted(error.size - sigma.size, 'cell')} it is unknown: unidentifiable combinations of parameters move the end."
         )
+    if outside := _outside(found):
+        text.append(
+            f"In {counted(outside, 'cell')} a joint is outside the readings that the calibration was identified from "
+            '("covered" is 0 in the table; pale in the picture).'
+        )
     if mapped.payload:
         text.append(mapped.payload)
     if task:
         text.append(_task_line(found, mapped.region, task))
     return text
+
+
+def _outside(found: ErrorMap) -> int | None:
+    """Return the number of reachable cells outside the fitted readings, None if unknown."""
+    return None if found.outside is None else int((found.outside & ~np.isnan(found.error)).sum())
 
 
 def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:
@@ -64,6 +74,7 @@ def document(mapped: Mapped, cell: float) -> dict[str, Any]:
         "sigma_min_mm": sigma.min() if sigma.size else None,
         "sigma_max_mm": sigma.max() if sigma.size else None,
         "sigma_unknown_cells": error.size - sigma.size,
+        "outside_cells": _outside(found),
         "payload": mapped.payload or None,
         "best_region": None
         if region is None

@@ -26,10 +26,11 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
     """Return the predicted sigmas of error curves, and the readings that the poses do not cover."""
     lines = []
     for curve in document.get("curves", ()):
-        low, high = curve["covered_deg"]
-        line = (
-            f"error curve of {curve['joint']}: covered {low:.0f} to {high:.0f} deg, to {curve['sigma_mrad']:.2g} mrad"
+        parts = ", ".join(
+            f"{part['lower_deg']:.0f} to {part['upper_deg']:.0f} deg ± {part['sigma_mrad']:.2g}"
+            for part in curve["ranges"]
         )
+        line = f"error curve of {curve['joint']}: ± {curve['sigma_mrad']:.2g} mrad ({parts})"
         gaps = ", ".join(f"{a:.0f} to {b:.0f}" for a, b in curve["unseen_deg"])
         lines.append(line + (f"; not covered: {gaps} deg" if gaps else ""))
     if lines:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
@@ -53,6 +54,7 @@ class ErrorMap(NamedTuple):
     point: Floats  # (l, k, 3) m, the nominal end
     error: Floats  # (l, k) m
     sigma: Floats  # (l, k) m, standard deviation of the identified end's position
+    outside: NDArray[np.bool_] | None = None  # (l, k) a joint is outside the fitted readings; None: unknown
 
 
 class Region(NamedTuple):

@@ -121,7 +121,7 @@ def coefficients(
     a, roots = marginal.information, []
     for block, variance in zip(blocks, variances, strict=True):
         values, vectors = np.linalg.eigh(block.covariance(variance))
-        felt = float(np.abs(np.diag(a)[block.columns]).max(initial=0.0))
+        felt = float(np.abs(np.diag(a)[block.columns]).max(initial=block.cap**-2))  # unseen ones keep their prior
         some = values * felt * len(values) > NEGLIGIBLE
         roots.append(vectors[:, some] * np.sqrt(values[some]))
     root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))

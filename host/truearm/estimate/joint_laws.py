@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
-from truearm.estimate.law_curves import strongest_periods
+from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
 from truearm.estimate.law_systematic import law_systematic
@@ -330,6 +330,8 @@ def _tried(chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floa
     params = value[: len(whole.parameters)]
     kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
-    covered = float(q[:, law.joint].min()), float(q[:, law.joint].max())
-    periods = strongest_periods(whole, law, params, covered) if isinstance(law, CurveKnots) else ()
-    return TriedLaw(joint, term, nats, True, float(added.std()), covered, periods)
+    found = TriedLaw(joint, term, nats, True, float(added.std()))
+    for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
+        periods, resolution = strongest_periods(curve), spectrum(curve).resolution
+        found = replace(found, covered=curve.intervals, periods=periods, resolution=resolution)
+    return found

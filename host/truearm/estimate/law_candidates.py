@@ -29,6 +29,7 @@ from truearm.units import DEG
 
 SPACING = 0.05  # rad between knots, at most
 LENGTHS = 0.05 * 2.0 ** np.arange(7)  # rad
+REACH = float(LENGTHS[0])  # rad: farther from all fitted readings, the shortest kernel and the knots know nothing
 MARGIN = 0.8  # rad beyond the covered range
 TURNS = 2.0 * math.pi - 0.3  # rad: a joint whose readings span more is periodic
 STILL = 0.1  # rad: readings that span less do not determine a curve
@@ -88,17 +89,33 @@ def candidates(
             elif span < STILL:
                 reasons.append(f"{joint.name} covers {DEG.text(span, '.1f')}: too little for an error curve")
             else:
-                laws.append(knots(i, float(q[:, i].min()), float(q[:, i].max())))
+                laws.append(knots(i, q[:, i]))
     return laws, reasons
 
 
-def knots(joint: int, lower: float, upper: float) -> CurveKnots:
-    """Return knots over a covered range [rad] plus a margin; periodic if the joint turns completely."""
+def knots(joint: int, readings: Floats) -> CurveKnots:
+    """Return knots over the range of readings (n,) [rad] plus a margin; periodic if the joint turns completely."""
+    lower, upper = float(readings.min()), float(readings.max())
     if upper - lower > TURNS:
-        count = math.ceil(2.0 * math.pi / SPACING)
-        return CurveKnots(joint, lower, 2.0 * math.pi / count, count, periodic=True)
+        count, covered = math.ceil(2.0 * math.pi / SPACING), _near(readings, around=True)
+        return CurveKnots(joint, lower, 2.0 * math.pi / count, count, True, covered)
     count = math.ceil((upper - lower + 2.0 * MARGIN) / SPACING) + 1
-    return CurveKnots(joint, lower - MARGIN, SPACING, count, periodic=False)
+    return CurveKnots(joint, lower - MARGIN, SPACING, count, False, _near(readings, around=False))
+
+
+def _near(readings: Floats, around: bool) -> tuple[tuple[float, float], ...]:
+    """Return the intervals within REACH of any of the readings (n,); ``around``: on a circle."""
+    each = np.unique(np.mod(readings, 2.0 * math.pi) if around else readings)
+    if around:
+        gaps = np.diff(each, append=each[0] + 2.0 * math.pi)
+        widest = int(np.argmax(gaps))
+        if gaps[widest] <= 2.0 * REACH:
+            return ((float(readings.min()), float(readings.min()) + 2.0 * math.pi),)
+        each = np.append(each[widest + 1 :], each[: widest + 1] + 2.0 * math.pi)
+        each -= 2.0 * math.pi * np.round((each[0] - readings.min()) / (2.0 * math.pi))
+    ends = np.flatnonzero(np.diff(each) > 2.0 * REACH)
+    low, high = each[np.append(0, ends + 1)] - REACH, each[np.append(ends, -1)] + REACH
+    return tuple(zip(low.tolist(), high.tolist(), strict=True))
 
 
 def _sags(

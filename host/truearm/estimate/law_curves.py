@@ -1,4 +1,4 @@
-"""Error curves as numbers to plot and store: values, standard deviations, covered range and strongest periods."""
+"""Error curves as numbers to plot and store: values, standard deviations, covered readings and strongest periods."""
 
 from __future__ import annotations
 
@@ -16,72 +16,96 @@ from truearm.types import CurveKnots, Floats, Law, Period
 STEP = math.radians(0.5)  # between samples
 LARGEST_CYCLES = 60  # per turn
 PERIODS = 3
-SPECTRUM_SAMPLES = 720
+LEAST_PERIODS = 2.0  # within the longest covered interval, unless it is a complete turn
+SLOW_DEGREE = 4  # of the polynomial that stands for everything slower than that
+TURN = 2.0 * math.pi
 
 
 class SampledCurve(NamedTuple):
-    """A joint's rotation beyond offset and gain, over all readings that its curve covers."""
+    """A joint's rotation beyond offset and gain, over all readings that its curve extends over."""
 
     joint: str
     readings: Floats  # (n,) rad
     error: Floats  # (n,) rad
     sigma: Floats  # (n,) rad
-    covered: NDArray[np.bool_]  # (n,) within the range of the fitted rows' readings
+    covered: NDArray[np.bool_]  # (n,) near a fitted reading
+    intervals: tuple[tuple[float, float], ...]  # rad, those of ``covered``
 
 
-def sampled_curves(
-    chain: Chain, laws: Sequence[Law], params: Floats, covariance: Floats, lower: Floats, upper: Floats
-) -> tuple[SampledCurve, ...]:
-    """Return the error curves of a chain with laws at params (p,), with their covariance (p, p).
+class Spectrum(NamedTuple):
+    """The amplitudes of single sines in a curve, where its readings determine them.
 
-    ``lower`` and ``upper`` (j,) are the smallest and the largest readings of the fitted rows.
+    ``cycles`` (m,) per turn and ``amplitude`` (m,) [rad]. Sines closer than ``resolution`` [cycles per turn] cannot be
+    distinguished. All are empty or NaN if the curve is too short.
     """
+
+    cycles: Floats
+    amplitude: Floats
+    resolution: float
+
+
+def sampled_curves(chain: Chain, laws: Sequence[Law], params: Floats, covariance: Floats) -> tuple[SampledCurve, ...]:
+    """Return the error curves of a chain with laws at params (p,), with their covariance (p, p)."""
     out, curve = [], Curve.of_chain(chain)
     for law in laws:
         if not isinstance(law, CurveKnots):
             continue
-        i = law.joint
-        low = law.first
-        high = low + (2.0 * math.pi if law.periodic else (law.count - 1) * law.spacing)
-        readings = np.linspace(low, high, max(2, math.ceil((high - low) / STEP) + 1))
-        rows = _basis(chain, curve, i, readings)
-        own = np.flatnonzero(curve.joints == i)
-        jac, at = rows[own].T, curve.parameters[own]
+        readings = law_readings(law)
+        own = np.flatnonzero(curve.joints == law.joint)
+        jac, at = _basis(chain, curve, law.joint, readings)[own].T, curve.parameters[own]
         variance = np.einsum("ni,ij,nj->n", jac, covariance[np.ix_(at, at)], jac)
-        covered = law.periodic | ((readings >= lower[i]) & (readings <= upper[i]))
         sigma = np.sqrt(np.maximum(variance, 0.0))
-        out.append(SampledCurve(chain.joints[i].name, readings, jac @ params[at], sigma, covered))
+        name = chain.joints[law.joint].name
+        out.append(SampledCurve(name, readings, jac @ params[at], sigma, law.covers(readings), law.covered))
     return tuple(out)
 
 
-def spectrum(readings: Floats, error: Floats) -> tuple[Floats, Floats]:
-    """Return cycles per turn (m,) and amplitudes [rad] of single sines in a curve, from the lowest that its range resolves."""
-    span = float(readings[-1] - readings[0])
-    cycles = np.arange(math.ceil(max(1.0, 2.0 * math.pi / span)), LARGEST_CYCLES + 1.0)
-    waves = np.exp(-1j * cycles[:, None] * readings)
-    return cycles, 2.0 * np.abs((waves * (error - error.mean())).mean(axis=1))
+def law_readings(law: CurveKnots) -> Floats:
+    """Return evenly spaced readings (n,) [rad] over a curve's knots; over one turn if it is periodic."""
+    high = law.first + (TURN if law.periodic else (law.count - 1) * law.spacing)
+    return np.linspace(law.first, high, max(2, math.ceil((high - law.first) / STEP) + 1))
 
 
-def strongest_periods(
-    chain: Chain, law: CurveKnots, params: Floats, covered: tuple[float, float]
-) -> tuple[Period, ...]:
-    """Return the strongest sines of a curve over the covered range, each removed before the search for the next."""
-    lower, upper = (law.first, law.first + 2.0 * math.pi) if law.periodic else covered
-    readings = np.linspace(lower, upper, SPECTRUM_SAMPLES, endpoint=not law.periodic)
-    curve = Curve.of_chain(chain)
-    own = np.flatnonzero(curve.joints == law.joint)
-    left = params[curve.parameters[own]] @ _basis(chain, curve, law.joint, readings)[own]
-    out: list[Period] = []
+def spectrum(curve: SampledCurve) -> Spectrum:
+    """Return the spectrum of a curve over its covered readings."""
+    return _spectrum(curve, curve.error)[0]
+
+
+def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
+    """Return the strongest sines of a curve over its covered readings, each removed before the search for the next."""
+    left, out = curve.error.copy(), list[Period]()
     for _ in range(PERIODS):
-        cycles, amplitude = spectrum(readings, left)
-        best = int(np.argmax(amplitude))
-        if not amplitude[best] > 0.0:
+        found, wave = _spectrum(curve, left)
+        apart = np.array([[abs(cycles - one.cycles) for one in out] for cycles in found.cycles])
+        some = np.flatnonzero((apart >= found.resolution).all(axis=1)) if out else np.arange(found.cycles.size)
+        if not some.size or not found.amplitude[some].max() > 0.0:
             break
-        wave = np.column_stack([np.cos(cycles[best] * readings), np.sin(cycles[best] * readings), np.ones(left.size)])
-        fitted = np.linalg.lstsq(wave, left, rcond=None)[0]
-        left = left - wave @ fitted
-        out.append(Period(float(cycles[best]), float(np.hypot(*fitted[:2]))))
+        best = int(some[np.argmax(found.amplitude[some])])
+        out.append(Period(float(found.cycles[best]), float(found.amplitude[best])))
+        left[curve.covered] -= wave[best]
     return tuple(out)
+
+
+def _spectrum(curve: SampledCurve, error: Floats) -> tuple[Spectrum, Floats]:
+    """Return the spectrum of an error (n,) at the covered readings, and each sine there (m, k).
+
+    Every sine is fitted together with a slow polynomial, whose part would otherwise pass for the lowest cycles.
+    """
+    longest = max((high - low for low, high in curve.intervals), default=0.0)
+    whole = longest >= TURN
+    lowest = 1 if whole else math.ceil(LEAST_PERIODS * TURN / longest) if longest else LARGEST_CYCLES + 1
+    readings, values = curve.readings[curve.covered], error[curve.covered]
+    cycles = np.arange(float(lowest), LARGEST_CYCLES + 1.0)
+    if not cycles.size:
+        return Spectrum(cycles, cycles, math.nan), np.zeros((0, readings.size))
+    middle, half = 0.5 * (readings[-1] + readings[0]), 0.5 * (readings[-1] - readings[0])
+    slow = np.polynomial.legendre.legvander((readings - middle) / half, 0 if whole else SLOW_DEGREE)
+    basis, _ = np.linalg.qr(slow)
+    sines = np.stack([np.cos(cycles[:, None] * readings), np.sin(cycles[:, None] * readings)], axis=1)
+    faster = sines - (sines @ basis) @ basis.T
+    parts = np.linalg.solve(faster @ faster.swapaxes(1, 2), (faster @ values)[..., None])
+    waves = (parts * sines).sum(axis=1)
+    return Spectrum(cycles, np.linalg.norm(parts[..., 0], axis=1), TURN / longest), waves
 
 
 def _basis(chain: Chain, curve: Curve, joint: int, readings: Floats) -> Floats:

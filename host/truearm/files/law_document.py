@@ -48,6 +48,7 @@ def _law(law: Law) -> dict[str, Any]:
             "spacing_rad": law.spacing,
             "count": law.count,
             "periodic": law.periodic,
+            "covered_rad": [list(interval) for interval in law.covered],
         }
     return {
         "term": "sag",
@@ -65,7 +66,8 @@ def _tried(law: TriedLaw) -> dict[str, Any]:
         "nats": _finite(law.nats),
         "kept": law.kept,
         "rms_mrad": _finite(MRAD.of(law.rms)),
-        "covered_deg": [_finite(DEG.of(end)) for end in law.covered],
+        "covered_deg": [[DEG.of(end) for end in interval] for interval in law.covered],
+        "resolution_cycles": _finite(law.resolution),
         "periods": [{"cycles": one.cycles, "amplitude_mrad": MRAD.of(one.amplitude)} for one in law.periods],
     }
 
@@ -89,8 +91,10 @@ class _LawValue(ReadOnly):
         return Table((Key("term", TERM), *KEYS[term]), _MAKE[term], unknown_keys=True).parse(table)
 
 
-def _curve(term: str, joint: int, first: float, spacing: float, count: int, periodic: bool) -> CurveKnots:
-    return CurveKnots(joint, first, spacing, count, periodic)
+def _curve(
+    term: str, joint: int, first: float, spacing: float, count: int, periodic: bool, covered: Sequence[Sequence[float]]
+) -> CurveKnots:
+    return CurveKnots(joint, first, spacing, count, periodic, tuple((low, high) for low, high in covered))
 
 
 def _sag(
@@ -109,6 +113,7 @@ KEYS: Mapping[str, tuple[Key, ...]] = {
         Key("spacing", Number("rad", positive=True, spelled=_RAD)),
         Key("count", Whole(4, MAX_COEFFICIENTS)),
         Key("periodic", Flag()),
+        Key("covered", List(List(Number("rad", spelled=_RAD), 2), least=0, most=MAX_COEFFICIENTS)),
     ),
     "sag": (
         _JOINT,

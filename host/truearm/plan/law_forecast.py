@@ -8,12 +8,14 @@ The noise is the declared one.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.estimate.law_candidates import LENGTHS, candidates, gravity_of
-from truearm.estimate.law_curves import sampled_curves
+from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.estimate.law_fit import Learned, law_problem, posterior
 from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise
@@ -29,20 +31,30 @@ TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad
 UNSEEN = 0.7  # of the prior's standard deviation: above it the poses carry almost no information
 LEAST_GAP = math.radians(3.0)
+PART = math.radians(30.0)
 
 
 @dataclass(frozen=True)
 class CurveForecast:
     """The forecast of a joint's error curve from planned rows.
 
-    ``covered`` [rad]: the lowest and the highest reading; ``sigma`` [rad]: RMS standard deviation of the curve in this
-    range; ``unseen`` [rad]: ranges of readings within it that the poses do not determine.
+    ``ranges``: the readings [rad] that planned poses cover, in parts of at most PART, each with the RMS standard
+    deviation [rad] of the curve; ``sigma`` [rad]: the same over all of them; ``unseen`` [rad]: ranges of readings
+    between the lowest and the highest that the poses do not determine.
     """
 
     joint: str
-    covered: tuple[float, float]
+    ranges: tuple[RangeSigma, ...]
     sigma: float
     unseen: tuple[tuple[float, float], ...]
+
+
+class RangeSigma(NamedTuple):
+    """A range of a joint's readings [rad], and the RMS standard deviation [rad] of its error curve there."""
+
+    lower: float
+    upper: float
+    sigma: float
 
 
 def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForecast, ...]:
@@ -65,16 +77,29 @@ def curve_forecasts(known: Known, planned: ObservationTable) -> tuple[CurveForec
     covariance = np.zeros((n + added, n + added))
     free = np.flatnonzero(columns[: n + added])
     covariance[np.ix_(free, free)] = found.covariance[: free.size, : free.size]
-    lower, upper = table.q.min(axis=0), table.q.max(axis=0)
     whole_size = math.sqrt(prior.sum())
-    out = []
-    curves = sampled_curves(whole, laws, np.zeros(n + added), covariance, lower, upper)
-    for law, curve in zip(laws, curves, strict=True):
-        unseen = curve.sigma > UNSEEN * whole_size
-        sigma = rms(curve.sigma[curve.covered])
-        ends = float(lower[law.joint]), float(upper[law.joint])
-        out.append(CurveForecast(curve.joint, ends, sigma, _spans(curve.readings, unseen & curve.covered)))
-    return tuple(out)
+    return tuple(
+        _forecast(curve, UNSEEN * whole_size) for curve in sampled_curves(whole, laws, np.zeros(n + added), covariance)
+    )
+
+
+def _forecast(curve: SampledCurve, unseen: float) -> CurveForecast:
+    """Return the forecast of a curve with its standard deviations; those above ``unseen`` [rad] carry no information."""
+    readings, sigma = curve.readings, curve.sigma
+    between = (readings >= curve.intervals[0][0]) & (readings <= curve.intervals[-1][1])
+    ranges = tuple(
+        RangeSigma(float(readings[part][0]), float(readings[part][-1]), rms(sigma[part])) for part in _parts(curve)
+    )
+    spans = _spans(readings, between & (~curve.covered | (sigma > unseen)))
+    return CurveForecast(curve.joint, ranges, rms(sigma[curve.covered]), spans)
+
+
+def _parts(curve: SampledCurve) -> Iterator[slice]:
+    """Yield each covered run of samples in equal parts of at most PART."""
+    for start, stop in _runs(curve.covered):
+        count = math.ceil(float(curve.readings[stop - 1] - curve.readings[start]) / PART) or 1
+        for part in np.array_split(np.arange(start, stop), count):
+            yield slice(int(part[0]), int(part[-1]) + 1)
 
 
 def _geometry(known: Known) -> tuple[Chain, int]:
@@ -86,6 +111,11 @@ def _geometry(known: Known) -> tuple[Chain, int]:
 
 def _spans(readings: Floats, flags: np.ndarray) -> tuple[tuple[float, float], ...]:
     """Return runs of flagged readings of at least LEAST_GAP."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    spans = [(float(readings[a]), float(readings[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    spans = [(float(readings[start]), float(readings[stop - 1])) for start, stop in _runs(flags)]
     return tuple(span for span in spans if span[1] - span[0] >= LEAST_GAP)
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first index and the end of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))

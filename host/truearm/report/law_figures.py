@@ -7,14 +7,16 @@ import numpy as np
 from truearm.estimate.law_curves import SampledCurve, spectrum
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
+from truearm.report.law_words import intervals_text
 from truearm.report.page_text import figures
 from truearm.types import rms
 from truearm.units import DEG, MRAD
 
 
 def law_figures(curves: tuple[SampledCurve, ...]) -> list[Figure]:
-    """Return two pictures per curve: over the joint's readings, and over cycles per turn."""
-    return [figure for curve in curves for figure in (_over_readings(curve), _over_cycles(curve))]
+    """Return two pictures per curve: over the joint's readings and, if it is long enough, over cycles per turn."""
+    pairs = ((_over_readings(curve), _over_cycles(curve)) for curve in curves)
+    return [figure for pair in pairs for figure in pair if figure is not None]
 
 
 def _over_readings(curve: SampledCurve) -> Figure:
@@ -27,20 +29,21 @@ def _over_readings(curve: SampledCurve) -> Figure:
     for edge in (y - band, y + band):
         parts.append(svg.line(plot, x, edge, "old line"))
     parts.append(svg.line(plot, x, y, "law line"))
-    inside = np.where(curve.covered, y, np.nan)
     for run in _runs(curve.covered):
-        parts.append(svg.line(plot, x[run], inside[run], "fit line"))
+        parts.append(svg.line(plot, x[run], y[run], "fit line"))
     parts.append(svg.legend(plot, [("fit line", "covered"), ("law line", "outside"), ("old line", "±2σ")]))
     caption = (
-        f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad; "
-        "outside this range the curve returns to zero and its band widens."
+        f"Deviation of the joint from offset and gain. RMS over the covered readings {figures(rms(y[curve.covered]), 2)} mrad. "
+        f"Covered: {intervals_text(DEG.of(np.array(curve.intervals)).tolist())}. Elsewhere no reading was measured: "
+        "the curve returns to zero and its band widens."
     )
     return drawn(plot, f"Error curve of {curve.joint}", caption, parts)
 
 
-def _over_cycles(curve: SampledCurve) -> Figure:
-    covered = curve.covered
-    cycles, amplitude = spectrum(curve.readings[covered], curve.error[covered])
+def _over_cycles(curve: SampledCurve) -> Figure | None:
+    cycles, amplitude, resolution = spectrum(curve)
+    if not cycles.size:
+        return None
     amplitude = MRAD.of(amplitude)
     edges = np.append(cycles - 0.5, cycles[-1] + 0.5)
     plot = svg.Plot(
@@ -51,7 +54,8 @@ def _over_cycles(curve: SampledCurve) -> Figure:
     parts = [svg.axes(plot), svg.bars(plot, edges, amplitude, "fit bar", tips)]
     strongest = cycles[int(np.argmax(amplitude))]
     caption = (
-        f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn."
+        f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn. "
+        f"The covered range resolves {figures(resolution, 2)} cycles per turn and shows no fewer than {cycles[0]:.0f}."
     )
     return drawn(plot, f"Spectrum of {curve.joint}", caption, parts)
 

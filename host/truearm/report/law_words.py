@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from truearm.text import counted, one_line
 
 Document = Mapping[str, Any]
+MOST_GAPS = 4  # named
 
 STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves"}
 
@@ -46,9 +48,27 @@ def _kept(law: Mapping[str, Any]) -> str:
     start = f"{one_line(law['joint'])} {law['term']}: {law['rms_mrad']:.2g} mrad RMS, {law['nats']:.0f} nats"
     if law["term"] != "curve":
         return f"{start}."
-    low, high = law["covered_deg"]
     periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])
-    return f"{start}, covered {low:.0f} to {high:.0f} deg, strongest cycles per turn: {periods}."
+    spectrum = (
+        f"strongest cycles per turn: {periods}; resolution {law['resolution_cycles']:.2g}"
+        if periods
+        else "covered range too short for a spectrum"
+    )
+    return f"{start}, covered {intervals_text(law['covered_deg'])}, {spectrum}."
+
+
+def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
+    """Return ascending intervals [deg] as their whole range and its widest gaps."""
+    if not intervals:
+        return "nowhere"
+    text = f"{intervals[0][0]:.0f} to {intervals[-1][1]:.0f} deg"
+    gaps = [(a[1], b[0]) for a, b in pairwise(intervals)]
+    named = sorted(sorted(gaps, key=lambda gap: gap[0] - gap[1])[:MOST_GAPS])
+    if not named:
+        return text
+    listed = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in named)
+    more = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
+    return f"{text} except {listed} deg{more}"
 
 
 def _payload(sags: Sequence[Mapping[str, Any]], payloads: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
 from truearm.files.result_file import StoredResult, read_result
@@ -21,10 +22,11 @@ from truearm.model.robot import Robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.report.parameter_cells import parameter_cells
 from truearm.text import counted
-from truearm.types import Floats, Law, Payload, SagMasses
+from truearm.types import CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
 LARGEST_JOINT = 100.0  # rad, m
+NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
 DEFAULT = RobotChoice()
 
 
@@ -136,6 +138,24 @@ class Calibration:
                 "the result does not know how a payload acts on the robot: identify with rows under different payloads"
             )
         return replace(self, robot=replace(self.robot, chain=carries(self.chain, payload)))
+
+    def outside(self, q: Floats) -> NDArray[np.bool_] | None:
+        """Return (n, j), where a joint is outside the fitted readings, or in a gap of them if it has an error curve.
+
+        A full turn of a revolute joint counts as the same position. Returns None if the result does not contain the
+        range of the fitted readings.
+        """
+        seen = self.stored.joint_range
+        if seen is None:
+            return None
+        lower, upper = np.array(seen.lower) - NEAR_OBSERVED, np.array(seen.upper) + NEAR_OBSERVED
+        turning = np.array([joint.kind == "revolute" for joint in self.chain.joints])
+        past = np.where(turning, np.mod(q - lower, 2.0 * np.pi), q - lower)
+        out = np.asarray((past < 0.0) | (past > upper - lower))
+        for law in self.stored.laws:
+            if isinstance(law, CurveKnots):
+                out[:, law.joint] |= ~law.covers(q[:, law.joint])
+        return out
 
     @property
     def doubt_of_payload(self) -> str:

@@ -72,9 +72,8 @@ def write_page(
 
 
 def _curves(found: Identification) -> tuple[SampledCurve, ...]:
-    q = found.table.q[found.estimate.fitted]
     laws = found.estimate.joint_laws.kept if found.estimate.joint_laws else ()
-    return sampled_curves(found.chain, laws, found.identified, found.covariance, q.min(axis=0), q.max(axis=0))
+    return sampled_curves(found.chain, laws, found.identified, found.covariance)
 
 
 def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:

@@ -28,9 +28,8 @@ from truearm.workflows.calibration import Calibration
 
 STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
-NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: a smaller extrapolation gives no warning
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
-FADES = " Error curves end there: their corrections fade to zero, geometry and sag are still corrected."
+FADES = " Error curves are unknown there: their corrections fade to zero, geometry and sag are still corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
@@ -68,8 +67,8 @@ class Findings:
     ``before`` and ``after`` (n,) [m]: the error of the tool according to the identified robot. ``shift`` (n, 2) [m,
     rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
     covariance and unexplained error, NaN if unknown. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
-    margins. ``outside`` (n, j): joints outside the range of the fitted observations; None if the result does not
-    contain that range.
+    margins. ``outside`` (n, j): joints outside the fitted readings (``Calibration.outside``); None if the result does
+    not contain their range.
     """
 
     targets: CorrectedTargets
@@ -115,7 +114,7 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
         relative=sigmas is not None and sigmas.relative,
         limits=limit_margins(chain, q),
         singular_value=singular_value(chain, calibration.nominal, q),
-        outside=_outside(calibration, q),
+        outside=calibration.outside(q),
     )
 
 
@@ -135,23 +134,10 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
     return MM.to_si(max(RMS_OF_MEAN * mm, norm)), RMS_OF_MEAN * DEG.to_si(deg)
 
 
-def _outside(calibration: Calibration, q: Floats) -> NDArray[np.bool_] | None:
-    """Return (n, j), where a joint is outside the fitted readings; a full turn of a revolute joint counts as the same
-    position.
-    """
-    seen = calibration.stored.joint_range
-    if seen is None:
-        return None
-    lower, upper = np.array(seen.lower) - NEAR_OBSERVED, np.array(seen.upper) + NEAR_OBSERVED
-    turning = np.array([joint.kind == "revolute" for joint in calibration.chain.joints])
-    past = np.where(turning, np.mod(q - lower, 2.0 * np.pi), q - lower)
-    return np.asarray((past < 0.0) | (past > upper - lower))
-
-
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
     """Return what the operator must know before the program is run."""
     said = []
-    outside, drive = _outside(calibration, targets.correction.q), moves.found
+    outside, drive = calibration.outside(targets.correction.q), moves.found
     if outside is None:
         said.append(
             "The result does not say which joint readings it was identified from; identify again, so that targets outside them can be named."

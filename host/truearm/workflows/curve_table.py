@@ -12,9 +12,7 @@ HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
 
 
 def curve_table(curves: Sequence[SampledCurve]) -> str:
-    """Return the table's text: one row per joint and reading, ``covered`` 1 within the range of the calibration's rows,
-    else 0.
-    """
+    """Return the table's text: one row per joint and reading, ``covered`` 1 near a reading of the calibration, else 0."""
     lines = [HEADER]
     for curve in curves:
         name = one_line(curve.joint).replace(",", " ")

@@ -142,11 +142,10 @@ def export_file(
 
 def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
     """Return the error curves of the joints. Raises InputError if the result has none."""
-    stored, seen = calibration.stored, calibration.stored.joint_range
-    if seen is None or not any(isinstance(law, CurveKnots) for law in stored.laws):
+    laws = calibration.stored.laws
+    if not any(isinstance(law, CurveKnots) for law in laws):
         raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
-    lower, upper = np.array(seen.lower), np.array(seen.upper)
-    return sampled_curves(calibration.chain, stored.laws, calibration.identified, calibration.covariance, lower, upper)
+    return sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:

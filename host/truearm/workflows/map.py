@@ -15,7 +15,7 @@ from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
-from truearm.report.map_picture import map_picture
+from truearm.report.map_picture import Cells, map_picture
 from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import MM, key, number
@@ -110,7 +110,9 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
-    return error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
+    found = error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
+    outside = calibration.outside(found.q.reshape(-1, q.size))
+    return found if outside is None else found._replace(outside=np.any(outside, axis=1).reshape(*found.error.shape))
 
 
 def _looks_like_picture(head: bytes) -> bool:
@@ -118,18 +120,22 @@ def _looks_like_picture(head: bytes) -> bool:
 
 
 def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
-    """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position."""
+    """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position.
+
+    ``covered`` is 1 if all joints are near fitted readings, else 0, and empty if the result does not tell.
+    """
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
-    writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm"])
+    writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered"])
     for i, j in zip(*np.nonzero(~np.isnan(found.error)), strict=True):
         place = MM.of(np.array([found.u[j], found.v[i], *found.point[i, j]]))
         sigma = number(found.sigma[i, j], "m", 5) if np.isfinite(found.sigma[i, j]) else ""
         cells = [f"{value:.3f}" for value in place] + [
             number(value, unit, 5) for value, unit in zip(found.q[i, j], units, strict=True)
         ]
-        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma])
+        covered = "" if found.outside is None else int(not found.outside[i, j])
+        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma, covered])
     return text.getvalue()
 
 
@@ -137,7 +143,9 @@ def _picture(found: ErrorMap, region: Region | None, calibration: Calibration) -
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{axis(direction)} [mm]" for direction in found.axes]
     title = f"Error of {one_line(calibration.chain.name)[:40]} as described"
-    return map_picture(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), title, task, labels)
+    outside = np.zeros(found.error.shape, dtype=bool) if found.outside is None else found.outside
+    cells = Cells(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), outside)
+    return map_picture(cells, title, task, labels)
 
 
 def axis(direction: Floats) -> str:

@@ -240,7 +240,10 @@ def _curves(known: Known, plan: Plan) -> list[dict[str, Any]]:
     return [
         {
             "joint": one.joint,
-            "covered_deg": [DEG.of(end) for end in one.covered],
+            "ranges": [
+                {"lower_deg": DEG.of(part.lower), "upper_deg": DEG.of(part.upper), "sigma_mrad": MRAD.of(part.sigma)}
+                for part in one.ranges
+            ],
             "sigma_mrad": MRAD.of(one.sigma),
             "unseen_deg": [[DEG.of(end) for end in span] for span in one.unseen],
         }
