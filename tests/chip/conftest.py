@@ -39,6 +39,7 @@ class Chip:
         self.end = ""
         self.req_id = 0
         self.rest = b""  # of an incomplete frame
+        self.toggles = 0  # of the trigger output
 
     def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
         """Write `rx` now and let the box run; return the bytes it sent. `end` is how it ended, if it did."""
@@ -46,6 +47,7 @@ class Chip:
         self.now_us += us
         (answer,) = self.hardware.advance(self.now_us, b"", (), room, flags, 24_500)
         self.end, self.sampling = answer.end, answer.sampling
+        self.toggles += len(written.toggles) + len(answer.toggles)
         return written.tx + answer.tx
 
     def hear(self, us, **grant):
