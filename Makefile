@@ -100,7 +100,7 @@ hardware: .venv/python ## schematic, netlist, parts list, drawings and tables of
 	@$(BIN)/python -m hardware make
 
 # Exit code 3: no apt here, so no KiCad and no ngspice; what needs none of them has been checked.
-hardware-check: .venv/python ## check the box's circuit: netlist, KiCad's rules check, SPICE (fetches KiCad 9 and ngspice, 110 MB, into build/)
+hardware-check: .venv/python ## check the box's circuit: netlist, KiCad's rules check, SPICE (fetches KiCad 9 and ngspice, 120 MB, into build/)
 	@$(BIN)/python -m hardware check; code=$$?; if [ $$code = 3 ]; then exit 0; fi; exit $$code
 
 kicad-if-possible: .venv/python

@@ -8,10 +8,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from hardware import kicad, outputs, part_check, spice_check
+from hardware import footprints, kicad, outputs, part_check, spice_check
 from hardware.box import sheets
 from hardware.netlist import Netlist, from_kicad
 from hardware.netlist_check import findings
+from hardware.parts import CATALOGUE
 from hardware.schematic import NAME
 from hardware.sheet import netlist
 
@@ -60,7 +61,7 @@ def check() -> int:
         print("\n".join(failed))
         print(f"hardware: ERC and SPICE were not run: {error}", file=sys.stderr)
         return 1 if failed else 3
-    failed += [*erc(tools), *same_netlist(tools, made), *same_pins(tools)]
+    failed += [*erc(tools), *same_netlist(tools, made), *same_pins(tools), *fitting_footprints(tools)]
     rows = spice_check.check(tools, made)
     for row in rows:
         print(f"{'ok  ' if row.passed else 'FAIL'} {row.what}: {row.measured} (wanted: {row.wanted})")
@@ -110,6 +111,12 @@ def same_netlist(tools: kicad.Tools, made: Netlist) -> list[str]:
 def same_pins(tools: kicad.Tools) -> list[str]:
     """Compare the pins of hardware/datasheets.py with the symbols of KiCad's own libraries, which others wrote."""
     return outputs.differing_pins(tools.symbols)
+
+
+def fitting_footprints(tools: kicad.Tools) -> list[str]:
+    """Compare every part's footprint with its pins and its package's dimensions."""
+    parts = [(part, CATALOGUE[part.kind.name, part.value][1]) for sheet in sheets() for part in sheet.parts]
+    return footprints.findings(tools.footprints, parts)
 
 
 if __name__ == "__main__":

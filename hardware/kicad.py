@@ -1,7 +1,7 @@
 """Find KiCad 9 and ngspice, or download them from the Debian release's backports without installing and without root.
 
 The packages go into build/kicad of the checkout. Only packages missing on this computer are downloaded; other
-dependencies must be installed, according to apt. The download is about 110 MB, unpacked to 700 MB, once.
+dependencies must be installed, according to apt. The download is about 120 MB, unpacked to 800 MB, once.
 
     python -m hardware get
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 HOME = ROOT / "build" / "kicad"
-PACKAGES = ("kicad", "kicad-symbols", "ngspice")
+PACKAGES = ("kicad", "kicad-symbols", "kicad-footprints", "ngspice")
 MINIMUM = 9
 
 
@@ -29,12 +29,13 @@ class NoTools(Exception):
 
 @dataclass(frozen=True)
 class Tools:
-    """The two programs, their environment, and KiCad's own symbol libraries."""
+    """The two programs, their environment, and KiCad's own libraries of symbols and footprints."""
 
     kicad: str
     ngspice: str
     environ: dict[str, str]
     symbols: Path
+    footprints: Path
 
     def run_kicad(self, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -46,7 +47,8 @@ def find(folder: Path = HOME) -> Tools:
     """Return the tools downloaded by :func:`get`, otherwise the computer's own. Raises NoTools."""
     usr = folder / "root" / "usr"
     environ = {**os.environ, "OMP_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
-    if (folder / "done").exists():
+    fetched = _fetched(folder)
+    if fetched:
         libraries = [usr / "lib" / machine for machine in sorted(p.name for p in (usr / "lib").glob("*-linux-gnu"))]
         paths = [str(path / sub) for path in libraries for sub in ("", "blas", "lapack")]
         home = folder / "home"
@@ -55,6 +57,7 @@ def find(folder: Path = HOME) -> Tools:
             "LD_LIBRARY_PATH": ":".join(paths),
             "KICAD_STOCK_DATA_HOME": str(usr / "share" / "kicad"),
             "KICAD9_SYMBOL_DIR": str(usr / "share" / "kicad" / "symbols"),
+            "KICAD9_FOOTPRINT_DIR": str(usr / "share" / "kicad" / "footprints"),
             "SPICE_LIB_DIR": str(usr / "share" / "ngspice"),
             "SPICE_SCRIPTS": str(usr / "share" / "ngspice" / "scripts"),
             "HOME": str(home),
@@ -68,8 +71,17 @@ def find(folder: Path = HOME) -> Tools:
     done = subprocess.run([programs[0] or "", "version"], capture_output=True, text=True, env=environ)
     if not done.stdout.strip().startswith(f"{MINIMUM}."):
         raise NoTools(f"kicad-cli {done.stdout.strip() or 'does not run'}; version {MINIMUM} is wanted")
-    share = usr / "share" / "kicad" if (folder / "done").exists() else Path("/usr/share/kicad")
-    return Tools(programs[0] or "", programs[1] or "", environ, share / "symbols")
+    share = usr / "share" / "kicad" if fetched else Path("/usr/share/kicad")
+    for name in ("symbols", "footprints"):
+        if not (share / name).is_dir():
+            raise NoTools(f"no {share / name}; on Debian it is in the package kicad-{name}")
+    return Tools(programs[0] or "", programs[1] or "", environ, share / "symbols", share / "footprints")
+
+
+def _fetched(folder: Path) -> bool:
+    """Return whether all packages are in the folder; one that an older version filled lacks some."""
+    done = folder / "done"
+    return done.exists() and done.read_text(encoding="utf-8").split() == list(PACKAGES)
 
 
 def get(folder: Path = HOME, say: Callable[[str], None] = print) -> Tools:
@@ -86,7 +98,7 @@ def get(folder: Path = HOME, say: Callable[[str], None] = print) -> Tools:
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "done").exists():
+        if not _fetched(folder):
             try:
                 _fetch(folder, say)
             except (debian.DebianError, OSError) as error:
@@ -119,4 +131,4 @@ def _fetch(folder: Path, say: Callable[[str], None]) -> None:
     for package in sorted((folder / "apt" / "cache" / "archives").glob("*.deb")):
         debian.run(["dpkg-deb", "-x", str(package), str(folder / "root")])
     shutil.rmtree(folder / "apt")
-    (folder / "done").touch()
+    (folder / "done").write_text("\n".join(PACKAGES) + "\n", encoding="utf-8")

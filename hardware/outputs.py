@@ -16,6 +16,7 @@ from pathlib import Path
 from hardware import drawing, schematic, tables
 from hardware.box import sheets
 from hardware.datasheets import DATA_SHEETS
+from hardware.footprints import footprint_of
 from hardware.netlist import children, s_expression, text_of, to_csv
 from hardware.parts import CATALOGUE
 from hardware.sheet import Sheet, netlist
@@ -26,6 +27,8 @@ DOCUMENT = ROOT / "docs" / "how-to" / "hardware.md"
 DRAWINGS = ROOT / "docs" / "images" / "hardware"
 # nets supplied from outside or through a part that KiCad does not recognise as a supply: net → a pin of it
 FLAGS = {"+24V": "C3.1", "LDO_IN": "C4.1", "TI0_N": "D22.2", "TI1_N": "D23.2"}
+
+PARTS_COLUMNS = ("quantity", "references", "value", "manufacturer", "part number", "package", "footprint", "source and date", "price")  # fmt: skip
 
 
 def committed() -> dict[Path, str]:
@@ -56,22 +59,21 @@ def _shared(made: list[Sheet]) -> frozenset[str]:
 
 
 def parts_list(made: list[Sheet]) -> str:
-    """Return one row per part number: quantity, references, value, manufacturer, part number, source, price."""
+    """Return one row per part number: quantity, references, value, manufacturer, part number, footprint, source, price."""
     rows: dict[tuple[str, str, bool], list[str]] = {}
     for part in (part for sheet in made for part in sheet.parts):
         rows.setdefault((part.kind.name, part.value, part.fitted), []).append(part.ref)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(
-        ["quantity", "references", "value", "manufacturer", "part number", "package", "source and date", "price"]
-    )
+    writer.writerow(PARTS_COLUMNS)
     for refs in rows.values():
         refs.sort(key=lambda ref: (ref[0], int(ref[1:])))
     for (kind, value, fitted), refs in sorted(rows.items(), key=lambda item: item[1][0]):
         maker, number = CATALOGUE[kind, value]
         quantity = str(len(refs)) if fitted else f"0 ({len(refs)} for 4-20 mA)"
         package, source = tables.package_of(number), tables.source_of(number)
-        writer.writerow([quantity, " ".join(refs), value, maker, number, package, source, "unpriced"])
+        footprint = footprint_of(number)
+        writer.writerow([quantity, " ".join(refs), value, maker, number, package, footprint, source, "unpriced"])
     return out.getvalue()
 
 

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from hardware.footprints import FOOTPRINTS, footprint_of
 from hardware.parts import CATALOGUE, Kind
 from hardware.sheet import SUPPLIES, Part, Point, Sheet, wires
 
@@ -197,15 +198,16 @@ def _instance(part: Part, page: Page, sheet: str) -> str:
     else:
         names, justify = [(x + 1.5, y - 0.8), (x + 1.5, y + 1.0)], ["", ""]
     value = part.value if part.fitted else f"{part.value} (not fitted)"
+    part_number = CATALOGUE[part.kind.name, part.value][1]
     lines = [
         f"(symbol (lib_id {quote(f'{LIBRARY}:{variant(part)}')}) (at {place(part.at)} 0) (unit 1) (exclude_from_sim no) "
         f"(in_bom yes) (on_board yes) (dnp {'no' if part.fitted else 'yes'}) (uuid {quote(identifier(sheet, part.ref))})",
         _property("Reference", part.ref, names[0], justify=justify[0]),
         _property("Value", value.removesuffix(" (not fitted)"), names[1], justify=justify[1]),
-        _property("Footprint", "", part.at, hide=True),
+        _property("Footprint", footprint_of(part_number), part.at, hide=True),
         _property("Datasheet", "", part.at, hide=True),
         _property("Description", part.note, part.at, hide=True),
-        _property("MPN", CATALOGUE[part.kind.name, part.value][1], part.at, hide=True),
+        _property("MPN", part_number, part.at, hide=True),
         _reference(part.ref, page),
     ]
     return "\n".join(lines) + ")"
@@ -333,7 +335,7 @@ def _file(name: str, title: str, symbols: Sequence[str], body: Sequence[str], pa
 
 
 def files(sheets: Sequence[Sheet], flags: Mapping[str, str]) -> dict[str, str]:
-    """Return all files of the KiCad project by name: root, sheets, library, library table, project."""
+    """Return all files of the KiCad project by name: root, sheets, library, library tables, project."""
     root = identifier("root")
     where = Counter(
         net for sheet in sheets for net in {net for part in sheet.parts for net in part.nets.values()} if net
@@ -362,5 +364,11 @@ def files(sheets: Sequence[Sheet], flags: Mapping[str, str]) -> dict[str, str]:
         "(sym_lib_table\n  (version 7)\n"
         f'  (lib (name "{LIBRARY}")(type "KiCad")(uri "${{KIPRJMOD}}/{LIBRARY}.kicad_sym")(options "")(descr ""))\n)\n'
     )
+    libraries = sorted({footprint.partition(":")[0] for footprint in FOOTPRINTS.values()})
+    lines = [
+        f'  (lib (name "{name}")(type "KiCad")(uri "${{KICAD9_FOOTPRINT_DIR}}/{name}.pretty")(options "")(descr ""))\n'
+        for name in libraries
+    ]
+    found["fp-lib-table"] = f"(fp_lib_table\n  (version 7)\n{''.join(lines)})\n"
     found[f"{NAME}.kicad_pro"] = json.dumps({"meta": {"filename": f"{NAME}.kicad_pro", "version": 3}}, indent=2) + "\n"
     return found
