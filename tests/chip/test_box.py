@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.host.test_box_config import default
+from tests.protocol import test_foreign_client as client
 from tests.wire_frames import command
 from truearm_sim.box import COMMAND, WATCHDOG
 from truearm_sim.chip import STORE, make_flash, read_flash
@@ -235,6 +236,30 @@ def test_ctrl_c_at_boot_and_a_command_lead_to_the_prompt(power_on):
     busy = b"import machine; print([c for c in range(12) if machine.mem32[0x50000010 + 64 * c] & 1 << 24], 'busy')\r\n"
     assert b"[] busy" in chip.give(S, rx=busy)
     assert chip.end == ""
+
+
+@pytest.mark.parametrize("left_behind", [b"", b"6 * 7", b"\x01", b"\x01unfinished"])
+def test_a_client_of_the_specification_alone_finds_the_box_at_its_prompt(power_on, left_behind):
+    """§8: the prompt echoes what was sent, Ctrl-C, Ctrl-B and Ctrl-D leave it; then identify, stop, start. A raw prompt is silent."""
+    identify = next(frame for k in range(1, 100) if 3 not in (frame := client.frame(48, k)))
+    chip = power_on()
+    chip.give(S)
+    chip.give(500 * MS, rx=b"\x03")
+    chip.give(500 * MS, rx=left_behind)
+    heard = b"".join(chip.give(200 * MS, rx=identify) for _ in range(25))
+    assert list(client.payloads(heard)) == []
+    assert (b">>> " in heard) == (b"\x01" not in left_behind)
+    chip.give(500 * MS, rx=b"\x03\x02\x04")
+    heard = b"".join(chip.give(200 * MS, rx=b"\0" + identify) for _ in range(25))
+    pages = [f for f in client.payloads(heard) if f[0] == 19 and f[2] > 0]
+    said, _ = client.cbor(b"".join(f[5] for f in pages[: pages[0][4]]))
+    assert (said["board"], said["protocol"][0]) == ("rp2040", 1)
+    for frame_type, req_id in ((51, 101), (50, 102)):
+        answers = client.payloads(chip.give(200 * MS, rx=client.frame(frame_type, req_id)))
+        assert [f[2] for f in answers if f[0] == 64] == [req_id]
+    found = [f for f in client.payloads(chip.give(S)) if f[0] == 16 and f[2] == 0]
+    assert len(found) > 70
+    assert all(b[3] - a[3] == 13 for a, b in itertools.pairwise(found))
 
 
 def test_a_command_leads_to_the_rom_s_boot_loader(power_on):
