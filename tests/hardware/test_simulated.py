@@ -95,6 +95,14 @@ def test_a_filter_that_passes_the_harmonics_is_found(tools):
     assert any("10 → 60" in row.what for row in rows if not row.passed)
 
 
+def test_a_filter_with_capacitors_of_a_wider_tolerance_is_found(tools, monkeypatch):
+    circuit, lvdt = Circuit(netlist(sheets())), budget.LVDTS[3]
+    assert lvdt_check.corner(circuit, (0, 0, 0)).lines() == circuit.lines()
+    monkeypatch.setattr(lvdt_check, "TOLERANCES", {"C": 0.1, "R": 0.01})
+    failed = [row.what for row in lvdt_check.corners(tools, circuit, lvdt) if not row.passed]
+    assert any("10 → 60" in what for what in failed)
+
+
 def test_an_input_that_floats_without_the_pico_is_found(tools):
     circuit = changed(R53="10M")
     assert [row.what for row in spice_check.without_pico(tools, circuit) if not row.passed] == [
