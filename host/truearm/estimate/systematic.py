@@ -593,8 +593,9 @@ def _directions(by: Floats, basis: Floats) -> Floats:
     """Return an orthonormal basis (m, d') of the part of the columns (m, d) that the parameters cannot follow."""
     left = by - basis @ (basis.T @ by)
     left -= basis @ (basis.T @ left)
-    values, vectors, seen = _left(by.T @ by, by.T @ basis)
-    return np.asarray(left @ (vectors[:, seen] / np.sqrt(values[seen])))
+    _, vectors, seen = _left(by.T @ by, by.T @ basis)
+    # The lengths of V's smallest directions are known to rounding only, so the columns themselves are made orthonormal.
+    return np.asarray(np.linalg.qr(left @ vectors[:, seen])[0])
 
 
 def _with_unknown_noise(one: _Best, own: Floats, test: _Test, together: _Test) -> float:
