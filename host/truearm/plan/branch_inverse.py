@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from truearm.model.chain import Chain, forward, joint_jacobian
+from truearm.model.chain import Chain, end_and_jacobian, forward
 from truearm.model.workspace import Branch
 from truearm.types import Floats
 
@@ -64,8 +64,8 @@ def _features(poses: Floats) -> Floats:
 
 def pose_error(arm: Arm, poses: Floats, q: Floats) -> tuple[Floats, Floats]:
     """Return the error (m, 6) and the Jacobian (m, 6, j), positions in LEVERs."""
-    here = forward(arm.chain, arm.params, q)
+    here, jacobian = end_and_jacobian(arm.chain, arm.params, q)
     turn = Rotation.from_matrix(poses[:, :3, :3] @ here[:, :3, :3].swapaxes(-1, -2)).as_rotvec()
     scale = np.array([1 / LEVER] * 3 + [1.0] * 3)
     error = np.concatenate([poses[:, :3, 3] - here[:, :3, 3], turn], axis=-1) * scale
-    return error, joint_jacobian(arm.chain, arm.params, q) * scale[:, None]
+    return error, jacobian * scale[:, None]

@@ -20,7 +20,7 @@ from truearm import option_defaults
 from truearm.errors import PlanError
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import tolerance_error
-from truearm.model.chain import forward, joint_jacobian, point_forward, point_jacobians
+from truearm.model.chain import end_and_jacobian, forward, point_forward, point_jacobians
 from truearm.plan.bar_paths import samples
 from truearm.plan.branch_inverse import pose_error
 from truearm.plan.collision_shapes import device_is_clear
@@ -154,7 +154,7 @@ def _rates(site: Site, q: Floats, velocity: Floats, turning: Floats, point: Floa
     The velocity is in m/s and the turning in rad/s.
     """
     flat = np.nan_to_num(q.reshape(-1, q.shape[2]))
-    pose, jacobian = (f(site.arm.chain, site.arm.params, flat) for f in (forward, joint_jacobian))
+    pose, jacobian = end_and_jacobian(site.arm.chain, site.arm.params, flat)
     velocity, turning = (np.repeat(part, q.shape[1], axis=0) for part in (velocity, turning))
     twist = np.concatenate([velocity - np.cross(turning, pose[:, :3, :3] @ point), turning], axis=1)
     return np.asarray((np.linalg.pinv(jacobian, rcond=1e-3) @ twist[..., None])[..., 0].reshape(q.shape))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import option_defaults
-from truearm.model.chain import forward, joint_jacobian
+from truearm.model.chain import end_and_jacobian, forward
 from truearm.plan.branch_inverse import LEVER, Arm
 from truearm.plan.collision_shapes import Mounted, Shapes, clear
 from truearm.types import BallBar, Floats, Plan, Rig
@@ -120,7 +120,7 @@ def within_joints(site: Site, q: Floats, limits: Limits) -> NDArray[np.bool_]:
 
 def smallest_singular_value(site: Site, q: Floats) -> Floats:
     """Return the smallest singular value (n,) of the end's Jacobian, with metres in LEVERs; 0 at a singularity."""
-    jacobian = joint_jacobian(site.arm.chain, site.arm.params, q)
+    jacobian = end_and_jacobian(site.arm.chain, site.arm.params, q)[1]
     jacobian[:, :3] /= LEVER
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1])
 
