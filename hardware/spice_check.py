@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
-from hardware import budget, lvdt_check, stress
+from hardware import budget, lvdt_check, power_up, stress
 from hardware.kicad import Tools
 from hardware.netlist import Component, Netlist
 from hardware.rows import Row, near
@@ -21,6 +21,7 @@ def check(tools: Tools, netlist: Netlist) -> list[Row]:
             pool.submit(job, tools, circuit)
             for job in (
                 *lvdt_check.jobs(),
+                power_up.check,
                 transducers,
                 thermometers,
                 without_pico,

@@ -10,6 +10,7 @@ from hardware.datasheets import data_sheet
 from hardware.netlist import Netlist
 from hardware.part_numbers import UNVERIFIED, decode
 from hardware.parts import CATALOGUE
+from hardware.power_up import READINGS
 from hardware.sheet import Part, Sheet, netlist
 
 REACHED = "2026-11; no distributor was reached"
@@ -41,6 +42,7 @@ def blocks(made: list[Sheet]) -> dict[str, str]:
         "transducer-budget": transducer_budget(circuit),
         "head-budget": head_budget(),
         "trigger-budget": trigger_budget(),
+        "power-up": power_up_table(circuit),
     }
 
 
@@ -65,6 +67,17 @@ def pins(circuit: Netlist) -> str:
 def _function(circuit: Netlist, ref: str, number: str) -> str:
     sheet = data_sheet(circuit.components[ref].mpn)
     return sheet.pins[number] if sheet else number
+
+
+def power_up_table(circuit: Netlist) -> str:
+    """Return where to measure at the first power-up, what, and which parts to look at otherwise."""
+    rows = []
+    for reading in READINGS:
+        sheet = data_sheet(circuit.components[reading.ref].mpn)
+        number = next((n for n, name in sheet.pins.items() if name == reading.pin), "") if sheet else ""
+        where = f"{reading.ref} pin {number} ({reading.pin})" if number else f"{reading.ref}.{reading.pin}"
+        rows.append((where, reading.what, f"{reading.low:.2f} to {reading.high:.2f}", reading.otherwise))
+    return table(("at", "what", "V", "otherwise look at"), rows)
 
 
 def terminals(parts: list[Part]) -> str:

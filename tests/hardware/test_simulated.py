@@ -3,7 +3,7 @@
 import pytest
 
 from hardware import __main__ as commands
-from hardware import budget, kicad, lvdt_check, outputs, spice_check, stress
+from hardware import budget, kicad, lvdt_check, outputs, power_up, spice_check, stress
 from hardware.box import sheets
 from hardware.netlist import Component, Netlist
 from hardware.sheet import netlist
@@ -101,6 +101,15 @@ def test_a_filter_with_capacitors_of_a_wider_tolerance_is_found(tools, monkeypat
     monkeypatch.setattr(lvdt_check, "TOLERANCES", {"C": 0.1, "R": 0.01})
     failed = [row.what for row in lvdt_check.corners(tools, circuit, lvdt) if not row.passed]
     assert any("10 → 60" in what for what in failed)
+
+
+@pytest.mark.parametrize(
+    ("values", "failed"),
+    [({"R2": "20k"}, ["U1.GP27"]), ({"R21": "22k"}, ["U4.OUTB", "J5.3", "J5.4", "J5.5"])],
+)
+def test_the_readings_of_the_first_power_up_show_a_wrong_part(tools, values, failed):
+    rows = power_up.check(tools, changed(**values))
+    assert [row.what for row in rows if not row.passed] == [f"switched on, {pin}: V" for pin in failed]
 
 
 def test_an_input_that_floats_without_the_pico_is_found(tools):
