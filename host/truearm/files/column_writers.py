@@ -99,7 +99,8 @@ class CsvTable(Table):
 
     def _write(self, columns: Columns) -> int:
         if all(_is_plain(column) for column in columns.values()):
-            self._file.write(_rows(columns))
+            self._file.flush()  # its buffer is written before what bypasses it
+            self._file.buffer.write(_rows(columns))
         else:
             self._writer.writerows(zip(*(_cells(column) for column in columns.values()), strict=True))
         return _length(columns)
@@ -117,12 +118,12 @@ def _is_plain(column: NDArray[Any]) -> bool:
     return column.dtype.kind in "iu" or (column.dtype.kind == "f" and not np.isinf(column).any())
 
 
-def _rows(columns: Columns) -> str:
-    """Return rows of numbers as text by a JSON encoder: 1.3 µs for 17 columns; the csv module takes 5 µs."""
-    rows = list(zip(*(column.tolist() for column in columns.values()), strict=True))
-    text = _encoder.encode_lines(rows).translate(None, b"[]").decode()
+def _rows(columns: Columns) -> bytes:
+    """Return rows of numbers as text by a JSON encoder: 1.1 µs for 17 columns; the csv module takes 5 µs."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)  # no list: one tuple serves all rows
+    text = _encoder.encode_lines(rows).translate(None, b"[]")
     missing = any(column.dtype.kind == "f" and np.isnan(column).any() for column in columns.values())
-    return text.replace("null", "") if missing else text
+    return text.replace(b"null", b"") if missing else text
 
 
 def _cells(column: NDArray[Any]) -> list[Any]:
@@ -182,7 +183,9 @@ class ParquetTable(Table):
         super().__init__()
         self._pyarrow = pyarrow
         self._schema = self._batch(columns).schema
-        self._writer = parquet.ParquetWriter(path, self._schema, compression="zstd")
+        # Measured numbers hardly repeat: looking for repetitions makes files larger and takes a third of the time.
+        texts = [title for title, column in columns.items() if column.dtype.kind == "U"]
+        self._writer = parquet.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=texts)
 
     def _write(self, columns: Columns) -> int:
         self._writer.write_table(self._batch(columns).cast(self._schema))
