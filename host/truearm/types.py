@@ -608,6 +608,7 @@ class Unusable(StrEnum):
     """Why a fit is not usable."""
 
     NOT_CONVERGED = "not converged"
+    NO_FREEDOM = "no degrees of freedom"  # the parameters fit any readings
     WRONG_INPUTS = "wrong inputs"  # another interpretation of the inputs explains the observations better
     RESIDUALS = "residuals"  # residuals that nothing explains
 

@@ -42,7 +42,7 @@ class Scale:
 
 
 DEGREE = math.pi / 180.0
-SMALLEST = 1e-12  # [SI] a smaller length, angle or standard deviation is an error; its square would have no effect
+SMALLEST = 1e-9  # [SI] a smaller length, angle or standard deviation is an error: no instrument resolves a nanometre or nanoradian
 
 M = Scale("m", "m", "m", 1.0, 1.0)
 CM = Scale("cm", "cm", "m", 1e-2, 1e2)

@@ -120,8 +120,12 @@ def test_too_few_observations(identified, solver):
     result, text = identified(rows, RIG, "--solver", solver, "--max-iterations", 20, "--prior", "none")
     unseen_and_advised(result, text, 12, POSES)
     assert result["chi2_reduced"] is None
-    if result["usable"]:
-        assert text.startswith("Only 0 degrees of freedom for 12 parameters: the residuals say nothing about accuracy.")
+    assert not result["usable"]
+    if result["unusable_because"] != "not converged":
+        assert text.startswith(
+            "This fit is not usable. Its residuals have no degrees of freedom: the parameters fit any"
+        )
+        assert "Only 0" not in text
 
 
 def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identified):

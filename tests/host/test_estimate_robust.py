@@ -110,6 +110,24 @@ def test_half_a_percent_of_gross_faults_changes_little():
     assert np.abs((bent.value - clean.value)[FREE] / clean.sigma[FREE]).max() > 100.0
 
 
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_chi2_is_that_of_the_weighted_rows(loss):
+    """Of clean rows, as without weights; 7 rows of 400 that are 12 σ off, which a robust loss bounds, do not rule it."""
+    t = random_table(400, np.random.default_rng(2), SIGMA)
+    linear, clean = (identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss=of)) for of in ("linear", loss))
+    # Two estimates of one variance from 364 residuals, which have 0.95 of their information in common.
+    assert clean.chi2_reduced == pytest.approx(linear.chi2_reduced, abs=4.0 * np.sqrt(2.0 / 364 * 0.1))
+    t.value[::60] += 12.0 * SIGMA
+    bent, robust = (identify(CHAIN, RIG, t, free=FREE, options=SolverOptions(loss=of)) for of in ("linear", loss))
+    assert bent.chi2_reduced > 2.5
+    assert robust.chi2_reduced - clean.chi2_reduced < 0.5
+    far = t.select(np.arange(400))
+    far.value[:] += 3.0 * SIGMA * np.random.default_rng(3).normal(size=400)
+    loose = identify(CHAIN, RIG, far, free=FREE, options=SolverOptions(loss=loss))
+    assert loose.chi2_reduced > loose.chi2_band[1]
+    assert loose.unexplained["m"].low < loose.unexplained["m"].mean  # the headline, in place of the covariance
+
+
 def test_iterations_count_on_over_the_stages():
     t = random_table(200, np.random.default_rng(3), SIGMA)
     heard = []

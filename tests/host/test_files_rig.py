@@ -140,7 +140,7 @@ def test_an_empty_rig_is_the_default_rig() -> None:
 names = st.from_regex(r"[A-Za-z0-9_é-]{1,64}", fullmatch=True)
 coordinates = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
 sizes = st.floats(1e-9, 100.0)
-spreads = st.just(0.0) | st.floats(1e-12, 1.0)  # known exactly, or no smaller than any sensor's
+spreads = st.just(0.0) | st.floats(1e-9, 1.0)  # known exactly, or no smaller than any sensor's
 points = st.builds(Point, names, coordinates, st.none() | spreads)
 bars = st.builds(BallBar, names, sizes, sizes, sizes, sizes, spreads, spreads)
 distances = st.builds(SocketDistance, st.lists(names, min_size=2, max_size=2, unique=True).map(tuple), sizes, sizes)

@@ -192,6 +192,7 @@ WRONG = {
     "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use qd1_rad_s or"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
     "a length of nothing": (GOOD.replace("460.25", "1e-300"), "row 2 column length_mm: '1e-300' is too small"),
+    "a sigma of a picometre": (GOOD.replace("0.1,", "1e-9,"), "sigma_mm: '1e-9' is too small"),
     "mm called m": (GOOD.replace("length_mm", "length_m"), "in another unit"),
     "negative length": (GOOD.replace("460.25", "-1"), "greater than 0"),
     "zero sigma": (GOOD.replace("0.1,", "0,"), "greater than 0"),

@@ -11,6 +11,7 @@ from tests.host.ur10_bench import RIG, ROBOT, tracked
 import truearm
 from truearm.cli import identify_text
 from truearm.files.observation_table import concatenate
+from truearm.report.result_words import all_identifiable
 from truearm.report.usability_words import usability_sentences
 from truearm.workflows.selection import held_out_rows
 
@@ -43,6 +44,10 @@ def test_defaults_converge_and_predict(series, kind, largest):
         p["value"] - p["nominal"] for p in found.document["parameters"] if p["unit"] == "m" and p["of"] == "robot"
     ]
     assert np.abs(lengths).max() < 8e-3  # nothing wanders off along what the data hardly tell
+    (before,) = identify_text.raw(found.document)
+    assert "target.reflector, tracker.tracker fitted" in before
+    assert found.document["unexplained"]["mean_mm"] == pytest.approx(errors.mean(), rel=0.05)
+    assert found.document["predicted_error"] is None  # the covariance knows only of the declared noise
     (line,) = [line for line in identify_text.held(found.document) if "in any pose" in line]
     assert "the pose of the base (base.x" in line
 
@@ -57,6 +62,19 @@ def test_what_the_prior_holds_is_still_called_hardly_seen():
     free = truearm.identify(ROBOT, table, RIG, options=replace(GEOMETRY, prior="none", max_iterations=4))
     assert free.document["prior"] == "none"
     assert free.document["defaults"]["believed"] == []
+
+
+@pytest.mark.parametrize(
+    ("prior", "believed", "text"),
+    [
+        ("none", (), "All free parameters are identifiable."),
+        ("wide", (), "The observations alone, without the prior, identify all free parameters."),
+        ("default", ("joint5.d",), "these, 1 of them is weakly identifiable and held by the weak prior."),
+        ("default", ("joint5.d", "joint5.a"), "these, 2 of them are weakly identifiable and held by the weak prior."),
+    ],
+)
+def test_what_is_identifiable_is_so_by_the_observations_alone(prior, believed, text):
+    assert all_identifiable(prior, believed).endswith(text)
 
 
 def test_a_fraction_held_out_is_of_poses():

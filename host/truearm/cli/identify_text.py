@@ -20,6 +20,7 @@ from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
+    all_identifiable,
     drawing,
     kind_name,
     parts_words,
@@ -31,7 +32,7 @@ from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line
-from truearm.types import MeanError, PoseError, ResidualParts
+from truearm.types import MeanError, PoseError, ResidualParts, Unusable
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
 
 Document = Mapping[str, Any]
@@ -41,6 +42,7 @@ MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_ROWS = 6
 MAX_NAMES = 12
+PLACES = (".x", ".y", ".z", ".rx", ".ry", ".rz")  # numbers of a place
 OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
@@ -99,7 +101,8 @@ def not_converged(document: Document) -> list[str]:
 
 def little_freedom(document: Document) -> list[str]:
     """Return a warning if the residuals have fewer degrees of freedom than parameters were fitted."""
-    if not few_freedom(document["chi2_freedom"], document["rank"]):
+    none = document["unusable_because"] == Unusable.NO_FREEDOM  # which has its own sentence
+    if none or not few_freedom(document["chi2_freedom"], document["rank"]):
         return []
     freedom = counted(round(document["chi2_freedom"]), "degree of freedom", "degrees of freedom")
     return [
@@ -210,7 +213,7 @@ def unseen(document: Document) -> list[str]:
     """Return the unidentifiable and the weakly identifiable combinations, a line each."""
     directions, weak = document["null_space"], document["hardly_seen"]
     if not directions and not weak:
-        return ["All free parameters are identifiable."]
+        return [all_identifiable(document["prior"], document["defaults"]["believed"])]
     lines = []
     if directions:
         what = counted(len(directions), "combination")
@@ -315,12 +318,21 @@ def raw(document: Document) -> list[str]:
     """Return what "before" means, and the errors without fitting base and tool, if they differ."""
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
     before, as_described = ([document[f"{name}_{unit.suffix}"] for unit in units] for name in ("rms_before", "rms_raw"))
+    placed = _placed(document)
     if before == as_described:
-        return ['"Before" is the nominal robot.']
+        of_rig = f" with {_names(placed)} fitted to these rows" if placed else ""
+        return [f'"Before" is the nominal robot{of_rig}.']
     sizes = " and ".join(
         f"{_cell(rms, UNITS[unit.si].decimals)} {unit.symbol}" for unit, rms in zip(units, as_described, strict=True)
     )
-    return [f'"Before" is the nominal robot with base and tool fitted; with base and tool as described: {sizes} RMS.']
+    fitted = _names(["base and tool", *placed])
+    return [f'"Before" is the nominal robot with {fitted} fitted; with base and tool as described: {sizes} RMS.']
+
+
+def _placed(document: Document) -> list[str]:
+    """Return the items of the rig that are fitted to the nominal robot too, because their places are unknown."""
+    rig = [parameter["name"] for parameter in document["parameters"] if parameter["of"] == "rig" and parameter["free"]]
+    return list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
 
 
 def timing(document: Document) -> list[str]:
@@ -337,13 +349,16 @@ def chi2_notes(document: Document) -> list[str]:
     if None not in (low, high, chi2):
         by_chance = chi2 <= high
         where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
-        lines.append(f"χ² per degree of freedom {chi2:.3g}, {where} its 95 % range of {low:.3g} to {high:.3g}.")
+        weighted = "" if document["loss"] == Loss.LINEAR else f" (rows weighted by the {document['loss']} loss)"
+        lines.append(
+            f"χ² per degree of freedom {chi2:.3g}{weighted}, {where} its 95 % range of {low:.3g} to {high:.3g}."
+        )
     parts = {}
     for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
         both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
         if None not in both:
             parts[unit.si] = ResidualParts(*(from_shown(value, unit.si) for value in both))
-    lines += filter(None, [parts_words(parts, by_chance)])
+    lines += filter(None, [parts_words(parts, by_chance, document["loss"])])
     shared = document["pose_error"]
     if shared is not None:
         lines.append(pose_error_words(PoseError(MM.to_si(shared["sigma_mm"]), shared["row_variance"], shared["n"])))

@@ -37,7 +37,7 @@ from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
 from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
-from truearm.estimate.whitened_rows import only, standardised
+from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain, forward
 from truearm.progress import step
 from truearm.types import (
@@ -150,7 +150,12 @@ def identify(
         found = without_outliers(problem, columns, begun, how_to, gross) or every
     x, information = found.x, found.information
     parts = spectrum(information.root)
-    fit_quality = goodness(*of_data(problem, columns, found), prior_shares(half(parts), found.prior_sigma))
+    shares = prior_shares(half(parts), found.prior_sigma)
+    unweighted = goodness(*of_data(problem, columns, found), shares)
+    loss = Loss(options.loss)
+    fit_quality = unweighted
+    if loss is not Loss.LINEAR:
+        fit_quality = goodness(weighted_chi2(problem, x, loss), of_data(problem, columns, found)[1], shares)
     data = _data_root(problem, columns, found)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(data.root, int(free.sum()), names)
@@ -162,13 +167,14 @@ def identify(
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
     how = measured_order(table, fitted)
-    chi2, freedom = fit_quality.reduced * fit_quality.freedom, fit_quality.freedom
-    explained = not fit_quality.reduced > fit_quality.band[1]
+    chi2, freedom = unweighted.reduced * unweighted.freedom, unweighted.freedom
     taken = only(problem, found.weight > 0.0)
     wrong = None  # the tests are about a minimum of χ²
     if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
         with step("testing for systematic errors"):
-            wrong = systematic_errors(taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, explained), how)
+            wrong = systematic_errors(
+                taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, unweighted.explained), how
+            )
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
@@ -176,16 +182,17 @@ def identify(
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
-    as_declared = options.loss == Loss.LINEAR and not SOLVERS[options.solver].reads_noise
+    as_declared = loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise
     shared = pose_effect(taken, x, columns, half(parts), pose) if as_declared else None
     matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
     held_before, error_before = judged(problem, x_before, rig, table, held, modelled)
     held_after, error_after = judged(problem, x, rig, table, held, modelled)
     unexplained: Mapping[str, MeanError] = {}
-    if as_declared and not explained:
+    if not fit_quality.explained:
         unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
         if not unexplained:
-            errors = left_out_errors(taken, x, columns, half(parts), pose)
+            inliers = taken if loss is Loss.LINEAR else only(problem, ~beyond)
+            errors = left_out_errors(inliers, x, columns, half(parts), pose)
             unexplained = mean_errors(errors, pose, held_out=False)
     used = not_left_out(found.weight)
     estimate = Estimate(

@@ -23,6 +23,7 @@ The robust cost has several minima, so Huber starts at the result of least squar
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple, assert_never
 
 import numpy as np
@@ -33,6 +34,7 @@ from truearm.estimate.solvers import Loss
 from truearm.types import Floats
 
 HUBER, CAUCHY = 1.345, 2.385  # c of one residual
+QUANTILES = 20_000  # of a mean over χ; of the mean of s², 1e-4 is beyond the last of them
 STAGES = (Loss.LINEAR, Loss.HUBER, Loss.CAUCHY)  # of a fit; the last is the requested loss
 
 
@@ -73,6 +75,17 @@ def tuning(of_one: float, width: int) -> float:
     """Return c for observations with ``width`` residuals: the quantile of χ_width that ``of_one`` (HUBER, CAUCHY) is of χ_1."""
     inside = special.gammainc(0.5, of_one**2 / 2.0)
     return float(np.sqrt(2.0 * special.gammaincinv(width / 2.0, inside)))
+
+
+@cache
+def clean_square(loss: Loss, width: int) -> float:
+    """Return the mean of w(s)·s² of clean observations with ``width`` residuals, ``width`` for the linear loss.
+
+    Divided by it, the weighted sum of squares estimates the variance of the noise without being ruled by outliers.
+    """
+    share = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    length = np.sqrt(special.chdtri(width, share))
+    return float(np.mean(weigh(loss, length, width).weight * length**2))
 
 
 class Moments(NamedTuple):

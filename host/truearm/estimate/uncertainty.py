@@ -49,6 +49,11 @@ class Goodness(NamedTuple):
     freedom: float
     band: tuple[float, float]
 
+    @property
+    def explained(self) -> bool:
+        """Return whether χ² is not above its range; without degrees of freedom, it is not."""
+        return not self.reduced > self.band[1]
+
 
 class CartesianError(NamedTuple):
     """The error of a point of the end over n poses; the standard deviations are along the principal axes."""

@@ -18,7 +18,7 @@ from scipy import special
 from truearm.estimate.information import Information, fold
 from truearm.estimate.problem import Problem, blocks, note
 from truearm.estimate.residual_noise import residual_cov, whiten
-from truearm.estimate.robust import Moments, weigh
+from truearm.estimate.robust import Moments, clean_square, weigh
 from truearm.estimate.solvers import Loss
 from truearm.kinds.linearised import Indices
 from truearm.types import Floats, Residuals
@@ -74,6 +74,20 @@ def observe_robustly(
         stacked = np.concatenate([block.jac, block.residual[..., None]], axis=2) * np.sqrt(seen.weight)[:, None, None]
         triangle = fold(triangle, stacked.reshape(-1, k + 1))
     return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual), moments, weights
+
+
+def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> float:
+    """Return χ² at x (P,) with the squares of all observations weighted by a robust loss, in units of clean ones.
+
+    For clean data its mean is that of χ² without weights.
+    """
+    nothing, chi2 = np.zeros(x.size, dtype=bool), 0.0
+    for block in whitened_blocks(problem, x, nothing):
+        mine = Loss.LINEAR if block.row is None else loss
+        length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
+        weight = weigh(mine, length, width).weight
+        chi2 += float(weight @ length**2) * (1.0 if mine is Loss.LINEAR else width / clean_square(mine, width))
+    return chi2
 
 
 def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:

@@ -44,6 +44,7 @@ from truearm.estimate.label_test import log_chance
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
+from truearm.estimate.uncertainty import LEAST_FREEDOM
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
@@ -211,6 +212,8 @@ def elsewhere(estimate: Estimate) -> bool:
 def _unusable(estimate: Estimate) -> Unusable | None:
     if _unconverged(estimate):
         return Unusable.NOT_CONVERGED
+    if not estimate.chi2_freedom >= LEAST_FREEDOM:
+        return Unusable.NO_FREEDOM
     if any(one.what is WrongInput.HELD for one in estimate.explanations):
         return None
     if estimate.explanations:

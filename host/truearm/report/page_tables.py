@@ -67,7 +67,7 @@ def visibility(estimate: Estimate) -> str:
     if held:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
     if not estimate.null_space:
-        words.append("All free parameters are identifiable.")
+        words.append("The observations alone identify all free parameters.")
         return f"<p>{' '.join(words)}</p>" + _hardly(estimate.hardly_seen)
     words.append(
         "The changes listed here (in m, rad and 1) do not change any prediction. The values of their parameters are one choice "

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import assert_never
 
+from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
 from truearm.text import counted, with_article
 from truearm.types import MeanError, PoseError, ResidualParts
@@ -47,10 +49,11 @@ def unexplained_words(errors: Mapping[str, MeanError]) -> str:
     )
 
 
-def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool) -> str:
+def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str = Loss.LINEAR) -> str:
     """Return how much of the residuals the declared noise explains, by SI unit; "" without residuals.
 
-    ``by_chance``: χ² is not above its band, so noise alone can leave the rest.
+    ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust ``loss`` weights
+    down.
     """
     declared, left = (
         " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
@@ -58,7 +61,8 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool) -> str:
     )
     if not parts:
         return ""
-    rest = f"the other {left} is no more than chance" if by_chance else f"{left} is unexplained"
+    chance = "no more than chance" if loss == Loss.LINEAR else f"in rows that the {loss} loss weights down, or chance"
+    rest = f"the other {left} is {chance}" if by_chance else f"{left} is unexplained"
     return f"Declared noise explains {declared} of the RMS after; {rest}."
 
 
@@ -68,6 +72,23 @@ def pose_error_words(error: PoseError) -> str:
         f"Rows of one pose share an error of {number(error.sigma, 'm')} {symbol('m')} (σ of each coordinate, from {counted(error.n, 'pose')} with several rows). "
         "The sigmas include it."
     )
+
+
+def all_identifiable(prior: str, believed: Sequence[str]) -> str:
+    """Return that the observations alone determine all free parameters, and what the ``prior`` is then for."""
+    match Prior(prior):
+        case Prior.NONE:
+            return "All free parameters are identifiable."
+        case Prior.WEAK | Prior.WIDE:
+            return "The observations alone, without the prior, identify all free parameters."
+        case Prior.DEFAULT:
+            are = "1 of them is" if len(believed) == 1 else f"{len(believed)} of them are"
+            return (
+                f"With the declared noise, the observations alone identify all free parameters. With residuals as large as "
+                f"these, {are} weakly identifiable and held by the weak prior."
+            )
+        case never:
+            assert_never(never)
 
 
 def drawing() -> str:

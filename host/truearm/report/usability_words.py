@@ -52,6 +52,11 @@ def _because(unusable: Unusable, document: Document) -> str:
     match unusable:
         case Unusable.NOT_CONVERGED:
             return f"It did not converge: {one_line(document['message'])}."
+        case Unusable.NO_FREEDOM:
+            return (
+                "Its residuals have no degrees of freedom: the parameters fit any readings. Measure more rows, or free fewer "
+                "parameters."
+            )
         case Unusable.WRONG_INPUTS:
             return f"Its inputs are probably wrong. Residuals of {_sizes(document, 'rms_after')} RMS remain."
         case Unusable.RESIDUALS:
