@@ -82,6 +82,29 @@ def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
     np.testing.assert_array_equal(then.covariance, now.covariance)
 
 
+def first_with_sigma(document: dict[str, Any]) -> dict[str, Any]:
+    return next(parameter for parameter in document["parameters"] if parameter["sigma"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: first_with_sigma(d).update(sigma=1.001 * first_with_sigma(d)["sigma"]), "its sigma is not that of"),
+        (lambda d: d["covariance"]["matrix"][1].__setitem__(0, 1.0), "is not symmetric"),
+        (lambda d: d["covariance"]["matrix"][0].__setitem__(0, -1.0), "is not symmetric|exceeds its variances"),
+    ],
+)
+def test_damage_is_found_without_a_checksum_where_it_can_be(run: Run, good: list[object], change, message) -> None:
+    document = json.loads(run(*good, "--json").out)
+    document["format_version"] = 2
+    for later in ("checksum", "usable", "unusable_because", "explanations"):
+        del document[later]
+    assert parse_result(json.dumps(document), "r.json").value.size
+    change(document)
+    with pytest.raises(cli.TruearmError, match=message):
+        parse_result(json.dumps(document), "r.json")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -26,7 +26,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
-from truearm.estimate.outliers import gross_rows, without_outliers
+from truearm.estimate.outliers import MOST, gross_rows, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
@@ -153,9 +153,11 @@ def identify(
     shares = prior_shares(half(parts), found.prior_sigma)
     unweighted = goodness(*of_data(problem, columns, found), shares)
     loss = Loss(options.loss)
+    distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     fit_quality = unweighted
-    if loss is not Loss.LINEAR:
-        fit_quality = goodness(weighted_chi2(problem, x, loss), of_data(problem, columns, found)[1], shares)
+    if loss is not Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
+        tolerated = only(problem, ~beyond if beyond.mean() <= MOST else np.ones_like(beyond))
+        fit_quality = goodness(*weighted_chi2(tolerated, x, loss), shares)
     data = _data_root(problem, columns, found)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(data.root, int(free.sum()), names)
@@ -178,7 +180,6 @@ def identify(
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
-    distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.

@@ -76,18 +76,19 @@ def observe_robustly(
     return Information(triangle[:k, :k], triangle[:k, k], chi2, count, residual), moments, weights
 
 
-def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> float:
-    """Return χ² at x (P,) with the squares of all observations weighted by a robust loss, in units of clean ones.
+def weighted_chi2(problem: Problem, x: Floats, loss: Loss) -> tuple[float, int]:
+    """Return χ² at x (P,) with the squares of all observations weighted by a robust loss, and their number of residuals.
 
-    For clean data its mean is that of χ² without weights.
+    It is in units of clean observations: for these, its mean is that of χ² without weights.
     """
-    nothing, chi2 = np.zeros(x.size, dtype=bool), 0.0
+    nothing, chi2, count = np.zeros(x.size, dtype=bool), 0.0, 0
     for block in whitened_blocks(problem, x, nothing):
         mine = Loss.LINEAR if block.row is None else loss
         length, width = np.linalg.norm(block.residual, axis=1), block.residual.shape[1]
         weight = weigh(mine, length, width).weight
         chi2 += float(weight @ length**2) * (1.0 if mine is Loss.LINEAR else width / clean_square(mine, width))
-    return chi2
+        count += block.residual.size
+    return chi2, count
 
 
 def deleted_distance(jac: Floats, residual: Floats, covariance_root: Floats, weight: Floats) -> Floats:
