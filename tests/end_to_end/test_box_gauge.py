@@ -88,6 +88,33 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
     assert page.exists()
 
 
+def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monkeypatch, capsys):
+    """Neither ends the measurement: with five places there is a calibration, of these five alone."""
+    monkeypatch.chdir(tmp_path)
+    with served() as (device, world, _):
+        first = [*((mm, f"{mm}") for mm in (-20, -10, 0)), "", "999", "-200"]
+        then = [(10, "10"), (20, "20"), "", "n"]
+        monkeypatch.setattr(sys, "stdin", Operator(world, [*first, *then]))
+        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2", "--order", "1") == 0
+        said = capsys.readouterr().out
+        assert "places measured: 3; a calibration needs 5 or more, over the whole travel. Measure the next one" in said
+        assert "999.0000 mm and -20.0000 mm are 1019.0000 mm apart, more than the sensor's stroke of 100 mm" in said
+        assert "-200.0000 mm and 0.0000 mm are 200.0000 mm apart" in said
+        assert "5 places, sigma" in said
+        table = tmp_path / "steps.csv"
+        table.write_text("reference_mm\n-20\n-10\n0\n10\n999\n")
+        assert box("gauge", "lvdt", "--box", device, "--references", table, "--force") == 2
+        assert "steps.csv: 999.0000 mm and -20.0000 mm are 1019.0000 mm apart" in capsys.readouterr().err
+        table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n")
+        lines = [(-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
+        monkeypatch.setattr(sys, "stdin", Operator(world, lines))
+        more = ("--references", table, "--seconds", "0.2", "--order", "1", "--force")
+        assert box("gauge", "lvdt", "--box", device, *more) == 0
+        said = capsys.readouterr().out
+        assert "places measured: 1; a calibration needs 5" in said
+        assert "5 places, sigma" in said
+
+
 def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
     """Its velocity of sound and the delay of its electronics, of which the latter takes up where the reference has its zero."""
     monkeypatch.chdir(tmp_path)

@@ -60,14 +60,11 @@ class Circumstances:
 
 def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple[PolyFit, list[PolyFit]]:
     """Return the calibration, and all fits that were tried. Raises InputError."""
-    from truearm.box.gauge_polynomial import MAX_ORDER, chosen, distinct_places, fits
+    from truearm.box.gauge_polynomial import MAX_ORDER, chosen, fits
 
     x, y = _readings(places), _references(places)
-    if (distinct := distinct_places(x)) < FEWEST_PLACES:
-        again = f", some of them more than once ({counted(len(places), 'reading')})" if len(places) > distinct else ""
-        raise InputError(
-            f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
-        )
+    if missing := too_few(places):
+        raise InputError(missing)
     tried = fits(x, y, 1 if linear else MAX_ORDER)
     if order is not None and not linear and order > tried[-1].order:
         raise InputError(
@@ -76,6 +73,16 @@ def calibrate(places: Sequence[Place], order: int | None, linear: bool) -> tuple
         )
     taken = tried[0] if linear else chosen(tried) if order is None else tried[order - 1]
     return replace(taken, sigma=max(taken.sigma, _of_means(places, taken))), tried
+
+
+def too_few(places: Sequence[Place]) -> str:
+    """Return why these places are not enough for a calibration; "" if they are."""
+    from truearm.box.gauge_polynomial import distinct_places
+
+    if (distinct := distinct_places(_readings(places))) >= FEWEST_PLACES:
+        return ""
+    again = f", some of them more than once ({counted(len(places), 'reading')})" if len(places) > distinct else ""
+    return f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
 
 
 def _of_means(places: Sequence[Place], fit: PolyFit) -> float:

@@ -12,7 +12,17 @@ import numpy as np
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of
-from truearm.box.gauge_result import HEAD, MAG, Circumstances, Place, calibrate, with_calibration, words, write_page
+from truearm.box.gauge_result import (
+    HEAD,
+    MAG,
+    Circumstances,
+    Place,
+    calibrate,
+    too_few,
+    with_calibration,
+    words,
+    write_page,
+)
 from truearm.errors import Argument, InputError, LinkError, TableError
 from truearm.progress import Advance, step
 from truearm.text import one_line
@@ -30,6 +40,8 @@ PATIENCE_S = 5.0
 MAX_REFERENCES = 1000
 MAX_BYTES = 1 << 18
 MAX_METRES = 10.0
+STROKE = 0.1  # m, of a displacement transducer; the ball-bar's LVDT has 75 mm
+SOUND = 2850.0  # m/s, highest velocity in the rod of a magnetostrictive sensor
 STILL_MOVES = 6.0  # standard deviations of the mean of one part
 PARTS = 8  # of the samples at a position
 FEWEST = 16  # fewest samples for a mean and its error
@@ -51,7 +63,7 @@ class GaugeOptions:
 
     ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: of samples at each position.
     ``order``: of the polynomial, None for the one with the smallest cross-validation error. ``serial``: of the sensor, None to
-    keep it. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
+    keep it. ``stroke`` [m]: greatest distance of two references, None for that of a usual sensor. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
     without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``Circumstances``.
     """
 
@@ -61,6 +73,7 @@ class GaugeOptions:
     seconds: float = 2.0
     order: int | None = None
     serial: str | None = None
+    stroke: float | None = None
     page: Path | None = None
     agreed: bool = False
     force: bool = False
@@ -180,7 +193,11 @@ def _measured_places(
     """Ask for references and sample at each, until the operator ends."""
     places: list[Place] = []
     stream, index = found
-    for reference in _typed(places, options.unit, operator) if listed is None else _listed(listed, places, operator):
+    stroke = _stroke(stream) if options.stroke is None else options.stroke
+    if listed is not None and max(listed) - min(listed) > stroke:
+        raise InputError(f"{options.references}: {_beyond(max(listed), min(listed), stroke)}")
+    given = _typed(places, options.unit, stroke, operator) if listed is None else _listed(listed, places, operator)
+    for reference in given:
         counts = sample(box, stream, options.seconds)
         problem = trouble(counts[:, index], stream)
         if problem:
@@ -201,32 +218,66 @@ def _measured_places(
 
 def _listed(references: Sequence[float], places: Sequence[Place], operator: Operator) -> Iterator[float]:
     """Yield each reference until it has been measured or is skipped."""
+    asked_again = False
     for number, reference in enumerate(references, 1):
         taken = len(places)
         while len(places) == taken:
             line = operator.ask(
                 f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
             )
-            if line is None or line == "q":
+            if line is None or (line == "q" and (asked_again or _are_enough(places, "q", operator))):
                 return
             if line == "s":
                 break
-            yield reference
+            asked_again = line == "q"
+            if not asked_again:
+                yield reference
 
 
-def _typed(places: list[Place], unit: str, operator: Operator) -> Iterator[float]:
+def _typed(places: list[Place], unit: str, stroke: float, operator: Operator) -> Iterator[float]:
+    """Yield references as they are typed. A single empty line ends them only if the places are enough."""
+    asked_again = False
     while len(places) < MAX_REFERENCES:
         line = operator.ask(f"reference [{unit}] (empty: done, undo): ")
-        if not line:
+        if line is None or (not line and (asked_again or _are_enough(places, "empty", operator))):
             return
+        asked_again = not line
+        if not line:
+            continue
         if line == "undo":
             operator.say(f"  {'dropped place ' + str(len(places)) if places else 'there is none'}")
             del places[-1:]
             continue
         try:
-            yield parse_reference(line, UNITS[unit])
+            reference = parse_reference(line, UNITS[unit])
         except InputError as exc:
             operator.say(f"  {exc}; type a number of {unit}")
+            continue
+        far = max((place.reference for place in places), key=lambda other: abs(other - reference), default=reference)
+        if abs(far - reference) > stroke:
+            operator.say(f"  {_beyond(reference, far, stroke)}; undo drops the last place")
+        else:
+            yield reference
+
+
+def _are_enough(places: Sequence[Place], end: str, operator: Operator) -> bool:
+    """Return whether the measurement may end: with enough places, or before the first. Otherwise tell the operator."""
+    missing = too_few(places) if places else ""
+    if missing:
+        operator.say(f"  {missing}. Measure the next one; {end} once more ends without a calibration")
+    return not missing
+
+
+def _stroke(stream: Stream) -> float:
+    """Return the greatest distance [m] of two references of a usual sensor: the pulse of a rod returns in one period."""
+    return SOUND * NS.to_si(stream.period_ns) if stream.name == MAG else STROKE
+
+
+def _beyond(reference: float, other: float, stroke: float) -> str:
+    apart = (
+        f"{MM.text(reference, '.4f')} and {MM.text(other, '.4f')} are {MM.text(abs(reference - other), '.4f')} apart"
+    )
+    return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit (--stroke-mm)"
 
 
 def _agreed(operator: Operator) -> bool:

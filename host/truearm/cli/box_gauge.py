@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
-from truearm.units import UM
+from truearm.units import MM, UM
 
 
 def gauge(
@@ -31,6 +31,16 @@ def gauge(
     serial: Annotated[
         str | None, typer.Option(metavar="TEXT", help="Serial number of the sensor. Default: unchanged.")
     ] = None,
+    stroke_mm: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=1e4,
+            metavar="MM",
+            help="Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor "
+            "as far as its pulses reach.",
+        ),
+    ] = None,
     out: Annotated[Path | None, out_file("the report (.html; default: gauge-CHANNEL.html)")] = None,
     instrument: Annotated[
         str, typer.Option(metavar="TEXT", help="The reference, for the report: type, serial number and certificate.")
@@ -52,7 +62,7 @@ def gauge(
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
     Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
-    travel, preferably there and back. An empty line ends the measurement; "undo" drops the last place. truearm chooses the
+    travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. truearm chooses the
     lowest order of the polynomial that is not significantly worse than the best in cross-validation. For the magnetostrictive sensor, the velocity of sound and the
     delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
     temperature.
@@ -64,8 +74,9 @@ def gauge(
     from truearm.box.gauge_run import GaugeOptions, gauge_channel
 
     uncertainty = None if uncertainty_um is None else UM.to_si(uncertainty_um)
+    stroke = None if stroke_mm is None else MM.to_si(stroke_mm)
     options = GaugeOptions(
-        channel, references, unit, seconds, order, serial, out, yes, force, instrument, uncertainty, operator
+        channel, references, unit, seconds, order, serial, stroke, out, yes, force, instrument, uncertainty, operator
     )
     gauge_channel(device, options, _Terminal(), stop)
 
