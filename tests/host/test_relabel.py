@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 from operator_scripts import Visit, forgetful, lengths, pairing_at, script, write_session
 
 from truearm.cli.main import main
@@ -190,6 +191,30 @@ class TestOneMissedEnter:
         assert all(found.get(k) == pairing_at(plan, k) for k in range(1, 20))
         assert max(found) == 19
         assert read_labels(path).decisions[0].trust == "asked"
+
+    def test_ctrl_c_keeps_the_answers_so_far(self, path, plan, capsys, monkeypatch):
+        """With answers they are saved, the rest is left out, and the exit code is that of an interruption; without, nothing is."""
+        answers = []
+
+        def prompt(_):
+            if not answers:
+                raise typer.Abort  # as typer.prompt does on Ctrl-C
+            return answers.pop(0)
+
+        monkeypatch.setattr("truearm.cli.relabel.may_ask", lambda: True)
+        monkeypatch.setattr(typer, "prompt", prompt)
+        assert main(["relabel", str(path)]) == 130
+        assert read_labels(path) is None
+        answers += ["nonsense", "p"]
+        assert main(["relabel", str(path)]) == 130
+        said = " ".join(capsys.readouterr().out.split())
+        labels = read_labels(path).decisions[0].dwells
+        left = [label for label in labels if label.detail == "not answered"]
+        assert f"the answers so far are kept, and {len(left)} dwells are left out" in said
+        assert 0 < len(left) < 29  # the run that was answered is labelled as planned
+        found = used(path)
+        assert len(found) > 9
+        assert all(name == pairing_at(plan, k) for k, name in found.items())
 
     def test_the_table_of_another_session_is_refused(self, path, tmp_path, plan, capsys):
         assert main(["relabel", str(path), "--trust", "plan"]) == 0

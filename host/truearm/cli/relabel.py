@@ -16,6 +16,7 @@ from truearm.cli.options import (
     TipOption,
 )
 from truearm.cli.output import print_json, print_lines
+from truearm.exit_codes import ExitCode
 from truearm.live.keyboard import may_ask
 from truearm.text import counted, one_line
 
@@ -55,7 +56,7 @@ def relabel(
     """
     from truearm.errors import InputError
     from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.relabel import RelabelOptions, Trust
+    from truearm.workflows.relabel import RelabelOptions, StopAsking, Trust
     from truearm.workflows.relabel import relabel as relabel_session
     from truearm.workflows.relabel import undo as undo_labels
 
@@ -68,11 +69,16 @@ def relabel(
             raise InputError(f"--trust {trust[:40]!r} is not one of {', '.join(Trust)}")
         ask = _ask if may_ask() and not as_json else None
         options = RelabelOptions(RobotChoice(robot, base, tip), rig, None if trust is None else Trust(trust), ask)
-        document = relabel_session(session, options)
+        try:
+            document = relabel_session(session, options)
+        except StopAsking:  # before the first answer: nothing was saved
+            raise typer.Abort from None
     if as_json:
         print_json(document)
     else:
         print_lines(lines(document, str(session)))
+    if document.get("unanswered"):
+        raise typer.Exit(ExitCode.INTERRUPTED)
 
 
 def lines(document: dict[str, Any], session: str) -> list[str]:
@@ -88,6 +94,12 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
         f"{sessions}: {counted(document['dwells'], 'dwell')}, {document['with_reading']} with a reading within the stroke: "
         f"{document['usable']} labelled; {document['otherwise_than_planned']} labels differ from the plan"
     ]
+    if document["unanswered"]:
+        unanswered = counted(document["unanswered"], "dwell is", "dwells are")
+        text.append(
+            f"The questions were ended: the answers so far are kept, and {unanswered} left out. Ask again: truearm relabel "
+            f"{shlex.quote(one_line(session))}"
+        )
     for row in document["table"]:
         if row["bar"] is None and row["reading"]:
             text.append(f"  dwell {row['dwell']} left out: {one_line(row['detail'])}")
@@ -95,10 +107,11 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
 
 
 def _ask(run: Run) -> Pairing | None:
-    """Ask what was mounted at a run of dwells."""
+    """Ask what was mounted at a run of dwells. Raises StopAsking on Ctrl-C and at the end of the input."""
     from truearm.errors import InputError
     from truearm.live.mounted_parts import parse_mounted
     from truearm.session.dwell_labels import pairing_of
+    from truearm.workflows.relabel import StopAsking
 
     choices = {}
     where = f"dwell {run.first}" if run.first == run.last else f"dwells {run.first} to {run.last}"
@@ -112,7 +125,13 @@ def _ask(run: Run) -> Pairing | None:
             choices[letter] = pairing
             typer.echo(f"  {letter}  {one_line(' '.join(pairing))} ({what})")
     while True:
-        answer = typer.prompt("  letter, bar=NAME,chuck=NAME,sphere=NAME, or s to leave them out").strip()
+        try:
+            answer = typer.prompt(
+                "  letter, bar=NAME,chuck=NAME,sphere=NAME, s to leave them out, or Ctrl-C to keep the answers and end"
+            ).strip()
+        except typer.Abort:  # which typer makes of Ctrl-C and of the end of the input
+            typer.echo()
+            raise StopAsking from None
         if answer == "s":
             return None
         if answer in choices:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import TYPE_CHECKING, Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,17 @@ class Run:
 Answer = Callable[[Run], Pairing | None]  # what was mounted; None: leave these dwells out
 
 
+class StopAsking(Exception):
+    """Raised by an ``Answer`` if the operator ends the questions: the answers so far are kept."""
+
+
+class Chosen(NamedTuple):
+    """The pairing of each dwell, None to leave it out; and the dwells for which the operator gave no answer."""
+
+    pairings: list[Pairing | None]
+    unanswered: frozenset[int] = frozenset()
+
+
 @dataclass(frozen=True)
 class RelabelOptions:
     """If ``trust`` is None, ``ask`` is called for every run for which plan, operator and readings differ."""
@@ -87,7 +98,8 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
     """Settle what was mounted at the dwells of a session and its further parts, save it next to them, and return the
     output.
 
-    Raises InputError, SessionError for a session that is incomplete or still being written.
+    If the operator ends the questions (``StopAsking``), the dwells without an answer are left out; without any answer
+    nothing is saved. Raises InputError, SessionError for a session that is incomplete or still being written, StopAsking.
     """
     paths = session_parts(session)
     with step("examining the session"):  # ends before the operator is asked
@@ -99,14 +111,18 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
             found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:
         raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
+    settled_by = _chosen(parts, said, found, options)
     chosen = [
         one if one is not None or read or not words.planned else words.planned[0]  # no reading: it gives no observation
-        for one, read, words in zip(_chosen(parts, said, found, options), readings.read, said, strict=True)
+        for one, read, words in zip(settled_by.pairings, readings.read, said, strict=True)
     ]
     before = [read_labels(path) or no_labels(path) for path in paths]  # all of them, before anything is written
     rows, at = list[dict[str, Any]](), 0
     for part, labels in zip(parts, before, strict=True):
-        settled = [_label(part, k, chosen[at + k], found, at + k) for k in range(len(part.good))]
+        settled = [
+            _label(part, k, chosen[at + k], found, at + k, at + k in settled_by.unanswered)
+            for k in range(len(part.good))
+        ]
         trust = "asked" if options.trust is None else options.trust.value
         decision = Decision(trust, tuple(settled), "" if robot is None else robot.chain.name)
         write_labels(part.path, with_decision(labels, decision))
@@ -120,6 +136,7 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
         "with_reading": sum(row["reading"] for row in rows),
         "usable": usable,
         "otherwise_than_planned": sum(row["bar"] is not None and row["otherwise"] for row in rows),
+        "unanswered": len(settled_by.unanswered),
         "table": rows,
     }
 
@@ -223,18 +240,16 @@ def _check_joints(robot: Robot, readings: Readings) -> None:
         )
 
 
-def _chosen(
-    parts: Sequence[Part], said: Sequence[Said], found: Mountings | None, options: RelabelOptions
-) -> list[Pairing | None]:
-    """Return the pairing of each dwell, None to leave it out."""
+def _chosen(parts: Sequence[Part], said: Sequence[Said], found: Mountings | None, options: RelabelOptions) -> Chosen:
+    """Return the pairing of each dwell."""
     sure: list[Pairing | None] = [None] * len(said) if found is None else found.sure()
     match options.trust:
         case Trust.PLAN:
-            return [one.planned[0] if len(one.planned) == 1 else None for one in said]
+            return Chosen([one.planned[0] if len(one.planned) == 1 else None for one in said])
         case Trust.TYPED:
-            return [one.confirmed for one in said]
+            return Chosen([one.confirmed for one in said])
         case Trust.EVIDENCE:
-            return sure
+            return Chosen(sure)
         case None:
             return _asked(parts, said, sure, found, options.ask)
         case _:
@@ -247,7 +262,7 @@ def _asked(
     sure: Sequence[Pairing | None],
     found: Mountings | None,
     ask: Answer | None,
-) -> list[Pairing | None]:
+) -> Chosen:
     if ask is None:
         raise InputError("there is no terminal to ask questions on; give ", Argument("trust"))
     chosen: list[Pairing | None] = []
@@ -267,20 +282,30 @@ def _asked(
             runs = {j: runs[i] if other is last else other for j, other in runs.items()}
         else:
             runs[i] = run
-    answers = {run: ask(run) for run in dict.fromkeys(runs.values())}
+    answers = dict[Run, Pairing | None]()
+    try:
+        for run in dict.fromkeys(runs.values()):
+            answers[run] = ask(run)
+    except StopAsking:
+        if not answers:
+            raise
     for i, run in runs.items():
-        chosen[i] = answers[run]
-    return chosen
+        chosen[i] = answers.get(run)
+    return Chosen(chosen, frozenset(i for i, run in runs.items() if run not in answers))
 
 
-def _label(part: Part, k: int, pairing: Pairing | None, found: Mountings | None, at: int) -> DwellLabel:
-    detail = "left out"
+def _label(
+    part: Part, k: int, pairing: Pairing | None, found: Mountings | None, at: int, unanswered: bool
+) -> DwellLabel:
+    detail = "not answered" if unanswered else "left out"
     p = float("nan")
     if found is not None:
         best = int(found.probability[at].argmax())
         if pairing is None:
             what = " ".join(found.pairings[best]) if best < len(found.pairings) else "nothing that the rig has"
-            detail = f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
+            detail = (
+                f"{detail}: " * unanswered + f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
+            )
         elif pairing in found.pairings:
             p = float(found.probability[at, found.pairings.index(pairing)])
     label = label_of(part.dwell(k), part.said[k], part.found.marks, pairing, "" if pairing else detail)
