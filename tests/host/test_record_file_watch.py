@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -17,6 +18,7 @@ from record_files import events, run, topics
 from record_real import box_on_a_socket
 from test_record_command import RIG
 
+from truearm.record.joint_lines import MAX_RUBBISH
 from truearm.record.recorder import RecordOptions
 from truearm.record.session_writer import SessionWriter
 from truearm.session.session_file import open_session
@@ -172,16 +174,17 @@ def test_the_command_says_it_within_two_seconds(tmp_path, how):
     assert not open_session(rescued).truncated
 
 
-def flood():
-    """Return the address of a robot that sends as fast as it can."""
+def flood(lines=None):
+    """Return the address of a robot that sends as fast as it can: one reading, and then readings or other ``lines``."""
     listener = socket.create_server(("127.0.0.1", 0))
-    lines = b"".join(json.dumps({"t": 1e-4 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n" for k in range(5000))
+    readings = b"".join(json.dumps({"t": 1e-4 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n" for k in range(5000))
 
     def serve():
         peer, _ = listener.accept()
         with peer, listener, suppress(OSError):
+            peer.sendall(readings.partition(b"\n")[0] + b"\n")
             while True:
-                peer.sendall(lines)
+                peer.sendall(lines or readings)
 
     threading.Thread(target=serve, daemon=True).start()
     return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
@@ -193,7 +196,8 @@ def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
         options = ["--unchecked", "--box", device, "--address", flood(), "--duration", "4", "--out", out]
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 4, done.stderr
+    assert "the robot sent more than could be stored, so readings may be missing" in done.stderr.splitlines()[-1]
     assert "the robot sends more than can be stored" in done.stderr
     assert "silent" not in done.stdout + done.stderr
     end = open_session(out).metadata["session-end"]
@@ -205,4 +209,25 @@ def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
         for k in ("start", "stop")
     )
     assert 4.0 <= (stop - start) / SECOND < 6.0
+    assert int(end["samples"]) > 3 * 1017 * 10 // 10
+
+
+def test_a_flood_of_junk_does_not_end_the_recording(tmp_path):
+    """The box is recorded to the end, the file does not grow with the junk, and the exit code says that it was not stored."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        address = flood(b"x" * 4095 + b"\n")
+        options = ["--unchecked", "--box", device, "--address", address, "--duration", "4", "--out", out]
+        command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 4, done.stderr
+    assert re.search(r"the robot sent [\d,]+ bytes that are not joint readings and were not stored", done.stderr)
+    assert "warning: the robot sends much that is not a joint reading" in done.stderr
+    found = topics(out)
+    kinds = [json.loads(event.data)["kind"] for event in found["/events"]]
+    assert kinds.count("robot-junk") == 1
+    assert 1 << 19 < sum(len(message.data) for message in found["/robot/console"]) <= MAX_RUBBISH
+    end = open_session(out).metadata["session-end"]
+    assert end["reason"] == "duration"
+    assert int(end["robot_lines"]) == 1
     assert int(end["samples"]) > 3 * 1017 * 10 // 10

@@ -38,7 +38,7 @@ def _totals(summary: RecordSummary) -> str:
         parts.append(f"link lost {counters.link_losses} times")
     if counters.robot_losses:
         parts.append(f"robot lost {counters.robot_losses} times")
-    if counters.robot_held_up:
+    if counters.robot_held_up or counters.robot_unstored:
         parts.append("the robot sent more than could be stored")
     if counters.held_up:
         parts.append(f"storing fell behind {counters.held_up} times")

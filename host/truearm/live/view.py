@@ -186,7 +186,7 @@ class _Watch:
         self._box_ok = True
         self._link_losses = 0
         self._robot_ok: bool | None = None
-        self._robot_silent = self._robot_floods = False
+        self._robot_silent = self._robot_floods = self._robot_junk = False
         self._lost = 0
 
     def events(self, status: Status) -> list[str]:
@@ -216,6 +216,9 @@ class _Watch:
         if status.counters.robot_held_up and not self._robot_floods:
             self._robot_floods = True
             messages.append("warning: the robot sends more than can be stored; its readings come late")
+        if status.counters.robot_unstored_bytes and not self._robot_junk:
+            self._robot_junk = True
+            messages.append("warning: the robot sends much that is not a joint reading; no more of it is stored")
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             messages.append(

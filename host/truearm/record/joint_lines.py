@@ -20,7 +20,7 @@ from truearm.record.status import Counters
 from truearm.session.joint_readings import UNNUMBERED, JointLine, parse_line
 
 MAX_LINE = 8192  # bytes
-MAX_RUBBISH = 1 << 20  # bytes without a reading; a sender of that many is not a robot
+MAX_RUBBISH = 1 << 20  # bytes without a reading; what follows is counted, and stored again from the next reading on
 SILENCE_S = 3.0
 END = b'{"end": true}'
 EXPECTED = 'expected are lines such as {"t": 1.5, "seq": 3, "q": [0.1, -2.0]}'
@@ -83,10 +83,8 @@ class RobotIntake:
         self._linked = True
 
     def read(self) -> Arrivals:
-        """Return what has arrived, without waiting; nothing after the end, without a link, or if it is not a joint
-        stream.
-        """
-        if self.end is not None or self.rubbish or not self._opened():
+        """Return what has arrived, without waiting; nothing after the end or without a link."""
+        if self.end is not None or not self._opened():
             return []
         try:
             return self._link.read(0.0)
@@ -152,13 +150,6 @@ class RobotIntake:
         return backlog_of(self._link).held_up
 
     @property
-    def rubbish(self) -> str:
-        """Return a message if the robot does not send a stream of readings, else ""."""
-        if self._rubbish <= MAX_RUBBISH:
-            return ""
-        return f"{self._link.name}: {self._rubbish} bytes without a joint reading; {EXPECTED}"
-
-    @property
     def closed(self) -> bool:
         """Whether the robot ended its stream deliberately."""
         return isinstance(self.end, LinkClosed)
@@ -188,9 +179,17 @@ class RobotIntake:
             self._store_console(t_host_ns, rest)
 
     def _store_console(self, t_host_ns: int, data: bytes) -> None:
-        self._rubbish += len(data)
+        """Store what is not a reading. Of an endless stream of it, only the beginning is stored: it would fill the disk."""
+        before, self._rubbish = self._rubbish, self._rubbish + len(data)
         self._counters.robot_console_bytes += len(data)
-        self._writer.add("/robot/console", t_host_ns, data)
+        if self._rubbish <= MAX_RUBBISH:
+            self._writer.add("/robot/console", t_host_ns, data)
+            return
+        if before <= MAX_RUBBISH:
+            self._writer.event(
+                "robot-junk", t_host_ns, text=f"{self._rubbish} bytes without a joint reading; {EXPECTED}"
+            )
+        self._counters.robot_unstored_bytes += len(data)
 
 
 def _is_end(line: bytes) -> bool:

@@ -41,6 +41,7 @@ PATIENCE_S = (
 SHORTEST_NS = 10_000
 ROBOT_SHARE_NS = SECOND // 50  # at a time, so that a flood of readings delays neither clock exchanges nor the end
 DRAIN_NS = SECOND // 5
+USUAL_WAITING = 128  # pieces that have just arrived when a recording ends
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
 
@@ -258,8 +259,6 @@ class _Recorder:
             raise _Ended("duration")
 
     def _check_robot(self, robot: RobotIntake) -> None:
-        if robot.rubbish and self._started_ns is not None:
-            raise _Ended("no readings", robot.rubbish)
         if robot.end is not None:
             raise _Ended("robot closed" if robot.closed else "robot lost", str(robot.end))
         if robot.lost_ns is not None and self._clock.now_ns() - robot.lost_ns > self._patience_ns:
@@ -310,6 +309,8 @@ class _Recorder:
             self._box.flush()
             if self._robot is not None:
                 self._robot.flush(now_ns)
+                waiting = len(self._behind) + self._robot.waiting
+                self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)
             self._count_probes()
             for wish in self._operator.last_wishes():

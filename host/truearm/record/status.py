@@ -21,6 +21,8 @@ class Counters:
     robot_lines: int = 0
     robot_other_joints: int = 0  # readings with a different number of joints from the first
     robot_console_bytes: int = 0  # these and everything else that is not a reading
+    robot_unstored_bytes: int = 0  # of the latter, not in the file because there are too many
+    robot_unstored: int = 0  # pieces of the robot's stream that were still waiting when the recording ended
     restarts: int = 0
     link_losses: int = 0
     robot_losses: int = 0

@@ -118,6 +118,14 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     elif with_robot and not summary.counters.robot_lines:
         closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
         reasons.append(f"{closed} a joint reading")
+    if summary.counters.robot_unstored or summary.counters.robot_held_up:
+        reasons.append(
+            "the robot sent more than could be stored, so readings may be missing; let it send fewer per second"
+        )
+    if summary.counters.robot_unstored_bytes:
+        reasons.append(
+            f"the robot sent {summary.counters.robot_unstored_bytes:,} bytes that are not joint readings and were not stored"
+        )
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
         reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
