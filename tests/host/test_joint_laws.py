@@ -135,6 +135,26 @@ def test_learned_variances_are_a_maximum_of_the_evidence_with_its_hyperprior():
     assert cost(1.0, 1.5) <= best + 1e-9
 
 
+def test_twenty_steps_reach_the_maximum_that_plain_steps_approach_slowly():
+    """Kernels that overlap: after 20 plain steps, 0.2 nats are missing."""
+    rng = np.random.default_rng(14)
+    at = np.sort(rng.uniform(0.0, 3.0, 300))
+    centres = np.arange(0.0, 3.01, 0.05)
+    jac = np.exp(-0.5 * ((at[:, None] - centres) / 0.05) ** 2)
+    apart = np.abs(centres[:, None] - centres)
+    kernels = np.array([np.exp(-apart / length) for length in (0.1, 0.2, 0.4, 0.8)])
+    block = PriorBlock(slice(0, centres.size), kernels, 10.0)
+    y = jac @ np.sin(5.0 * centres) + rng.normal(0.0, 1.0, at.size)
+    seen = seen_by(Marginal(jac.T @ jac, jac.T @ y), [block])
+    start = [np.full(4, 1e-2)]
+
+    def value(variances):
+        return weigh(seen, [block], variances).nats - sum(float(v.sum()) for v in variances) / (2.0 * block.cap**2)
+
+    best = value(learned(seen, [block], start, 2000, 1e-9))
+    assert value(learned(seen, [block], start, 20)) > best - 0.1
+
+
 def world(rng, n, curves=True, masses=True, gravity=DOWN):
     """A UR10 with its design geometry moved, seen by a tracker; curves and masses are not drawn from the prior."""
     chain = ROBOT.chain

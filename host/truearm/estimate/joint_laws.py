@@ -171,7 +171,7 @@ class _Work:
     def carried(self, laws: Sequence[Law]) -> tuple[tuple[Law, ...], Learned, dict[Law, float]]:
         """Return those of some laws that the evidence supports, what was learned with them, and the nats of the others."""
         start = PoseNoise(max(self.before.chi2_reduced / 2.0, 1e-3), 0.0, JOINT_NOISE**2)
-        return gated(self.problem, laws, learn(self.problem(laws), {}, start))
+        return gated(self.problem, laws, learn(self.problem(laws), start))
 
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)

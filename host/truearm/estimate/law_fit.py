@@ -21,7 +21,9 @@ from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
     PoseSample,
+    in_rows,
     learned_noise,
+    noise_change,
     normal_matrix,
     pose_samples,
     unknowns_of_rows,
@@ -35,17 +37,18 @@ from truearm.units import UNITS
 
 GATE = 6.0  # nats
 EARNEST = 25.0  # nats
+ABSENT = 0.05  # nats: without such a law, variances and noise are those that were learned with it
 START = 0.2  # of the cap: initial standard deviations
 LEARNING = (
     3000,
     9000,
 )  # poses and residuals: variances and noise are learned from a random selection of at most so many
 FOR_NOISE = (1000, 3000)  # of these, for the noise
+LEAST_ROUNDS = 3  # without anything learned before
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
-FIRST_STEPS, STEPS = 30, 12  # of the variances, in the first rounds and later
-NOISE_END = 0.02  # the last round changes the noise variances by less
+STEPS = 20  # of the variances in a round
+NOISE_END = 0.01  # the last round changes the variance of the rows by less
 SHARED_START = 1e-10  # m²
-NOTHING = (1e-3, 1e-14, 1e-13)  # smaller noise is negligible and could decrease for ever
 RIG_SIGMA = 10.0  # m, rad: keeps unknowns without a prior finite along null directions
 
 
@@ -128,29 +131,31 @@ class Posterior(NamedTuple):
     prior_root: Floats
 
 
-def learn(of: LawProblem, variances: Mapping[Law, Floats], noise: PoseNoise) -> Learned:
-    """Learn variances and noise from at most LEARNING poses; laws missing in ``variances`` start small."""
+def learn(of: LawProblem, start: PoseNoise | Learned) -> Learned:
+    """Learn variances and noise from at most LEARNING poses.
+
+    They start from what was learned with more laws; with a noise alone, all variances start small.
+    """
     part, blocks = of.some(), prior_blocks(of.laws)
-    values = [
-        variances.get(law, np.full(len(block.kernels), (START * block.cap) ** 2))
-        for law, block in zip(of.laws, blocks, strict=True)
-    ]
+    if isinstance(start, Learned):
+        values, noise, x, least = [start.variances[law] for law in of.laws], start.noise, start.x, 0
+    else:
+        values = [np.full(len(block.kernels), (START * block.cap) ** 2) for block in blocks]
+        noise, x, least = start, of.start, LEAST_ROUNDS
     shared = of.shares_poses
     if shared and not noise.shared:
         noise = noise._replace(shared=SHARED_START)
     every = max(1, int(part.times(FOR_NOISE)))
-    x = of.start
     for i in steps_of(range(ROUNDS), "learning the sizes of joint laws and noise"):
         marginal, rest = _marginal(part, x, noise)
         seen = seen_by(marginal, blocks)
-        values = learned(seen, blocks, revived(seen, blocks, values), FIRST_STEPS if i < 2 else STEPS)
+        values = learned(seen, blocks, revived(seen, blocks, values), STEPS)
         weighed = weigh(seen, blocks, values)
         found = coefficients(marginal, weighed, blocks, values)
         here = _posterior(part, x, marginal, rest, found, weighed.nats)
         samples = _samples(part, x, here, every)
         x, old, noise = here.x, noise, learned_noise(samples, noise, shared)
-        new, before = np.array(noise), np.array(old)
-        if i > 2 and np.all((np.abs(new - before) <= NOISE_END * new) | (new < NOTHING)):
+        if i >= least and noise_change(samples, old, noise) < NOISE_END:
             break
     nats = {law: block_nats(weighed, b, v) for law, b, v in zip(of.laws, blocks, values, strict=True)}
     return Learned(dict(zip(of.laws, values, strict=True)), noise, nats, here.evidence, x)
@@ -169,20 +174,31 @@ def gated(
         weak = [law for law in laws if found.nats[law] < GATE]
         if weak:
             dropped |= {law: found.nats[law] for law in weak}
+            found, absent = _without(make(laws), found, weak), all(abs(found.nats[law]) < ABSENT for law in weak)
             laws = [law for law in laws if law not in weak]
-            found = learn(make(laws), found.variances, found.noise)
+            found = found if absent else learn(make(laws), found)
             continue
         doubtful = [law for law in laws if found.nats[law] < EARNEST and law not in sure]
         if not doubtful:
             return tuple(laws), found, dropped
         weakest = min(doubtful, key=found.nats.__getitem__)
-        without = learn(make([law for law in laws if law != weakest]), found.variances, found.noise)
+        without = learn(make([law for law in laws if law != weakest]), _without(make(laws), found, [weakest]))
         gain = found.evidence - without.evidence
         if gain < GATE:
             dropped[weakest] = gain
             laws, found = [law for law in laws if law != weakest], without
         else:
             sure.add(weakest)
+
+
+def _without(of: LawProblem, found: Learned, gone: Sequence[Law]) -> Learned:
+    """Return what was learned about a problem, without some of its laws."""
+    at = np.flatnonzero(of.columns)[of.is_law]
+    blocks = zip(of.laws, prior_blocks(of.laws), strict=True)
+    x = np.delete(found.x, np.concatenate([at[block.columns] for law, block in blocks if law in gone]))
+    kept = [law for law in of.laws if law not in gone]
+    evidence = found.evidence - sum(found.nats[law] for law in gone)
+    return Learned({k: found.variances[k] for k in kept}, found.noise, {k: found.nats[k] for k in kept}, evidence, x)
 
 
 def posterior(of: LawProblem, found: Learned) -> Posterior:
@@ -245,7 +261,7 @@ def _samples(of: LawProblem, x: Floats, here: Posterior, every: int) -> list[Pos
     """Return the poses' residuals at the posterior, linearised at x."""
     mix = unknowns_of_rows(of.problem, x, of.columns)
     step = mix @ np.append((x - here.x)[of.columns], 1.0)
-    return pose_samples(of.problem, x, of.pose, step, mix[:, :-1] @ here.covariance @ mix[:, :-1].T, every)
+    return pose_samples(of.problem, x, of.pose, step, in_rows(mix, here.covariance), every)
 
 
 def _rows_used(problem: Problem) -> Indices:

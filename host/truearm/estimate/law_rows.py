@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.law_fit import LawProblem, Posterior
-from truearm.estimate.pose_noise import PoseNoise, pose_rows, spread_of, unknowns_of_rows
+from truearm.estimate.pose_noise import PoseNoise, in_rows, pose_rows, spread_of, unknowns_of_rows
 from truearm.estimate.whitened_rows import gate, noise_root
 from truearm.kinds.group import unit_columns
 from truearm.types import Floats, ResidualParts, Residuals
@@ -39,8 +39,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
     left_out, distance = problem.no_residuals(), np.full(problem.n_rows, np.nan)
     beyond = np.zeros(problem.n_rows, dtype=bool)
     squares: dict[str, list[Floats]] = {}
-    mix = unknowns_of_rows(problem, found.x, of.columns)[:, :-1]
-    posterior = mix @ found.covariance @ mix.T
+    posterior = in_rows(unknowns_of_rows(problem, found.x, of.columns), found.covariance)
     for poses in pose_rows(problem, found.x, of.pose):
         group = poses.group
         if group.row is None:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
@@ -137,18 +138,18 @@ def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
 def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise) -> Normals:
     """Return the observations' information on x[columns] and the residual, at x with the given noise."""
     mix = unknowns_of_rows(problem, x, columns)
-    total, logdet = np.zeros((len(mix), len(mix))), 0.0
+    total, logdet = np.zeros((mix.shape[0], mix.shape[0])), 0.0
     for poses in pose_rows(problem, x, pose):
         root = np.linalg.cholesky(poses.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
         rows = poses.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ poses.rows
         flat = rows.reshape(-1, rows.shape[2])
         total += flat.T @ flat
-    return Normals(np.asarray(mix.T @ total @ mix), logdet)
+    return Normals(np.asarray((mix.T @ (mix.T @ total).T).T), logdet)
 
 
-def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Floats:
-    """Return (b + r + 1, k + 1): ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
+def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
+    """Return (b + r + 1, k + 1), nearly all zeros: ``PoseRows.rows`` times it are the derivatives by x[columns], and the residual."""
     robot, rig = columns[: problem.n_robot], columns[problem.n_robot :]
     twists = folded(problem.chain, x[: problem.n_robot]).twists[:, robot]
     b, p = twists.shape
@@ -156,7 +157,13 @@ def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) ->
     mix[:b, :p] = twists
     mix[b + np.flatnonzero(rig), p + np.arange(int(rig.sum()))] = 1.0
     mix[-1, -1] = 1.0
-    return mix
+    return csr_array(mix)
+
+
+def in_rows(mix: csr_array, covariance: Floats) -> Floats:
+    """Return the covariance (k, k) of the unknowns in terms of ``PoseRows.rows``, with zeros for the residual."""
+    unknowns = mix[:, :-1]
+    return np.asarray(unknowns @ (unknowns @ covariance).T)
 
 
 def spread_of(rows: Floats, posterior: Floats) -> Floats:
@@ -205,6 +212,12 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool,
         if np.all(np.abs(np.array(noise) - old) <= SETTLED * old):
             break
     return noise
+
+
+def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) -> float:
+    """Return the relative change of the rows' noise variance, with the changes of its parts added up."""
+    rows = _parts(samples, new).rows
+    return float(np.abs(np.array(new) - np.array(old)) @ rows / (np.array(new) @ rows))
 
 
 class _Parts(NamedTuple):

@@ -201,7 +201,7 @@ def document_of(
         "covariance": {
             "names": names[estimate.free].tolist(),
             "units": np.array(estimate.units)[estimate.free].tolist(),
-            "matrix": [numbers_or_null(row) for row in estimate.covariance[np.ix_(estimate.free, estimate.free)]],
+            "matrix": _matrix(estimate.covariance[np.ix_(estimate.free, estimate.free)]),
         },
     }
     return with_checksum(document)
@@ -213,6 +213,11 @@ def _coefficients(estimate: Estimate) -> int:
     The prior of the evidence constrains them, so they count neither as free nor in the rank.
     """
     return sum(law.size for law in estimate.joint_laws.kept) if estimate.joint_laws else 0
+
+
+def _matrix(covariance: Floats) -> list[list[float | None]]:
+    rows: list[list[float | None]] = covariance.tolist()
+    return rows if np.isfinite(covariance).all() else [numbers_or_null(row) for row in rows]
 
 
 def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -568,6 +573,15 @@ class _JsonNumber(ReadOnly):
         return float(raw)
 
 
+class _NumberRow(ReadOnly):
+    """A list of numbers or ``null``. Rows of finite floats, nearly all of a large covariance, are checked at once."""
+
+    def parse(self, raw: Any, suffix: str = "") -> tuple[float, ...]:
+        if isinstance(raw, list) and all(type(item) is float for item in raw) and np.isfinite(raw).all():
+            return tuple(raw)  # as many as there are names
+        return tuple(_many(_NUMBER).parse(raw, suffix))
+
+
 @dataclass(frozen=True)
 class Nullable(ReadOnly):
     """A value, or ``null``."""
@@ -613,7 +627,7 @@ _FRAMES = _later((_text("name"), _text("base_frame"), _text("end_frame"), _UNITS
 _NUMBERS = (Key("nominal", _KNOWN), Key("value", _NUMBER), Key("sigma", _NUMBER))
 _OF = Key("of", Choice(("robot", "rig")))
 _PARAMETER = _later((_text("name"), _text("unit"), *_NUMBERS, Key("free", Flag()), _OF), _StoredParameter)
-_COVARIANCE = _later((_NAMES, Key("matrix", _many(_many(_NUMBER)))), _StoredCovariance)
+_COVARIANCE = _later((_NAMES, Key("matrix", _many(_NumberRow()))), _StoredCovariance)
 _DIRECTION = _later((_NAMES, Key("weights", _many(_KNOWN))), NullDirection)
 _STILL = _later(
     (_text("joint"), Key("unit", Choice(("rad", "m"))), Key("spread", _KNOWN), Key("at", _KNOWN)), StillJoint
