@@ -149,9 +149,8 @@ class Identification(Calibration):
     rig: Rigs
     table: ObservationTable
     estimate: Estimate
-    predicted: (
-        PredictedError | None
-    )  # the expected error of the tool; None if more than the declared noise is in the residuals
+    # The expected error of the tool; None if the residuals hold more than the declared noise.
+    predicted: PredictedError | None
 
     @property
     def prior(self) -> str:
