@@ -2,8 +2,8 @@
 
 The pin tables come from KiCad 9's own symbol libraries where ``symbol`` names one (``make hardware-check`` compares
 them again), and otherwise from the sources in ``source``. No manufacturer's site could be reached when this was
-written. Compare with the data sheets before ordering the first board, starting with LTC2863 and the transistors,
-which have no independent symbol here.
+written. Compare with the data sheets before ordering the first board, starting with LTC2863, which has no symbol of its
+own in KiCad's libraries.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ DATA_SHEETS = {
     ),
     "LTC2863": DataSheet(
         pins("1 VCC, 2 RO, 3 DI, 4 GND, 5 Y, 6 Z, 7 B, 8 A"),
-        "LTC2862-2865 data sheet: 3 to 5.5 V, +-60 V and +-15 kV at the line pins, receiver high when open, shorted or idle for "
-        "longer than some us; S8 pinout from memory (as MAX3490's)",
+        "LTC2862-2865 data sheet, first page: 3 to 5.5 V, 20 Mbps, +-60 V at the line pins also without supply, +-15 kV, receiver "
+        "high when open, shorted or idle (for longer than some us); S8 pinout from memory (as MAX3490's and LTC2851's)",
         "Interface_UART:MAX3490xSA",
         decoupling=(("VCC", "GND", 100e-9),),
         ground="GND",
@@ -115,14 +115,34 @@ DATA_SHEETS = {
         limits={"C": (-7.0, 70.0)},
     ),
     "BCP56": DataSheet(
-        pins("1 B, 2 C, 3 E, 4 C"), "Nexperia BCP56: 80 V, 1 A (SOT-223)", ground="E", limits={"C": (-5.0, 80.0)}
+        pins("1 B, 2 C, 3 E, 4 C"),
+        "Nexperia BCP56: 80 V, 1 A (SOT-223)",
+        "Transistor_BJT:BCP56",
+        ground="E",
+        limits={"C": (-5.0, 80.0)},
     ),
-    "BC847": DataSheet(pins("1 B, 2 E, 3 C"), "Nexperia BC847: 45 V (SOT-23)", ground="E", limits={"C": (-5.0, 45.0)}),
+    "BC847": DataSheet(
+        pins("1 B, 2 E, 3 C"),
+        "Nexperia BC847: 45 V (SOT-23)",
+        "Transistor_BJT:BC847",
+        ground="E",
+        limits={"C": (-5.0, 45.0)},
+    ),
     # the supply of the thermometers ends at +-30 V: limits of a PNP are those of its collector
     "BCP53": DataSheet(
-        pins("1 B, 2 C, 3 E, 4 C"), "Nexperia BCP53: 80 V, 1 A (SOT-223)", ground="E", limits={"C": (-80.0, 5.0)}
+        pins("1 B, 2 C, 3 E, 4 C"),
+        "Nexperia BCP53: 80 V, 1 A (SOT-223)",
+        "Transistor_BJT:BCP53",
+        ground="E",
+        limits={"C": (-80.0, 5.0)},
     ),
-    "BC857": DataSheet(pins("1 B, 2 E, 3 C"), "Nexperia BC857: 45 V (SOT-23)", ground="E", limits={"C": (-45.0, 5.0)}),
+    "BC857": DataSheet(
+        pins("1 B, 2 E, 3 C"),
+        "Nexperia BC857: 45 V (SOT-23)",
+        "Transistor_BJT:BC857",
+        ground="E",
+        limits={"C": (-45.0, 5.0)},
+    ),
     "BAT54S": DataSheet(
         pins("1 A1, 2 K2, 3 MID"), "two diodes in series, 30 V, 200 mA: 1 to 3 and 3 to 2", "Diode:BAT54S"
     ),
