@@ -508,7 +508,7 @@ def correct_poses(
     poses : array (n, 4, 4) or (4, 4)
         Target poses of the end frame in the base frame: rotation matrix and position [m].
     method : str
-        "newton" (full inverse), "false-target", "joints" or "offsets" (Renders 1991).
+        {method}. The first is the full inverse; the others are those of Renders 1991.
     own_frames : bool
         The poses are given in the robot's own base and flange frames: do not correct the mounting of base and tool.
     home : sequence of float, optional
@@ -558,7 +558,7 @@ def export_robot(
     result : Calibration
         Return value of ``identify`` or ``read_result``.
     format : str
-        "urdf", "ur", "dh", "dh-hayati", "mdh" or "sheth-uicker", as for ``truearm export --format``.
+        {format}, as for ``truearm export --format``.
     path : str or path, optional
         File to write; an existing file is replaced. Default: return the text without writing a file.
     own_frames : bool

@@ -29,6 +29,7 @@ from truearm.text import with_article
 
 P = ParamSpec("P")
 R = TypeVar("R")
+D = TypeVar("D", bound=Callable[..., Any])
 
 WORDS: Mapping[Any, str] = {
     bool: "True or False",
@@ -57,7 +58,23 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             given.arguments[name] = converted(name, value, _hints(function)[name])
         return function(*given.args, **given.kwargs)
 
-    return called
+    return with_choices(called)
+
+
+def with_choices(described: D) -> D:
+    """Replace ``{name}`` in the docstring of a function or a class by the names that this argument can have."""
+    if "{" in (described.__doc__ or ""):
+        for name, hint in get_type_hints(described, include_extras=True).items():
+            for one in _alternatives(hint):
+                for rule in getattr(one, "__metadata__", ()):
+                    if isinstance(rule, OneOf):
+                        described.__doc__ = str(described.__doc__).replace(f"{{{name}}}", _quoted(tuple(rule.names)))
+    return described
+
+
+def _quoted(names: Sequence[str]) -> str:
+    *others, last = (f'"{name}"' for name in names)
+    return f"{', '.join(others)} or {last}"
 
 
 def check_fields(record: Any) -> None:

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from truearm.kinds.registry import identifiers
+
 HELD_OUT_KEYS = {"n", "n_settled", "n_left_out"}
 HELD_OUT_FIGURES = ("rms", "mean", "max", "n")
 
@@ -98,9 +100,9 @@ def check_schema(result: dict[str, Any]) -> None:
     assert set(result["observability"]) == {"o1", "o2", "o3", "o4"}
     assert len(result["chi2_band"]) == 2
     for entry in result["observations"]:
-        assert set(entry) == {"rig", "kind", "fitted", "held_out", "chucks", "spheres", "places"} | each(
-            *RMS, "rms_held_out"
-        )
+        names = {f"{column}s" for column in identifiers() if column != "rig"}
+        assert names >= {"chucks", "spheres", "bars", "places", "trackers", "planes"}
+        assert set(entry) == {"rig", "kind", "fitted", "held_out", *names} | each(*RMS, "rms_held_out")
     names = {p["name"] for p in result["parameters"]}
     assert set(result["defaults"]) == {"base", "tool", "frames", "still", "lost", "believed"}
     for direction in result["defaults"]["frames"]:

@@ -16,9 +16,13 @@ from identify_bench import exact_lengths
 from session_stream import RIG, session
 
 import truearm
+from truearm.correct.methods import Method
 from truearm.errors import InputError, RobotError, TargetError
+from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior
+from truearm.export.formats import FORMATS
 from truearm.files.rig_file import write_rig
 from truearm.model.chain import forward
+from truearm.plan.criteria import Criterion
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.types import LinePlacement
@@ -144,6 +148,25 @@ def test_a_table_that_could_not_be_read_again_is_not_written(change, complaint, 
     with pytest.raises(truearm.TableError, match="row 4.*" + re.escape(complaint)):
         truearm.write_table(tmp_path / "t.csv", wrong, robot)
     assert not (tmp_path / "t.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("described", "parameter", "names"),
+    [
+        (truearm.export_robot, "format", FORMATS),
+        (truearm.correct_poses, "method", Method),
+        (truearm.IdentifyOptions, "prior", Prior),
+        (truearm.IdentifyOptions, "solver", SOLVERS),
+        (truearm.IdentifyOptions, "loss", Loss),
+        (truearm.IdentifyOptions, "joint_laws", LawMode),
+        (truearm.BallBarOptions, "criterion", Criterion),
+    ],
+)
+def test_a_docstring_lists_all_names_of_a_choice(described, parameter, names):
+    text = inspect.getdoc(described)
+    (section,) = re.findall(rf"^{parameter} : .*\n((?:    .*\n)+)", text, re.MULTILINE)
+    assert set(names) <= set(re.findall(r'"([^"]+)"', section))
+    assert "{" not in text
 
 
 def test_importing_is_cheap():
@@ -421,6 +444,9 @@ REFUSED = [
     *(("sensor_cov", InputError, lambda a, v=v: truearm.Device("t", v)) for v in ((), [[1e-8]], np.zeros((3, 3)), np.triu(np.ones((3, 3))))),
     *(("normal", InputError, lambda a, v=v: truearm.Plane("f", (0.4, 0.0, 0.0), v, 2e-5)) for v in ([0.0, 0.0, 0.0], [0.0, 0.0, float("nan")])),
     ("rig", InputError, lambda a: truearm.identify(a.robot, a.table, {})),
+    ("home", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4), home=[0.0, 0.0, 0.0, 0.0, 0.0, 7.0])),
+    ("at", InputError, lambda a: truearm.error_map(a.result, at=[0.0, 0.0, 0.0, 0.0, 0.0, -7.0])),
+    ("over", InputError, lambda a: truearm.export_robot(a.result, "dh", over=np.full((20, 6), 7.0))),
     ("result", InputError, lambda a: truearm.plan_ball_bar(truearm.load_robot("irb120"), a.bench, poses=8, result=a.result)),
 ]  # fmt: skip
 

@@ -24,6 +24,7 @@ from truearm.files.result_file import (
     read_result,
     write_result,
 )
+from truearm.kinds.registry import identifiers
 from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
@@ -134,7 +135,8 @@ def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     )
     (counts,) = document_of(estimate, TABLE, ROBOT, [])["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
-    assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, "chucks": 0, "spheres": 0, "places": 1}
+    names = {f"{column}s": 0 for column in identifiers() if column != "rig"} | {"places": 1}
+    assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, **names}
     assert found == {
         "rms_before_mm": 1000.0,  # of the rows that have a residual
         "rms_after_mm": pytest.approx(math.sqrt(12.5)),

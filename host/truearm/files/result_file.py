@@ -25,6 +25,7 @@ from truearm.errors import InputError
 from truearm.files.disk import read_text, sha256, write_atomic
 from truearm.files.law_document import LAWS, law_document
 from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_null
+from truearm.kinds import registry
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import (
     Defaults,
@@ -58,7 +59,6 @@ MAX_BYTES = 64 * 2**20
 MAX_PARAMETERS = 20_000
 MAX_TEXT = 500  # characters; a parameter's name has at most 150
 NO_DEFAULTS = Defaults()
-COUNTED = ("chuck", "sphere", "place")  # how many of these the fitted rows of a kind name
 
 
 class Input(NamedTuple):
@@ -262,7 +262,7 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
         if estimate.left_out.size:
             held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        entry |= {f"{what}s": _distinct(table, what, fitted) for what in COUNTED}
+        entry |= {f"{what}s": _distinct(table, what, fitted) for what in registry.identifiers() if what != "rig"}
         entry |= _by_unit("rms_before", _rms(estimate.residual_before, fitted), units)
         entry |= _by_unit("rms_after", _rms(estimate.residual, fitted), units)
         entry |= _by_unit("rms_held_out", _rms(estimate.residual, held_out), units)
@@ -275,7 +275,7 @@ def _rms(residual: Residuals, rows: NDArray[np.bool_]) -> dict[str, float]:
 
 
 def _distinct(table: ObservationTable, what: str, rows: NDArray[np.bool_]) -> int:
-    return sum(name != "" for name in np.unique(getattr(table, what)[rows]))
+    return sum(name != "" for name in np.unique(table.column(what)[rows]))
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:

@@ -25,8 +25,8 @@ from truearm.text import counted
 from truearm.types import CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
-LARGEST_JOINT = 100.0  # rad, m
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
+ROUNDED = 1e-4  # rad, m: a reading at a joint's limit that was written with few digits
 DEFAULT = RobotChoice()
 
 
@@ -286,16 +286,30 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
     ]
 
 
-def check_joints(argument: str, given: Sequence[float] | None, joint_units: tuple[str, ...]) -> Floats | None:
+def check_joints(argument: str, given: Sequence[float] | None, chain: Chain) -> Floats | None:
     """Check joint readings (j,) [rad, m] given as an argument; None if it was not given. Raises InputError."""
     if given is None:
         return None
     q = np.array(given, dtype=float)
-    if q.shape != (len(joint_units),) or not np.isfinite(q).all():
-        raise InputError(Argument(argument), f": must be {len(joint_units)} finite numbers, one per joint")
-    if np.abs(q).max() > LARGEST_JOINT:
-        raise InputError(Argument(argument), ": no joint reaches that far")
+    if q.shape != (len(chain.joints),) or not np.isfinite(q).all():
+        raise InputError(Argument(argument), f": must be {len(chain.joints)} finite numbers, one per joint")
+    check_limits(argument, q[None], chain)
     return q
+
+
+def check_limits(argument: str, q: Floats, chain: Chain) -> None:
+    """Raise InputError for the first of the joint readings (n, j) that is outside the limits of its joint."""
+    largest = np.array([UNITS[unit].largest for unit in chain.joint_units])
+    lower = np.maximum([joint.lower for joint in chain.joints], -largest)
+    upper = np.minimum([joint.upper for joint in chain.joints], largest)
+    bad = np.argwhere((q < lower - ROUNDED) | (q > upper + ROUNDED))
+    for i, j in bad[:1].tolist():
+        scale = UNITS[chain.joint_units[j]].scale
+        where = f"number {i}, joint {j + 1}" if len(q) > 1 else f"joint {j + 1}"
+        raise InputError(
+            Argument(argument),
+            f": {where} is {scale.text(q[i, j])}, outside its limits of {scale.of(lower[j]):g} to {scale.text(upper[j])}",
+        )
 
 
 def _masses(payloads: Sequence[Payload]) -> str:

@@ -196,7 +196,7 @@ def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
         steps=options.steps,
         work=_frame(options.work),
         tool=_frame(options.tool),
-        home=check_joints("home", options.home, calibration.joint_units),
+        home=check_joints("home", options.home, calibration.chain),
         margin=options.margin,
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import option_defaults
-from truearm.arguments import check_fields
+from truearm.arguments import check_fields, with_choices
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.defaults import choose_defaults, with_frames
@@ -56,6 +56,7 @@ LEAST_ROWS = 5  # of a kind, which must not all be equal
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
+@with_choices
 @dataclass(frozen=True)
 class IdentifyOptions:
     """Which parameters an identification estimates, and how.
@@ -73,9 +74,9 @@ class IdentifyOptions:
         "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, but only
         for parameters that the observations determine less accurately. None: chosen by robot and solver.
     solver : str
-        "lm", "map", "recursive", "renders-1991" or "ls".
+        {solver}.
     loss : str
-        "linear", "huber" or "cauchy"; the robust losses require the solver "lm" or "map".
+        {loss}. All but the first require a solver with robust losses, such as "lm".
     max_iterations : int
         The solver stops after this many iterations, converged or not; at most 10000.
     seed : int

@@ -101,7 +101,7 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     pair = ModelPair(
         chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames)
     )
-    q = check_joints("at", section.at, calibration.joint_units)
+    q = check_joints("at", section.at, calibration.chain)
     q = np.zeros(len(chain.joints)) if q is None else q
     a, b = section.joints
     if min(a, b) < 1 or max(a, b) > q.size or a == b:
