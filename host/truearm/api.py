@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from truearm import option_defaults
 from truearm.arguments import checked, floats
-from truearm.bounds import CELL, LINE_POINTS, MINUTES, POSES, OneOf
+from truearm.bounds import CELL, LINE_POINTS, MINUTES, PATH, POSES, OneOf
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
@@ -43,7 +43,7 @@ from truearm.workflows.session_observations import is_session
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
 
-PathLike = str | os.PathLike[str]
+PathLike = Annotated[str | os.PathLike[str], PATH]
 HoldOut = str | float | Sequence[str] | NDArray[np.bool_]
 RIGID = 1e-6  # tolerated deviation from orthonormality of a rotation matrix written with few digits
 RobotArgument = Annotated[Robot, "load_robot"]
@@ -250,6 +250,8 @@ def read_session(
     {'ball_bar'}
     """
     file = Path(path)
+    if not file.exists():
+        raise SessionError(f"{file}: no such file")
     if not is_session(file):
         raise SessionError(f"{file}: is not a session (.mcap); use read_table for tables")
     lost: list[str] = []

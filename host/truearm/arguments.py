@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args,
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truearm.bounds import SHOWN, OneOf, Within
+from truearm.bounds import SHOWN, FileName, OneOf, Within
 from truearm.errors import Argument, InputError
 from truearm.schema import SchemaError, Value
 from truearm.text import with_article
@@ -97,7 +97,7 @@ def converted(name: str, value: Any, hint: Any) -> Any:
         raise TypeError(f"{name}: must be {wanted}, is {_shown(value)}")
     frozen = _frozen(name, value, fitting[0])
     for rule in getattr(fitting[0], "__metadata__", ()):
-        if isinstance(rule, Within | OneOf):
+        if isinstance(rule, Within | OneOf | FileName):
             rule.check(name, frozen)
         elif not isinstance(rule, str):
             frozen = _parsed(name, frozen, rule)

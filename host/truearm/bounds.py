@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +16,7 @@ from truearm.errors import Argument, InputError
 from truearm.units import UNITS
 
 SHOWN = 40  # characters of a wrong value
+LONGEST = 200  # bytes of the name of a file or folder; file systems allow 255 bytes
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,25 @@ class Within:
     def check(self, name: str, value: Any) -> None:
         """Raise InputError if a value breaks the rule."""
         several = isinstance(value, Iterable)
-        if not all(math.isfinite(one) and self.least <= one <= self.most for one in (value if several else (value,))):
+        if not all(abs(one) < math.inf and self.least <= one <= self.most for one in (value if several else (value,))):
             low, high = (f"{end:g}" if math.isfinite(end) else "" for end in (self.least, self.most))
             wanted = f" from {low} to {high}" if low and high else f" of {low} or more" if low else ""
             finite = "" if wanted else "finite "
             what = f"{finite}numbers" if several else f"a {finite}number"
-            raise InputError(Argument(name), f": must be {what}{wanted}, is {value}")
+            raise InputError(Argument(name), f": must be {what}{wanted}, is {str(value)[:SHOWN]}")
+
+
+@dataclass(frozen=True)
+class FileName:
+    """A rule: a path that a file can have."""
+
+    def check(self, name: str, value: str | os.PathLike[str]) -> None:
+        """Raise InputError if a value breaks the rule."""
+        path = os.fspath(value)
+        if not path or "\0" in path:
+            raise InputError(Argument(name), f": {path[:SHOWN]!r} is not the name of a file")
+        if max(len(os.fsencode(part)) for part in re.split(r"[/\\]", path)) > LONGEST:
+            raise InputError(Argument(name), f": {path[:SHOWN]!r}… is too long for the name of a file")
 
 
 @dataclass(frozen=True)
@@ -46,6 +62,7 @@ class OneOf:
             raise InputError(Argument(name), f": {value[:SHOWN]!r} is not one of {', '.join(self.names)}")
 
 
+PATH = FileName()
 SEED = Within(0)
 ITERATIONS = Within(1, 10_000)
 LINE_POINTS = Within(5)

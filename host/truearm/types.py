@@ -30,6 +30,8 @@ SIGMA = sigma("m")
 UNKNOWN_SIGMA = sigma("m", unknown=True)
 UNKNOWN_TURN_SIGMA = sigma("rad", unknown=True)
 Triple = tuple[float, float, float]
+MASS = Annotated[float, Number("kg", least=0.0)]  # of a payload
+CENTRE = Annotated[Triple, POSITION]
 
 BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted for a ball-bar reading
 REFERENCE_DEGC = 20.0  # reference temperature of lengths, ISO 1
@@ -257,8 +259,8 @@ class Rig:
     joint_cov: tuple[()] | Annotated[Matrix, Covariance(singular=True)] = ()
     backlash: tuple[()] | Annotated[tuple[float, ...], List(Number())] = ()
     backlash_sigma: tuple[()] | Annotated[tuple[float, ...], List(sigma())] = ()
-    payload: Annotated[float, Number("kg", least=0.0)] = 0.0
-    payload_centre: Annotated[Triple, POSITION] = (0.0, 0.0, 0.0)
+    payload: MASS = 0.0
+    payload_centre: CENTRE = (0.0, 0.0, 0.0)
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 
@@ -377,18 +379,33 @@ class ObservationTable:
 
     def column(self, name: str, absent: float | str = "") -> NDArray[Any]:
         """Return a column, including those in ``more``; filled with ``absent`` if the table does not have it."""
+        converted("name", name, str)
         if name in self.fields():
             return np.asarray(getattr(self, name))
         return self.more[name] if name in self.more else np.full(len(self), absent)
 
     def select(self, rows: NDArray[Any]) -> ObservationTable:
-        """Return the rows selected by a boolean mask or an index array."""
-        columns: dict[str, Any] = {name: getattr(self, name)[rows] for name in self.fields()}
-        return ObservationTable(**columns, more={name: column[rows] for name, column in self.more.items()})
+        """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else."""
+        try:
+            index = np.arange(len(self))[rows]
+        except (IndexError, TypeError, ValueError):
+            index = np.array(0)
+        if index.ndim != 1:
+            raise InputError(
+                Argument("rows"), f": must be a mask of {len(self)} rows, an array of row numbers or a slice"
+            )
+        columns: dict[str, Any] = {name: getattr(self, name)[index] for name in self.fields()}
+        return ObservationTable(**columns, more={name: column[index] for name, column in self.more.items()})
 
     @classmethod
     def joined(cls, tables: Sequence[ObservationTable]) -> ObservationTable:
-        """Return the rows of several tables, concatenated. Raises ValueError if their numbers of joints differ."""
+        """Return the rows of several tables, concatenated.
+
+        Raises TypeError, InputError unless they are tables with the same number of joints.
+        """
+        converted("tables", tables, Sequence[ObservationTable])
+        if len({table.q.shape[1] for table in tables}) != 1:
+            raise InputError(Argument("tables"), ": must be one or more tables with the same number of joints")
         columns: dict[str, Any] = {
             name: np.concatenate([getattr(table, name) for table in tables]) for name in cls.fields()
         }

@@ -488,6 +488,89 @@ def test_no_argument_and_no_option_takes_anything(folder, robot, table, rig, res
     assert tried > 60
 
 
+ODD = (
+    *(None, "", "x", "missing.mcap", "missing.csv", "a\0b", "x" * 5000, b"x", 0, -1, 10**400, True, 1 + 2j, object()),
+    *([], [1.0], [[1.0, 2.0], [3.0]], [""], [None], (), {}, {"a": 1}, float("nan"), float("inf"), np.float64(3.0)),
+    *(np.zeros((2, 3, 4)), np.array([]), np.full((4, 4), np.nan)),
+    *(Path("missing.json"), Path("empty.mcap"), Path("folder"), Path("noise.mcap"), Path("/dev/null/x")),
+)
+
+
+def refusals(call, argument, right):
+    """Call with each odd value of an argument; return the texts of those refused. Any other exception is raised."""
+    texts = []
+    for value in ODD:
+        try:
+            call(**{**right, argument: value})
+        except (TypeError, truearm.TruearmError) as exc:
+            texts.append(str(exc))
+    return texts
+
+
+def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, table, rig, result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    (tmp_path / "noise.mcap").write_bytes(bytes(range(256)) * 20)
+    (tmp_path / "folder").mkdir()
+    right = {"robot": robot, "table": table, "rig": rig, "result": result, "format": "urdf", "poses": np.eye(4)}
+    paths = {"read_session": "session.mcap", "read_rig": "rig.toml", "read_result": "result.json"}
+    calls = []
+    for name in (name for name in NAMES if inspect.isfunction(getattr(truearm, name))):
+        parameters = inspect.signature(getattr(truearm, name)).parameters
+        needed = {one: right.get(one) for one, of in parameters.items() if of.default is of.empty}
+        if "path" in needed:
+            needed["path"] = tmp_path / "out" if name.startswith("write") else folder / paths.get(name, "poses.csv")
+        if name == "load_robot":
+            needed = {"robot": "puma560"}
+        elif name in ("identify", "validate"):
+            needed["rig"] = rig
+            parameters = {one: of for one, of in parameters.items() if one not in ("hold_out", "keep_rig")}
+        elif name == "plan_ball_bar":
+            needed |= {"rig": truearm.read_rig(folder / "bench.toml"), "poses": None}
+        calls += [(getattr(truearm, name), needed, one) for one in parameters]
+    records = (
+        (truearm.Point, {"name": "c", "xyz": (0.0, 0.0, 0.0)}),
+        (truearm.BallBar, {"name": "b", "zero": 0.4, "gain": 1.0, "travel": 0.1, "sigma": 1e-5}),
+        (truearm.Device, {"name": "t", "sensor_cov": 1e-8 * np.eye(3)}),
+        (truearm.Plane, {"name": "p", "xyz": (0.0, 0.0, 0.0), "normal": (0.0, 0.0, 1.0), "sigma": 1e-5}),
+        (truearm.SocketDistance, {"sockets": ("a", "b"), "distance": 0.1, "sigma": 1e-5}),
+        (truearm.ObservationTable, {"q": [[0.0] * 6], "kind": ["seat"]}),
+        (truearm.Region, {"lower": [0.0, 0.0, 0.0], "upper": [1.0, 1.0, 1.0]}),
+        *((one, {}) for one in (truearm.Rig, truearm.IdentifyOptions, truearm.BallBarOptions)),
+    )
+    calls += [(record, given, one) for record, given in records for one in inspect.signature(record).parameters]
+    calls += [(table.select, {}, "rows"), (table.column, {}, "name"), (truearm.ObservationTable.joined, {}, "tables")]
+    calls += [(result.carrying, {"mass": 0.0}, one) for one in ("mass", "centre")]
+    for call, given, name in calls:
+        texts = refusals(call, name, given)
+        assert len(texts) > len(ODD) / 3, (call, name)
+        assert not any("\n" in text for text in texts)
+
+
+def test_files_that_are_not_there(folder, tmp_path, result):
+    for name in ("missing.mcap", "missing.csv"):
+        with pytest.raises(truearm.SessionError, match=rf"{name}: no such file$"):
+            truearm.read_session(tmp_path / name)
+    for call in (truearm.read_session, truearm.read_rig, truearm.read_result):
+        with pytest.raises(InputError, match=r"^path: '' is not the name of a file$"):
+            call("")
+    with pytest.raises(InputError, match=r"^robot: '' is not the name of a file$"):
+        truearm.load_robot("")
+    with pytest.raises(InputError, match=r"^path: 'x+'… is too long"):
+        truearm.write_result("x" * 300, result)
+
+
+def test_wrong_rows_and_tables_are_named(table):
+    for rows in ("x", [0.5], np.ones(3, bool), len(table), [[0, 1]]):
+        with pytest.raises(InputError, match=r"^rows: must be a mask of 90 rows"):
+            table.select(rows)
+    other = truearm.ObservationTable(q=[[0.0]], kind=["seat"])
+    for tables, error in (([table, other], InputError), ([], InputError), ("x", TypeError), ([1], TypeError)):
+        with pytest.raises(error, match=r"^tables: must be "):
+            truearm.ObservationTable.joined(tables)
+    assert len(table.select(slice(3, 7))) == len(table.select([3, 4, 5, 6])) == 4
+
+
 def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
     q = table.q.copy()
     q[3, 2] = np.nan

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.arguments import converted
 from truearm.errors import Argument, InputError
 from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
@@ -22,7 +23,7 @@ from truearm.model.robot import Robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.report.parameter_cells import parameter_cells
 from truearm.text import counted
-from truearm.types import CurveKnots, Floats, Law, Payload, SagMasses
+from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
 NEAR_OBSERVED = 0.05  # rad, m beyond the fitted readings: farther is outside
@@ -130,9 +131,7 @@ class Calibration:
         >>> truearm.read_result("result.json").carrying(0.0).chain.payload.mass
         0.0
         """
-        payload = Payload(mass, centre)
-        if not (0.0 <= mass <= UNITS["kg"].largest and max(map(abs, centre)) <= UNITS["m"].largest):
-            raise InputError(f"a payload of {mass:g} kg at {centre}: is not a plausible mass and centre")
+        payload = Payload(converted("mass", mass, MASS), converted("centre", centre, CENTRE))
         if payload.mass and not has_payload_law(self.chain):
             raise InputError(
                 "the result does not know how a payload acts on the robot: identify with rows under different payloads"
