@@ -282,8 +282,9 @@ def unpack(data: bytes) -> JointBatch | None:
         t, seq, arrival_ns, flat = (said.pop(name) for name in ("t", "seq", "arrival_ns", "q"))
         n, width = len(t), len(flat) // len(t)
         q = flat.reshape(n, width)
-        q_cmd = said.pop("q_cmd").reshape(n, width) if "q_cmd" in said else np.full(q.shape, np.nan)
-        inputs = said.pop("inputs") if "inputs" in said else np.full(n, NO_INPUTS)
+        commanded, inputs = said.pop("q_cmd", None), said.pop("inputs", None)
+        q_cmd = np.full(q.shape, np.nan) if commanded is None else commanded.reshape(n, width)
+        inputs = np.full(n, NO_INPUTS) if inputs is None else inputs
         more = {
             key: said[key].reshape((n, width) if key in ARRAYS else n) for key in (*ARRAYS, *NUMBERS) if key in said
         }
@@ -294,8 +295,9 @@ def unpack(data: bytes) -> JointBatch | None:
         return None
     if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
         return None
-    good = np.all((t >= 0.0) & (t < MAX_T_S)) and np.all((seq >= UNNUMBERED) & (seq < MAX_SEQ))
-    good &= np.all(np.abs(q) < MAX_Q) and not np.any(np.abs(q_cmd) >= MAX_Q) and np.all(inputs >= NO_INPUTS)
+    good = t.min() >= 0.0 and t.max() < MAX_T_S and seq.min() >= UNNUMBERED and seq.max() < MAX_SEQ  # false for NaN
+    good = good and q.min() > -MAX_Q and q.max() < MAX_Q and inputs.min() >= NO_INPUTS
+    good = good and (commanded is None or not np.any(np.abs(q_cmd) >= MAX_Q))
     return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None
 
 
