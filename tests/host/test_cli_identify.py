@@ -140,7 +140,7 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     (found,) = result["explanations"]
     assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1, fit sphere s0"
     lines = text.splitlines()
-    assert lines[0].startswith("This fit is not usable. Residuals of ")
+    assert lines[0].startswith("This fit is not usable. Its inputs are probably wrong. Residuals of ")
     assert lines[1].startswith(f"This explains the observations: {found['text']} (RMS 0.0")
 
 
