@@ -18,6 +18,7 @@ from record_files import events, run, topics
 from record_real import box_on_a_socket
 from test_record_command import RIG
 
+from truearm.errors import SessionError
 from truearm.record.joint_lines import MAX_RUBBISH
 from truearm.record.recorder import RecordOptions
 from truearm.record.session_writer import SessionWriter
@@ -139,6 +140,24 @@ def test_something_happens_between_the_last_sync_and_the_end(lab, path, how):
     assert not open_session(rescued).truncated
     if how == "unlink":
         assert 10 * len(samples(rescued)) == summary.counters.samples
+
+
+@pytest.mark.parametrize("at", [100, -50])
+def test_bytes_that_are_overwritten_in_place_are_seen_at_the_end(lab, path, at):
+    """Neither the name nor the length of the file changes; without damage nothing is reported."""
+
+    def happens():
+        with path.open("r+b") as file:
+            file.seek(at, os.SEEK_SET if at >= 0 else os.SEEK_END)
+            file.write(b"\xff\x00\xff\x00")
+
+    (text,) = lost(lab, path, happens).file_losses
+    assert text.startswith(f"{path}: parts of it were overwritten while it was written")
+    with pytest.raises(SessionError):
+        open_session(path)
+    other = path.with_name("other.mcap")
+    assert run(lab, Box(lab), other, options=OPTIONS).file_losses == ()
+    assert not open_session(other).truncated
 
 
 def test_a_second_rescue_takes_another_name(lab, path):

@@ -1,4 +1,5 @@
-"""Detect when other programs or people delete, rename, replace or truncate a session's file while it is being written.
+"""Detect when other programs or people delete, rename, replace, truncate or overwrite a session's file while it is being
+written.
 
 A POSIX system keeps a deleted file for as long as it is open, so all of it can still be copied elsewhere. Data lost by
 a truncation cannot be recovered.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import zlib
 from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO
@@ -78,3 +80,16 @@ def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:
         out.write(data)
         size -= len(data)
     out.flush()
+
+
+def content_crc(file: BinaryIO, size: int) -> int | None:
+    """Return the CRC-32 of the first ``size`` bytes of an open file, None if it is shorter. Takes about 1 s per GB."""
+    file.seek(0)
+    crc = 0
+    while size:
+        data = file.read(min(COPIED_BYTES, size))
+        if not data:
+            return None
+        crc = zlib.crc32(data, crc)
+        size -= len(data)
+    return crc

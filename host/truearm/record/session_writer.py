@@ -16,7 +16,8 @@ A completed file ends with a CRC of everything before it, so a flipped bit anywh
 Before each write, and twice a second, the writer checks that its file is still there and has the expected length
 (``FileLoss``). A deleted or replaced file is copied from the open descriptor to a new one next to it, where the
 recording continues; nothing is lost. A truncated file is left as it is, and a new one begins with the head of the
-recording. A renamed file is written to as before.
+recording. A renamed file is written to as before. At the end the file is read back and compared with the CRC of what
+was written.
 
 A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays intact until
 there is something to replace it.
@@ -29,6 +30,7 @@ import json
 import os
 import sys
 import time
+import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -40,7 +42,7 @@ from mcap.writer import CompressionType, Writer
 from truearm import __version__
 from truearm.errors import Argument, InputError, LinkError, WriteError
 from truearm.files.write_lock import hold
-from truearm.record.file_watch import FileLoss, copy_open_file, file_loss, new_file_beside
+from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_readings import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
@@ -255,6 +257,7 @@ class SessionWriter:
             self._flushed()
             os.fsync(self._out.file.fileno())
             self._watch(ended=True)
+            self._check_content()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
         finally:
@@ -317,6 +320,14 @@ class SessionWriter:
             case _:
                 assert_never(loss)
 
+    def _check_content(self) -> None:
+        """Read the completed file back: bytes that were overwritten in place change neither its name nor its size."""
+        if content_crc(self._out.file, self._size) not in (self._out.crc, None):
+            self.losses.append(
+                f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
+                f"{self.path} shows what is left"
+            )
+
     def _move(self) -> None:
         """Continue in a new file that has the contents of the old one."""
         path, new = new_file_beside(self.path)
@@ -329,7 +340,7 @@ class SessionWriter:
         """Continue in a new file that begins, like the old one, with plan, rig and what was mounted."""
         path, new = new_file_beside(self.path)
         self._out.file.close()
-        self.path, self._out.file, self._renamed = path, new, False
+        self.path, self._out, self._renamed = path, _Output(new), False
         self._writer = self._begun()
         for topic, encodings in self._encodings.items():
             self._register(topic, encodings)  # the numbers are the same because they are sequential
@@ -397,12 +408,14 @@ def media_type(name: str) -> str:
 
 
 class _Output:
-    """Destination of the session; the file behind it may change."""
+    """Destination of the session; the file behind it may change. ``crc`` is that of everything written."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
+        self.crc = 0
 
     def write(self, data: bytes) -> int:
+        self.crc = zlib.crc32(data, self.crc)
         return self.file.write(data)
 
     def tell(self) -> int:
