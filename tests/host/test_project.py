@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -137,7 +138,7 @@ class Terminal(io.StringIO):
 def test_init_asks_for_the_links_and_the_branch_of_a_urdf(tmp_path, run, monkeypatch):
     shutil.copy(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf", tmp_path / "arm.urdf")
     bounds = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
-    answers = ["arm.urdf", "panda_link0", "panda_link8", bounds, *[""] * 10]
+    answers = ["arm.urdf", "panda_link,panda_link8", "panda_link0, panda_link8", "-150:150", bounds, *[""] * 10]
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
     monkeypatch.chdir(tmp_path)
     assert run("init", "--minutes", 0).code == 0
@@ -156,6 +157,33 @@ def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
     rig = read_rig(tmp_path / "rig.toml")
     assert (len(rig.chucks), len(rig.spheres)) == (4, 3)
     assert rig.bars["bar61"].zero == pytest.approx(0.61)
+
+
+def test_init_asks_again_after_a_typing_error(tmp_path, run, monkeypatch):
+    """One wrong answer to each question that can be wrong: each is named, and the answers after them hold."""
+    answers = ["ur55", "puma560", "", "", "", "192.168.0.2", "rtde://192.168.0.2", "", "many", "4", "0", "3"]
+    answers += ["460;610", "460,610", "about", "0.02", "-1", "0.05"]
+    monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("init", "--minutes", 0)
+    assert code == 0, err
+    for said in ("ur55", "is not the address of a robot", "--chucks many", "--spheres 0", "--bars-mm 460;610"):
+        assert said in err
+    assert "--known-mm about: needs a number" in err
+    assert "--zero-sigma-mm -1: needs a number" in err
+    assert read_project(tmp_path / FILE).address == "rtde://192.168.0.2"
+    rig = read_rig(tmp_path / "rig.toml")
+    assert (len(rig.chucks), len(rig.spheres), rig.bars["bar46"].zero_sigma) == (4, 3, 5e-5)
+
+
+def test_the_devices_that_init_offers_are_a_valid_rig(project):
+    text = (project / "rig.toml").read_text()
+    head, _, others = text.partition("# Other devices")
+    used = [line[2:] for line in others.splitlines() if re.match(r"# (\[\[|\w+ = )", line)]
+    (project / "all.toml").write_text("\n".join([head, *used]))
+    rig = read_rig(project / "all.toml")
+    assert (list(rig.lines), list(rig.sockets)) == (["l1"], [("", "0")])
+    assert not read_rig(project / "rig.toml").lines
 
 
 @pytest.mark.parametrize(

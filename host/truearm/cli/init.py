@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -14,9 +15,10 @@ from truearm.cli.options import BranchOption, branch_given
 from truearm.cli.output import print_lines
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
-from truearm.record.robots.sources import sources_help
+from truearm.record.robots.sources import check_address, sources_help
 from truearm.units import MM
 
+T = TypeVar("T")
 UNKNOWN = "unknown"
 PARTS: dict[str, Any] = {"min": 1, "max": 9}  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
@@ -82,7 +84,8 @@ def init(
 ) -> None:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
-    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. In this folder and below it, commands
+    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. rig.toml has the line device and
+    sockets as comments: use what you have. In this folder and below it, commands
     take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
     \b
@@ -98,44 +101,58 @@ def init(
     if model is None and not asking:
         raise InputError("--model is missing: give a built-in robot, a robot file or a URDF (see truearm init --help)")
 
-    def ask(given: str | None, question: str, default: str = "") -> str:
-        return (
-            given if given is not None else (typer.prompt(question, default=default, err=True) if asking else default)
-        )
+    def ask(given: str | None, question: str, read: Callable[[str], T], default: str = "") -> T:
+        """Return what was given or is answered; a wrong answer is asked for again."""
+        if given is not None or not asking:
+            return read(default if given is None else given)
+        while True:
+            try:
+                return read(typer.prompt(question, default=default, err=True).strip())
+            except InputError as exc:
+                typer.echo(f"  {exc}", err=True)
 
-    model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", "ur5e")
+    model = ask(model, f"Robot: {', '.join(builtin_names())}, or a robot file or URDF", _model, "ur5e")
     if is_urdf(model):
-        base = ask(base or None, "First link of the arm in the URDF (Enter for its root)")
-        tip = ask(tip or None, "Last link of the arm in the URDF (Enter for its only leaf)")
-        branch = ask(branch, "Joint bounds of the arm configuration to stay in [deg], LOW:HIGH,… from the base on")
+        base, tip = ask(
+            f"{base},{tip}" if base or tip else None,
+            "First and last link of the arm in the URDF, FIRST,LAST (Enter for its root and its only leaf)",
+            _links_of(model) if asking else _links,
+        )
+        branch = ask(
+            branch,
+            "Joint bounds of the arm configuration to stay in [deg], LOW:HIGH,… from the base on",
+            _branch_of(model, base, tip) if asking else str,
+        )
     project = Project(
         model=_from_folder(model, folder),
         base=base,
         tip=tip,
         branch=branch or "",
-        name=ask(name, "What is calibrated, as reports call it (Enter for nothing)"),
-        serial=ask(serial, "Serial number of the robot (Enter for none)"),
-        operator=ask(operator, "Name of the operator (Enter for none)"),
-        address=ask(address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)"),
-        box=ask(box, "Port of the box (Enter for the one that is plugged in)"),
+        name=ask(name, "What is calibrated, as reports call it (Enter for nothing)", str),
+        serial=ask(serial, "Serial number of the robot (Enter for none)", str),
+        operator=ask(operator, "Name of the operator (Enter for none)", str),
+        address=ask(
+            address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)", _address
+        ),
+        box=ask(box, "Port of the box (Enter for the one that is plugged in)", str),
     )
     n_chucks, n_spheres = (
-        given if given is not None else _count(option, ask(None, f"How many {what}", "3"))
+        given if given is not None else ask(None, f"How many {what}", _count(option), "3")
         for option, given, what in (
             ("--chucks", chucks, "chucks (magnetic cups) on the table"),
             ("--spheres", spheres, "spheres (steel balls) on the robot's end"),
         )
     )
-    lengths = _lengths(
-        ask(bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)")
+    lengths = ask(
+        bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)", _lengths
     )
-    places = _known(
-        ask(known, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", UNKNOWN)
+    places = ask(
+        known, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", _known, UNKNOWN
     )
     length = (
         zero
         if zero is not None
-        else _number("--zero-sigma-mm", ask(None, "Standard deviation of the first bar's length [mm]", "0.1"))
+        else ask(None, "Standard deviation of the first bar's length [mm]", _number_of("--zero-sigma-mm"), "0.1")
     )
     bounds = branch_given(branch or None)
     wanted = Wanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
@@ -162,10 +179,61 @@ def _number(option: str, text: str) -> float:
     return value
 
 
-def _count(option: str, text: str) -> int:
-    if not (text.isdecimal() and PARTS["min"] <= int(text) <= PARTS["max"]):
-        raise InputError(f"{option} {text[:40]}: needs a number from {PARTS['min']} to {PARTS['max']}")
-    return int(text)
+def _number_of(option: str) -> Callable[[str], float]:
+    return lambda text: _number(option, text)
+
+
+def _count(option: str) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not (text.isdecimal() and PARTS["min"] <= int(text) <= PARTS["max"]):
+            raise InputError(f"{option} {text[:40]}: needs a number from {PARTS['min']} to {PARTS['max']}")
+        return int(text)
+
+    return read
+
+
+def _model(text: str) -> str:
+    """Return the name of a robot that exists; the links of a URDF are chosen later."""
+    from truearm.files.robot_file import is_urdf, load_robot
+
+    if not is_urdf(text):
+        load_robot(text)
+    elif not Path(text).is_file():
+        raise InputError(f"{text}: no such file")
+    return text
+
+
+def _links(text: str) -> tuple[str, str]:
+    base, _, tip = text.partition(",")
+    return base.strip(), tip.strip()
+
+
+def _links_of(model: str) -> Callable[[str], tuple[str, str]]:
+    from truearm.files.robot_file import load_robot
+
+    def read(text: str) -> tuple[str, str]:
+        base, tip = _links(text)
+        load_robot(model, base or None, tip or None)
+        return base, tip
+
+    return read
+
+
+def _branch_of(model: str, base: str, tip: str) -> Callable[[str], str]:
+    from truearm.files.robot_file import load_robot
+    from truearm.plan.branches import branch_of
+
+    def read(text: str) -> str:
+        branch_of(load_robot(model, base or None, tip or None), branch_given(text or None))
+        return text
+
+    return read
+
+
+def _address(text: str) -> str:
+    if text:
+        check_address(text)
+    return text
 
 
 def _known(text: str) -> float | None:

@@ -39,6 +39,31 @@ BARS = """
 # Bars: zero is the length at mid-travel, centre to centre; gain is its change per change of the reading; travel is the full stroke;
 # sigma is the repeatability. Measure the first bar (a calliper over both balls, minus their radii); the others are estimated."""
 
+OTHERS = """\
+# Other devices: remove the "#" in front of what you have, and enter what you measured.
+#
+# A line device, along which the robot drives the target on its end (truearm plan line).
+# [[line]]
+# name = "l1"
+# sigma_mm = [0.1, 0.1, 0.1]
+#
+# [[target]]
+# name = "t1"
+# xyz_mm = [0, 0, 100]
+# sigma_mm = "unknown"
+#
+# Sockets on the table, in which a ball on the robot's end is seated.
+# [[socket]]
+# name = "0"
+# xyz_mm = [500, 100, 50]
+# sigma_mm = 0.05
+#
+# [[socket_distance]]
+# sockets = ["0", "1"]
+# distance_mm = 50
+# sigma_mm = 0.05
+"""
+
 
 class Wanted(NamedTuple):
     """The user's input to ``init``, in SI units: bars [m], uncertainty of chucks and spheres [m] and of the first bar's
@@ -228,7 +253,7 @@ def _rig_text(rig: Rig, name: str) -> str:
         lengths = {"zero": bar.zero, "travel": bar.travel, "sigma": bar.sigma, "zero_sigma": bar.zero_sigma}
         keys = "\n".join(f"{key}_mm = {MM.of(value):g}" for key, value in lengths.items())
         parts.append(f'[[bar]]\nname = "{bar.name}"\n{keys}\ngain_sigma = {bar.gain_sigma:g}\n')
-    return "\n".join(parts)
+    return "\n".join([*parts, OTHERS])
 
 
 def state_of(path: Path) -> ProjectState:

@@ -75,6 +75,15 @@ def files_help() -> str:
     return " or ".join(entry.summary for entry in FILES)
 
 
+def check_address(url: str) -> str:
+    """Return the scheme of the address of a live source. Raises InputError for any other text."""
+    scheme, separator, _ = url.partition("://")
+    if not separator or scheme not in SOURCES:
+        known = ", ".join(f"{name}://" for name in SOURCES)
+        raise InputError(f"{url!r} is not the address of a robot; an address begins with one of {known}")
+    return scheme
+
+
 def open_source(url: str, clock: Clock) -> Reopening:
     """Open the live source at an address; after a loss it can be opened again.
 
@@ -82,10 +91,7 @@ def open_source(url: str, clock: Clock) -> Reopening:
     """
     from truearm.record.reopening import Reopening
 
-    scheme, separator, _ = url.partition("://")
-    if not separator or scheme not in SOURCES:
-        known = ", ".join(f"{name}://" for name in SOURCES)
-        raise InputError(f"{url!r} is not the address of a robot; an address begins with one of {known}")
+    scheme = check_address(url)
     connect: Callable[[str, Clock, Link | None], Link] = _module(SOURCES[scheme].module).connect
     last: Link | None = None
 
