@@ -9,7 +9,7 @@ import pytest
 
 from truearm.cli import progress_line as shown
 from truearm.cli.main import main
-from truearm.progress import listening, step, steps_of
+from truearm.progress import listening, part_of, step, steps_of
 
 SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 
@@ -41,6 +41,27 @@ def test_a_listener_hears_of_steps_and_shares():
     assert heard == ["outer", "inner", 0.0, 0.25, 0.5, 0.75, "end", "end"]
     assert list(steps_of([1], "nobody hears this")) == [1]
     assert len(heard) == 8
+
+
+def test_steps_inside_move_the_step_around_them_forwards_only():
+    heard = Heard()
+    with listening(heard), step("outer") as advance, part_of(advance, 0.5, 1.0):
+        for _ in range(2):
+            assert list(steps_of([1, 2], "inner")) == [1, 2]
+    inner = ["inner", 0.0, 0.5, 0.5, 0.75, "end"]
+    assert heard == ["outer", 0.5, *inner, "inner", 0.0, 0.75, 0.5, 0.75, "end", 1.0, "end"]
+    with step("nobody") as advance, part_of(advance, 0.0, 1.0):
+        assert list(steps_of([1], "hears")) == [1]
+
+
+def test_the_time_left_of_all_stands_before_that_of_the_step():
+    whole, inner = shown.Step("planning", 0.0, print, 0.25), shown.Step("looking", 27.0, print, 0.5)
+    assert shown.shown_text([whole, inner], 30.0) == (
+        "planning: 25 %, 30 s, about 1 min 30 s left; looking: 50 %, 3 s, about 3 s left"
+    )
+    assert shown.shown_text([whole], 30.0) == "planning: 25 %, 30 s, about 1 min 30 s left"
+    assert shown.shown_text([shown.Step("all", 0.0, print), inner], 30.0) == "looking: 50 %, 3 s, about 3 s left"
+    assert shown.shown_text([], 30.0) == ""
 
 
 def test_a_step_that_fails_ends():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Event, Lock, Thread
@@ -39,7 +39,10 @@ class Step:
 
 
 class Shown:
-    """Shows the innermost step on a line of the terminal, by a thread, and clears the line at its end."""
+    """Shows the innermost step on a line of the terminal, by a thread, and clears the line at its end.
+
+    The time left of the step around it follows, if that is known.
+    """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -75,12 +78,12 @@ class Shown:
             self.show()
 
     def show(self) -> None:
-        """Show the innermost step that is older than two seconds."""
+        """Show the innermost step that is older than two seconds, and the outermost whose share is known."""
         with self._lock:
             if self._ended.is_set():
                 return
             now_s = time.monotonic()
-            text = next((said(one, now_s) for one in reversed(self._steps) if now_s - one.begun_s >= QUIET_S), "")
+            text = shown_text([one for one in self._steps if now_s - one.begun_s >= QUIET_S], now_s)
             if text:
                 # the cursor returns to the start of the line, so that other output is not appended to it
                 self._write(f"\x1b[2K{text[: shutil.get_terminal_size().columns - 1]}\r")
@@ -97,6 +100,13 @@ class Shown:
             self._stream.flush()
         except (OSError, ValueError):  # the terminal is gone; the work goes on
             self._ended.set()
+
+
+def shown_text(steps: Sequence[Step], now_s: float) -> str:
+    """Return the text for nested steps, the outermost first; "" for none."""
+    whole = next((one for one in steps if one.share >= LEAST_SHARE), None)
+    texts = [said(one, now_s) for one in (steps[-1:] if whole in (None, *steps[-1:]) else [whole, steps[-1]]) if one]
+    return "; ".join(texts)
 
 
 def said(one: Step, now_s: float) -> str:

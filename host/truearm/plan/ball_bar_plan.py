@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +21,13 @@ from truearm.plan.region import Region, around, poses_in
 from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
+from truearm.progress import Advance, part_of, step
 from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
 
 TRIALS = 6  # numbers of poses tried to meet a time budget
+# Shares of the work, for the progress: candidates found, and the ways between them; with a budget of minutes or of poses.
+LOOKING, LOOKING_ONCE = (0.17, 0.24), (0.45, 0.6)
 # Poses per free parameter of the robot from which bars are considered uncertain. With two bars, 40 poses for 36
 # parameters would cost 11 %, 150 poses 5 %.
 DOUBTED_FROM = 8
@@ -100,8 +104,24 @@ def plan_ballbar(
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
         raise PlanError("give a budget: either a number of poses or minutes")
-    found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
-    found, graphs = roadmaps(site, found)
+    with step("planning poses") as advance:
+        return _planned(site, known, pairings, wanted, pace, region, advance)
+
+
+def _planned(
+    site: Site,
+    known: Known,
+    pairings: Sequence[Pairing],
+    wanted: Wanted,
+    pace: Pace,
+    region: Region | None,
+    advance: Advance,
+) -> BallBarPlan:
+    looked, linked = LOOKING if wanted.n_poses is None else LOOKING_ONCE
+    with part_of(advance, 0.0, looked):
+        found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
+    with part_of(advance, looked, linked):
+        found, graphs = roadmaps(site, found)
     aim = _aim(site, found, region, wanted.seed)
     table = bar_table(known, found)
     poses = wanted.n_poses if wanted.n_poses is not None else int(60.0 * (wanted.minutes or 0.0) / (pace.dwell + MOVE))
@@ -126,9 +146,14 @@ def plan_ballbar(
         best = _with_room(site, chosen, wanted.n_poses, len(found), wanted.visits)
         way = route(site, best, pace, graphs, wanted.visits)
     else:
-        way = _within(
-            lambda n: route(site, chosen(n), pace, graphs, wanted.visits), len(found), wanted.minutes or 0.0, pace
-        )
+        trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
+
+        def tried(n: int) -> Route:
+            way = route(site, chosen(n), pace, graphs, wanted.visits)
+            advance(min(next(trials), 1.0))
+            return way
+
+        way = _within(tried, len(found), wanted.minutes or 0.0, pace)
     return BallBarPlan(way, forecast(known, bar_table(known, way.plan), aim))
 
 
