@@ -277,7 +277,7 @@ def _beyond(reference: float, other: float, stroke: float) -> str:
     apart = (
         f"{MM.text(reference, '.4f')} and {MM.text(other, '.4f')} are {MM.text(abs(reference - other), '.4f')} apart"
     )
-    return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit (--stroke-mm)"
+    return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"
 
 
 def _agreed(operator: Operator) -> bool:
