@@ -205,6 +205,13 @@ def test_init_refuses_and_leaves_nothing(tmp_path, run, monkeypatch, arguments, 
     assert not (tmp_path / "cell" / FILE).exists()
 
 
+def test_init_as_json_names_the_files_and_the_plan(tmp_path, run):
+    code, out, err = run("init", tmp_path / "cell", "--model", "puma560", "--minutes", 0, "--json")
+    assert code == 0, err
+    files = [str(tmp_path / "cell" / name) for name in (FILE, "rig.toml")]
+    assert json.loads(out) == {"written": files, "plan": None}
+
+
 def test_init_writes_over_nothing(project, run):
     (project / "rig.toml").write_text("# mine")
     code, _, err = run("init", project, "--model", "ur5e", "--minutes", 0)

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from truearm.box.conversation import conversation
-from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
-from truearm.cli.output import command_group, print_lines
+from truearm.cli.options import BoxOption, ForceOption, JsonOption, StopOption, out_file
+from truearm.cli.output import command_group, print_json, print_lines
 from truearm.errors import ConfigError
 
 config = command_group(
@@ -25,6 +25,7 @@ def get(
     out: Annotated[Path | None, out_file("the configuration (.toml), instead of printing it")] = None,
     force: ForceOption = False,
     stop: StopOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Print a box's configuration as TOML.
 
@@ -36,11 +37,15 @@ def get(
     if out is not None:
         check_writable(out, force)
     with conversation(device, stop=stop) as box:
-        text = format_config(box.config())
-    if out is None:
+        found = box.config()
+    text = format_config(found)
+    if out is not None:
+        write_atomic(out, text)
+    if as_json:
+        print_json(found)
+    elif out is None:
         typer.echo(text, nl=False)
     else:
-        write_atomic(out, text)
         typer.echo(f"{out}: the configuration of {device}")
 
 
@@ -52,6 +57,7 @@ def put(
     device: BoxOption,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
     stop: StopOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Change a box's configuration; print what changes.
 
@@ -69,14 +75,17 @@ def put(
         before = checked_config(box)
         after = _changed(before, texts)
         changed = change_lines(before, after)
-        print_lines(changed)
-        if not changed:
-            typer.echo(f"{device}: nothing changes")
-        elif dry_run:
-            typer.echo(f"{device}: unchanged (--dry-run)")
-        else:
+        stored = bool(changed) and not dry_run
+        if stored:
             box.put_config(after)
-            typer.echo(f"{device}: stored; the box uses it from now on")
+    if as_json:
+        print_json({"changes": changed, "stored": stored, "config": after})
+        return
+    print_lines(changed)
+    if stored:
+        typer.echo(f"{device}: stored; the box uses it from now on")
+    else:
+        typer.echo(f"{device}: unchanged (--dry-run)" if changed else f"{device}: nothing changes")
 
 
 def _read(changes: list[str]) -> list[tuple[str, str | None]]:

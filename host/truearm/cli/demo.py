@@ -6,14 +6,25 @@ the session file, the clocks. What is found is judged by rows that were not fitt
 
 from __future__ import annotations
 
+import json
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, assert_never
 
 import typer
 
-from truearm.cli.options import BaseOption, BranchOption, ForceOption, SeedOption, TipOption, branch_given, out_folder
-from truearm.cli.output import print_lines
+from truearm.cli.options import (
+    BaseOption,
+    BranchOption,
+    ForceOption,
+    JsonOption,
+    SeedOption,
+    TipOption,
+    branch_given,
+    out_folder,
+)
+from truearm.cli.output import print_json, print_lines
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
     DEFAULT_PERIODS,
@@ -87,6 +98,7 @@ def demo(
     truth_out: TruthOutOption = None,
     truth_seed: TruthSeedOption = None,
     force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
 
@@ -119,6 +131,7 @@ def demo(
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
+    say = partial(typer.echo, err=as_json)
     osr = nearest_osr(rate)
     truth = truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed)
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
@@ -128,10 +141,10 @@ def demo(
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:
-        typer.echo(f"MicroPython not found: the firmware runs in CPython instead ({micropython.BY_HAND}).")
+        say(f"MicroPython not found: the firmware runs in CPython instead ({micropython.BY_HAND}).")
     else:
-        typer.echo(f"Firmware in {interpreter}")
-    steps = Steps(typer.echo)
+        say(f"Firmware in {interpreter}")
+    steps = Steps(say)
     with steps.step(f"plan {what_is_planned(experiment, poses)}"):
         match experiment:
             case Experiment.ballbar:
@@ -170,4 +183,7 @@ def demo(
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(experiment)
+    if as_json:
+        print_json({"report": str(page), "result": json.loads((out / "result.json").read_bytes())})
+        return
     print_lines([*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"])

@@ -11,8 +11,8 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-from truearm.cli.options import BranchOption, branch_given
-from truearm.cli.output import print_lines
+from truearm.cli.options import BranchOption, JsonOption, branch_given
+from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names
 from truearm.record.robots.sources import check_address, sources_help
@@ -81,6 +81,7 @@ def init(
             min=0.0, max=1000.0, metavar="M", help="Budget of the first plan in minutes of an operator; 0: no plan."
         ),
     ] = 30.0,
+    as_json: JsonOption = False,
 ) -> None:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
@@ -157,6 +158,9 @@ def init(
     bounds = branch_given(branch or None)
     wanted = Wanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
     created = create(folder, wanted)
+    if as_json:
+        print_json({"written": [str(path) for path in created.written], "plan": created.plan})
+        return
     print_lines(f"{path.name:<16}{path}" for path in created.written)
     if created.plan is not None:
         print_lines(visit_lines(created.plan))

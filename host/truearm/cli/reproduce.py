@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import SeedOption, out_folder
-from truearm.cli.output import print_lines
+from truearm.cli.options import JsonOption, SeedOption, out_folder
+from truearm.cli.output import print_json, print_lines
 from truearm.workflows.reproduce import Paper
 
 if TYPE_CHECKING:
@@ -22,18 +22,19 @@ MARK = ".truearm-reproduce"  # marks a folder that reproduce created and may ove
 
 
 class _Steps:
-    """Names and seconds of the steps, printed as they begin and end."""
+    """Names and seconds of the steps, printed as they begin and end, on standard error if ``err``."""
 
-    def __init__(self) -> None:
+    def __init__(self, err: bool) -> None:
+        self._err = err
         self.done: list[tuple[str, float]] = []
 
     @contextmanager
     def __call__(self, name: str, /) -> Iterator[None]:
-        typer.echo(f"{name:<64}", nl=False)
+        typer.echo(f"{name:<64}", nl=False, err=self._err)
         started = time.perf_counter()
         yield
         self.done.append((name, time.perf_counter() - started))
-        typer.echo(f"{self.done[-1][1]:7.1f} s")
+        typer.echo(f"{self.done[-1][1]:7.1f} s", err=self._err)
 
 
 def reproduce(
@@ -43,6 +44,7 @@ def reproduce(
     out: Annotated[Path | None, out_folder("report.html and numbers.json; default: out/PAPER")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer Monte Carlo runs and line sets.")] = False,
     seed: SeedOption = 1,
+    as_json: JsonOption = False,
 ) -> None:
     """Compute the tables and figures of a paper again, and compare them with the paper's numbers.
 
@@ -53,14 +55,18 @@ def reproduce(
       truearm reproduce goswami --quick
     """
     from truearm.files.disk import own_folder
+    from truearm.report.reproduce_page import document
     from truearm.workflows.reproduce import reproduced, write_page
 
     folder = out or Path("out") / paper.value
     own_folder(folder, MARK)
-    steps = _Steps()
+    steps = _Steps(as_json)
     page = reproduced(paper, quick, seed, steps)
     command = f"truearm reproduce {paper.value} --seed {seed}{' --quick' * quick}"
     report, numbers = write_page(folder, replace(page, steps=tuple(steps.done), command=command))
+    if as_json:
+        print_json({**document(page), "report": str(report), "numbers": str(numbers)})
+        return
     print_lines([*lines(page), f"\nreport          {report}", f"numbers         {numbers}"])
 
 
