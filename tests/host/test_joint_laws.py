@@ -12,12 +12,13 @@ from truearm.cli.map_text import lines as map_lines
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
-from truearm.errors import InputError, ProblemError
+from truearm.errors import InputError, ProblemError, RobotError
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_candidates import knots
 from truearm.estimate.law_curves import SampledCurve, law_readings, sampled_curves, spectrum, strongest_periods
 from truearm.estimate.problem import build_problem
+from truearm.export.writing import fit_to
 from truearm.files.observation_table import format_table, parse_table
 from truearm.files.result_file import format_document, parse_result
 from truearm.files.rig_file import format_rig, parse_rig
@@ -269,7 +270,10 @@ def test_too_few_rows_and_still_joints_are_said():
     table, _ = world(rng, 12)
     found = identified_with(table, np.zeros(12, dtype=bool), "curve")
     assert found.estimate.joint_laws.kept == ()
-    assert "too few" in found.estimate.joint_laws.reasons[0]
+    few = identified_with(table.select(np.arange(12) < 8), np.zeros(8, dtype=bool), "auto")
+    for one in (found, few):
+        assert "too few" in one.estimate.joint_laws.reasons[0]
+        assert law_sentences(one.document)[1] == "No joint law is used: the geometry alone is fitted."
 
 
 def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
@@ -643,3 +647,23 @@ def test_exporters_say_which_laws_a_format_lacks_and_what_that_costs(learned_arm
     assert told.fitted.dropped.mean() > told.fitted.left.mean() > 1e-4  # curves of 0.4 mrad at a metre, and sag
     assert "joint1.curve" in str(told)
     assert "curve.3" not in str(told)
+
+
+@pytest.mark.parametrize("form", ["dh", "mdh"])
+def test_a_format_that_refuses_the_robot_says_what_the_laws_would_cost(learned_arm, form):
+    """Joints 2 and 3 of a UR10 are nearly parallel, which these rows cannot hold; nor can they hold laws."""
+    found, _ = learned_arm
+    cost = exported(found, ExportOptions("dh-hayati")).rms
+    with pytest.raises(RobotError, match="from parallel") as caught:
+        exported(found, ExportOptions(form))
+    assert "no place for joint2.sag, joint3.sag, joint1.curve" in str(caught.value)
+    assert f"which costs {1e3 * cost:.3f} mm RMS" in str(caught.value)
+
+
+def test_a_file_is_refitted_where_the_curves_are_known(gap_arm, monkeypatch):
+    """By default, over poses within the fitted readings and outside their gaps."""
+    seen = []
+    monkeypatch.setattr("truearm.workflows.export.fit_to", lambda *args: seen.append(args[-1]) or fit_to(*args))
+    exported(gap_arm, ExportOptions("urdf"))
+    assert not gap_arm.outside(seen[0]).any()
+    assert np.ptp(seen[0], axis=0).min() > 2.5

@@ -55,7 +55,7 @@ def export(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits.",
+            help="Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits, or within the fitted readings if the result has joint laws.",
         ),
     ] = None,
     curves: Annotated[

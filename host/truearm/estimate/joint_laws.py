@@ -56,6 +56,7 @@ from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
 JOINT_NOISE = 1e-4  # rad, initial value
+ERRORS_EXPLAIN = "the systematic errors that were found explain what the geometry leaves better than laws: correct or allow them first"
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
 
@@ -109,8 +110,11 @@ def with_joint_laws(
             tried |= {**dropped, **learned.nats}
             best = work.fitted(carried, learned) if carried else None
             steps.append(_step(name, best) if best else _step(name, estimate))
+    found = work.estimate(best) if best else estimate
+    if not why_none and _errors_explain_better(estimate, found):
+        best, tried, steps, reasons = None, {}, steps[:1], [ERRORS_EXPLAIN]
     kept = best.of.laws if best else ()
-    value = work.centred(best).x if best else estimate.value
+    value = found.value if best else estimate.value
     report = JointLaws(
         request.mode,
         kept,
@@ -127,7 +131,7 @@ def with_joint_laws(
     report = replace(
         report, noise_factor=noise.sensor, noise_shared=math.sqrt(noise.shared), noise_joint=math.sqrt(noise.joint)
     )
-    return with_laws(chain, kept), replace(work.estimate(best), joint_laws=report)
+    return with_laws(chain, kept), replace(found, joint_laws=report)
 
 
 def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
@@ -154,10 +158,20 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
-    wrong = estimate.systematic
-    if wrong is not None and wrong.chi2_reduced <= estimate.chi2_band[1] < estimate.chi2_reduced:
-        return "the systematic errors that were found explain what the geometry leaves: correct or allow them first"
     return ""
+
+
+def _errors_explain_better(geometry: Estimate, laws: Estimate) -> bool:
+    """Return whether systematic errors explain what the geometry leaves, and better than the laws that were kept.
+
+    In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows, and in any
+    order a real step can be followed by curves to some extent. Laws must therefore leave no systematic error and no
+    larger χ².
+    """
+    wrong = geometry.systematic
+    if wrong is None or not wrong.chi2_reduced <= geometry.chi2_band[1] < geometry.chi2_reduced:
+        return False
+    return laws.systematic is not None or laws.chi2_reduced > wrong.chi2_reduced
 
 
 @dataclass(frozen=True)

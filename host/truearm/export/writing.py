@@ -22,7 +22,8 @@ from truearm.export.refit import MARKS, refit
 from truearm.model import joint_law
 from truearm.model.chain import GEOMETRY, Chain, Parameter, forward
 from truearm.model.robot_mounting import mountings
-from truearm.types import Floats
+from truearm.types import Floats, rms
+from truearm.units import MM
 
 EXACT = 1e-9  # m, and of a rotation matrix: a file with such predictions holds everything
 NAMED = 8  # parameters that a message names
@@ -148,11 +149,12 @@ def _check_worth(
     as_described = mounted.base @ forward(chain, nominal, q) @ mounted.tool
     if _marks_apart(poses, wanted) <= _marks_apart(as_described, wanted):
         return
+    cost, nominal_cost = (MM.text(rms(_distance(one, wanted)), ".3f") for one in (poses, as_described))
     terms, missing = {p.term for p in lost}, tuple(dict.fromkeys(map(_called, lost)))
     others = [other for other, form in FORMATS.items() if terms <= set(form.holds)]
     raise RobotError(
         f"{name} has no place for {named(missing)}; without {'it' if len(missing) == 1 else 'them'}, the file would be no better "
-        f"than the nominal robot: {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
+        f"than the nominal robot ({cost} RMS, nominal {nominal_cost}): {'use ' + ' or '.join(others) if others else 'no format holds this robot'}"
     )
 
 

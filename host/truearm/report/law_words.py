@@ -22,9 +22,11 @@ def law_sentences(document: Document) -> list[str]:
     lines = [f"Joint laws: {one_line(reason)}." for reason in found["reasons"]]
     kept = [law for law in found["tried"] if law["kept"]]
     dropped = [law for law in found["tried"] if not law["kept"]]
+    if not dropped and not kept:
+        return [*lines, "No joint law is used: the geometry alone is fitted."]
     if not kept:
-        tried = f" ({counted(len(dropped), 'law')} tried)" if dropped else ""
-        return [*lines, f"No joint law is supported by the evidence{tried}: the geometry alone is used."]
+        tried = counted(len(dropped), "law")
+        return [*lines, f"No joint law is supported by the evidence ({tried} tried): the geometry alone is used."]
     lines += [_kept(law) for law in kept]
     if dropped:
         names = ", ".join(f"{one_line(law['joint'])} {law['term']} {law['nats']:.1f}" for law in dropped)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
 from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, named, written
@@ -149,8 +149,7 @@ def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
-    """Return the calibrated robot in a format; ``over`` (n, j): poses for the refit, by default anywhere within the
-    limits.
+    """Return the calibrated robot in a format; ``over`` (n, j): poses for the refit, by default random ones.
 
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
@@ -164,7 +163,15 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
         comment="\n".join([MARK, *map(one_line, mountings)]),
         urdf=_urdf_text(calibration),
     )
-    return ExportedRobot(options.form, written(options.form, robot), mountings, fitted)
+    try:
+        text = written(options.form, robot)
+    except RobotError as exc:
+        if not fitted.missing:
+            raise
+        raise RobotError(
+            f"{exc}. A file of this format would also have no place for {named(fitted.missing)}, which costs {_of(fitted.left)}"
+        ) from exc
+    return ExportedRobot(options.form, text, mountings, fitted)
 
 
 def _urdf_text(calibration: Calibration) -> str | None:
@@ -194,14 +201,28 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
             )
     if over is not None:
         check_limits("over", over, chain)
-    q = _anywhere(chain) if over is None else _thinned(over)
+    q = _anywhere(calibration) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
 
-def _anywhere(chain: Chain) -> Floats:
-    """Return random poses (n, j) within the joints' limits and half a turn in each direction."""
+def _anywhere(calibration: Calibration) -> Floats:
+    """Return random poses (n, j) within the joints' limits and half a turn in each direction.
+
+    Where error curves are unknown they are 0, so a robot with joint laws gets poses within its fitted readings.
+    """
+    chain, stored = calibration.chain, calibration.stored
     lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
-    return np.random.default_rng(0).uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (N_POSES, lower.size))
+    lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    if stored.laws and stored.joint_range is not None:
+        lower, upper = np.array(stored.joint_range.lower), np.array(stored.joint_range.upper)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(lower, upper, (N_POSES, lower.size))
+    for law in stored.laws:
+        if isinstance(law, CurveKnots):
+            low, high = np.array(law.covered).T
+            which = rng.choice(low.size, N_POSES, p=(high - low) / (high - low).sum())
+            q[:, law.joint] = rng.uniform(low[which], high[which])
+    return np.asarray(q)
 
 
 def _thinned(q: Floats) -> Floats:
