@@ -13,6 +13,7 @@ from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import InputError, ProblemError, RobotError
+from truearm.estimate import joint_laws
 from truearm.estimate.evidence import Marginal, PriorBlock, block_nats, coefficients, learned, seen_by, weigh
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.law_candidates import knots
@@ -236,6 +237,28 @@ def test_a_few_poses_that_come_twice_say_nothing_of_what_rows_of_a_pose_share(le
     twice = identified_with(table.select(rows), np.zeros(rows.size, dtype=bool), "sag")
     assert twice.estimate.joint_laws.kept
     assert twice.estimate.pose_error is None
+
+
+def test_curves_are_centred_over_the_poses_and_predictions_do_not_move(learned_arm, monkeypatch):
+    """Joint 1 too, whose offset is held because the tracker can turn about the same axis: it takes the mean."""
+    found, _ = learned_arm
+    q = found.table.q[found.estimate.fitted]
+    curve = Curve.of_chain(found.chain)
+    assert np.abs(curve.value(found.identified, q.T).mean(axis=1)).max() < 1e-12
+    assert not found.parameters["joint1.offset"].free
+    monkeypatch.setattr(joint_laws, "_centred", lambda of, posterior, q: posterior)
+    raw = identified_with(found.table, ~found.estimate.fitted, "auto")
+    assert np.abs(curve.value(raw.identified, q.T).mean(axis=1)).max() > 1e-5
+    rows = found.table.select(found.estimate.fitted)
+    lines = [
+        build_problem(one.chain, RIG, rows).groups[0].evaluate(one.chain, one.estimate.value) for one in (raw, found)
+    ]
+    np.testing.assert_allclose(lines[1].residual, lines[0].residual, rtol=0.0, atol=1e-8)
+    sigmas = [
+        np.sqrt(np.einsum("ip,pr,ir->i", line.jac_params, one.estimate.covariance, line.jac_params))
+        for one, line in zip((raw, found), lines, strict=True)
+    ]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=1e-3)
 
 
 def test_the_result_file_brings_the_laws_back(learned_arm):
