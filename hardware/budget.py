@@ -23,6 +23,8 @@ ADC_REFERENCE_V = 1.2
 RATIO_LINEARITY = 0.0005
 RATIO_PER_50_OHM = 0.0005  # 10 → 60 Ω in the primary
 RATIO_PER_EXCITATION = 0.0001  # ±20 % of excitation
+# Delays of the trigger output into 3 kΩ, simulated, in µs: hardware/spice_check.py holds the circuit against them.
+TRIGGER_ON_US, TRIGGER_OFF_US = 1, 13
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,11 @@ def demodulator(netlist: Netlist, adc_ohm: float = ADC_OHM) -> Demodulator:
     source = 2 * value(netlist, "R36")
     tau = value(netlist, "C26") * source * adc_ohm / (source + adc_ohm)
     return Demodulator(adc_ohm / (adc_ohm + source), 1 / (2 * math.pi * tau), tau)
+
+
+def trigger_in_s(netlist: Netlist) -> float:
+    """Return the time constant of trigger input 0, before its receiver."""
+    return value(netlist, "R41") * value(netlist, "C33")
 
 
 def filter_gain(hz: float, osr: int) -> float:

@@ -179,9 +179,9 @@ def trigger_out(tools: Tools, circuit: Circuit) -> list[Row]:
         rows.append(
             Row(
                 f"trigger out, {name}: delays on and off, us",
-                f"{delays[0]:.0f}, {delays[1]:.0f}",
-                "below 300",
-                max(delays) < 300,
+                f"{delays[0]:.1f}, {delays[1]:.1f}",
+                f"{budget.TRIGGER_ON_US}, {budget.TRIGGER_OFF_US} ± 1",
+                abs(delays[0] - budget.TRIGGER_ON_US) <= 1 and abs(delays[1] - budget.TRIGGER_OFF_US) <= 1,
             )
         )
     for volt in (30, -30):

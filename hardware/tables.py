@@ -41,7 +41,7 @@ def blocks(made: list[Sheet]) -> dict[str, str]:
         "lvdt-budget": lvdt_budget(circuit),
         "transducer-budget": transducer_budget(circuit),
         "head-budget": head_budget(),
-        "trigger-budget": trigger_budget(),
+        "trigger-budget": trigger_budget(circuit),
         "power-up": power_up_table(circuit),
     }
 
@@ -239,13 +239,19 @@ def head_budget() -> str:
     return _rows(rows)
 
 
-def trigger_budget() -> str:
+def trigger_budget(circuit: Netlist) -> str:
+    series, shunt = (circuit.components[ref].value.split()[0] for ref in ("R41", "C33"))
+    late = f"time constant of {series} and {shunt}; constant, but different for each edge"
     return table(
         ("source", "µs", "how"),
         [
-            ("edge stamp", "1", "hardware timer of 1 MHz"),
-            ("trigger in", "about 10", "1 kΩ and 10 nF; constant, but different for each edge"),
-            ("trigger out, on", "1", "simulated into 3 kΩ, coupler of 3 µs"),
-            ("trigger out, off", "13", "simulated into 3 kΩ; the robot's input filter comes on top"),
+            ("edge stamp", 1, "hardware timer of 1 MHz"),
+            ("trigger in", f"about {budget.trigger_in_s(circuit) * 1e6:.0f}", late),
+            ("trigger out, on", budget.TRIGGER_ON_US, "simulated into 3 kΩ, coupler of 3 µs"),
+            (
+                "trigger out, off",
+                budget.TRIGGER_OFF_US,
+                "simulated into 3 kΩ; the robot's input filter comes on top",
+            ),
         ],
     )

@@ -34,6 +34,7 @@ def test_the_image_is_a_uf2_file_without_holes_and_says_what_it_is_made_of():
     for name in ("truearm ", "micropython 1.", "pico-sdk-source ", "tinyusb-source ", "arm-none-eabi-gcc ", "sha256 "):
         assert name in versions
     assert str(ROOT).encode() not in image
+    assert b"\0truearm box\0truearm\0" in b"".join(block[32:288] for block in blocks), "SPEC §8: product string, maker"
     assert read_uf2(node.image()).version == VERSION
 
 
