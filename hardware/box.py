@@ -75,6 +75,8 @@ def pico() -> Sheet:
     s.add("C1", C, "100n", (85, 27), ("RAIL_5V", "GND"), down=True)
     s.via("RAIL_5V", (80, 26), (85, 26))
     s.note((78, 19), "5 V monitor: a third of VBUS")
+    s.add("R56", R, "120R", (100, 27), ("+3V3", "GND"), down=True)
+    s.note((100, 24), "takes what D1 and R3 let in at +30 V on J1.2")
 
     s.note((70, 54), "Thermometers: DS18B20, up to eight on one wire")
     s.add("D1", BAT54S, "BAT54S", (82, 57), {"1": "GND", "2": "+3V3", "3": "THERMOMETER"})

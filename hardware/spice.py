@@ -69,12 +69,14 @@ TRANSISTORS = {"BCP56": "QPOWER", "BC847": "QSMALL", "BCP53": "QPPOWER", "BC857"
 @dataclass(frozen=True)
 class Circuit:
     """A netlist for simulation. ``fitted``: positions that are empty on the board and filled here. ``tripped``: fuses
-    that have tripped; the others have their lowest resistance.
+    that have tripped; the others have their lowest resistance. ``on``: the USB port supplies the box; if not, no chip
+    drives or loads anything.
     """
 
     netlist: Netlist
     fitted: frozenset[str] = frozenset()
     tripped: frozenset[str] = frozenset()
+    on: bool = True
 
     def node(self, ref: str, function: str) -> str:
         """Return the SPICE node of a pin, by the data sheet's name or a terminal's number."""
@@ -132,11 +134,15 @@ class Circuit:
                 found.append(f"S{ref}c{k} {at('COM' + k, 'NC' + k)} {at('V+', 'IN' + k)} SWITCH")
             return found
         if mpn.startswith("LP5907"):  # sources current only
+            if not self.on:
+                return []
             return [f"V{ref} {ref}s 0 3.3", f"D{ref} {ref}s {at('OUT')} DIDEAL"]
         if mpn.startswith("BAT54S"):
             return [f"D{ref}a {at('A1', 'MID')} DSCH", f"D{ref}b {at('MID', 'K2')} DSCH"]
         if mpn.startswith("LTC2863"):
             levels = [f"R{ref}{pin} {at(pin)} 0 125k" for pin in "ABYZ"]
+            if not self.on:
+                return levels
             # high when open, shorted or idle: low only below -0.2 V
             return [*levels, f"B{ref} {at('RO')} 0 V=V({self.node(ref, 'A')},{self.node(ref, 'B')}) < -0.2 ? 0 : 3.3"]
         if mpn.startswith("ISO1211"):
@@ -146,7 +152,7 @@ class Circuit:
         if mpn.startswith("BC"):
             return [f"Q{ref} {at('C', 'B', 'E')} {TRANSISTORS[mpn[:5]]}"]
         if mpn.startswith("SC0917"):  # protection of the pins; 3.3 V and 5 V
-            found = [f"V{ref} {at('3V3')} 0 3.3", f"V{ref}b {at('VBUS')} 0 5"]
+            found = [f"V{ref} {at('3V3')} 0 3.3", f"V{ref}b {at('VBUS')} 0 5"] if self.on else []
             used = [n for n in range(29) if not at(f"GP{n}").startswith("open_")]
             for n in used:
                 found += [f"D{ref}h{n} {at(f'GP{n}', '3V3')} DESD", f"D{ref}l{n} 0 {at(f'GP{n}')} DESD"]
@@ -176,7 +182,8 @@ def run(tools: Tools, circuit: Circuit, bench: Iterable[str], control: Iterable[
         RuntimeError: ngspice failed; the text is its message.
     """
     lines = ["the box", *MODELS.splitlines(), *circuit.lines(), *bench]
-    lines += ["Iavdd avdd 0 8m", ".options reltol=1e-4 abstol=1e-10 vntol=1e-7 rshunt=1e12 method=gear", ".control"]
+    lines += ["Iavdd avdd 0 8m"] if circuit.on else []
+    lines += [".options reltol=1e-4 abstol=1e-10 vntol=1e-7 rshunt=1e12 method=gear", ".control"]
     lines += [*control, "quit", ".endc", ".end", ""]
     with tempfile.TemporaryDirectory() as folder:
         deck = Path(folder) / "box.cir"

@@ -21,6 +21,7 @@ from hardware.spice import Circuit, limited_nodes, rating_of, run, within_limits
 
 FAULT_V = 30.0
 FAULT_A = 10.0  # of the source of a fault
+SUPPLY_MOST_V = 3.63  # at the Pico's 3.3 V: RP2040's absolute maximum, the lowest of the chips'
 SUPPLY_V, SUPPLY_A = 24.0, 2.0  # at J2
 LOADS = (("J6", "1", 0.15), ("J3", "4", 0.1), ("J4", "4", 0.1))  # A of the head and of each transducer
 NOMINAL_HOLD = 0.76  # of a fuse's holding current at 23 °C: what is left of it at 50 °C
@@ -45,9 +46,10 @@ class State:
 
 
 def jobs(netlist: Netlist) -> Iterator[Callable[[Tools, Circuit], list[Row]]]:
-    """Yield the check of every state."""
+    """Yield the check of every state, and that of the box without its supply."""
     for state in states(Circuit(netlist)):
         yield lambda tools, circuit, state=state: check(tools, circuit, state)
+    yield switched_off
 
 
 def states(circuit: Circuit) -> Iterator[State]:
@@ -69,6 +71,24 @@ def states(circuit: Circuit) -> Iterator[State]:
             ends = circuit.node(ref, "1"), circuit.node(ref, "2")
             bench = (*supplied(circuit), f"Rz {ends[1]} 0 0.01", *fault(ends[0], "0", volt))
             yield State(f"{volt:+.0f} V on {ref}.1, {loop} fitted, {ref}.2 at 0 V", bench, frozenset({loop}))
+
+
+def switched_off(tools: Tools, circuit: Circuit) -> list[Row]:
+    """Return the 3.3 V of a box without supply with a fault at each sensor terminal: it must not be supplied beyond its
+    maximum.
+
+    The chips that it supplies are taken to need no current, which is the worst case.
+    """
+    box = replace(circuit, on=False)
+    rail = box.node("U1", "3V3")
+    rows = []
+    for ref, ways in FAULT_TERMINALS.items():
+        for way in ways:
+            bench = [f"Vfault {box.node(ref, way)} 0 {FAULT_V:g}"]
+            got = run(tools, box, bench, ["op", f"let level = v({rail})", "print level"])
+            what = f"box off, {FAULT_V:+.0f} V on {ref}.{way}: V at 3V3"
+            rows.append(Row(what, f"{got['level']:.2f}", f"at most {SUPPLY_MOST_V}", got["level"] <= SUPPLY_MOST_V))
+    return rows
 
 
 def source(name: str, plus: str, minus: str, level: str, ampere: float, *, sinks: bool) -> tuple[str, str]:

@@ -112,6 +112,11 @@ def test_the_readings_of_the_first_power_up_show_a_wrong_part(tools, values, fai
     assert [row.what for row in rows if not row.passed] == [f"switched on, {pin}: V" for pin in failed]
 
 
+def test_a_supply_that_a_fault_raises_while_the_box_is_off_is_found(tools):
+    rows = stress.switched_off(tools, changed(R56="1k"))
+    assert [row.what for row in rows if not row.passed] == ["box off, +30 V on J1.2: V at 3V3"]
+
+
 def test_an_input_that_floats_without_the_pico_is_found(tools):
     circuit = changed(R53="10M")
     assert [row.what for row in spice_check.without_pico(tools, circuit) if not row.passed] == [
