@@ -33,8 +33,8 @@ from truearm.kinds.position import nearest_rotation
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.types import BallBar, Device, Floats, ObservationTable, Point, Rig
-from truearm.workflows.identify import Identification, IdentifyOptions, Selection, default_free, identified
-from truearm.workflows.selection import held_out_rows
+from truearm.workflows.identify import Identification, IdentifyOptions, Selection, identified
+from truearm.workflows.selection import default_free, held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"

@@ -185,6 +185,55 @@ def test_no_function_has_more_than_eight_parameters(path):
         assert count <= 8 or (is_command and not name.startswith("_")), f"{name} has {count} parameters"
 
 
+def modules() -> dict[str, Path]:
+    """Return the modules of the host by dotted name."""
+    return {
+        ".".join(path.relative_to(HOST.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in python_files(HOST)
+    }
+
+
+def imports_when_run(path: Path) -> set[str]:
+    """Return all imports of a file, also those within functions, but for those that only a type checker reads."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    guarded = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in (node for node in ast.walk(tree) if id(node) not in guarded):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names} | {node.module}
+    return found
+
+
+def circles(graph: dict[str, set[str]]) -> list[str]:
+    """Return the modules that reach themselves."""
+
+    def reached(start: str) -> set[str]:
+        seen: set[str] = set()
+        waiting = [start]
+        while waiting:
+            new = graph[waiting.pop()] - seen
+            seen |= new
+            waiting += new
+        return seen
+
+    return sorted(name for name in graph if name in reached(name))
+
+
+def test_no_module_imports_itself_on_any_way():
+    """An import within a function may save time, but it must not hide a circle."""
+    known = modules()
+    graph = {name: (imports_when_run(path) & set(known)) - {"truearm"} for name, path in known.items()}
+    assert circles(graph) == []
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
+
+
 @cache
 def closed_choices() -> set[str]:
     """Names of the enumerations of the host."""

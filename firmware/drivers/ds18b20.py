@@ -35,7 +35,6 @@ FAMILY = 0x28
 RESET = 499 | 68 << 10 | 427 << 20  # low for 500 µs, sampled 70 later
 ONE = 1 | 10 << 10 | 53 << 20  # and a read
 ZERO = 64 | 0 << 10 | 1 << 20
-UNDER_WAY = 4  # slots in progress
 SLOT_WAIT = 2000  # polls of the FIFO: some ms, compared with 0.07 for a slot and 1 for a reset
 
 SEARCH = 0xF0

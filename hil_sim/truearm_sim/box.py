@@ -37,7 +37,7 @@ THERMOMETER = struct.Struct(">8si")
 THERMOMETERS_MAX = 8  # 41 + 512 + 112 * 28 + 32 * 6 + 8 * 12 bytes fit in the 4096 that a pipe passes in one piece
 NO_ANSWER = 0x7FFFFFFF  # of a thermometer
 
-STALL, CRASH, QUIT = 1, 2, 4
+STALL, CRASH = 1, 2
 POWER, WATCHDOG, COMMAND = 1, 2, 3
 FAULT_CRC, FAULT_RESET = 1, 2  # faults of a converter sample
 _PIPE_BYTES = 65536  # capacity of a pipe

@@ -9,7 +9,6 @@ from hardware import budget, lvdt_check
 
 from .bench import run_steps
 
-PINS = (10, 12, 14)
 PERIOD_US = 1e6 / budget.EXCITATION_HZ
 SAMPLES = 3000
 SCRIPT = """

@@ -8,9 +8,9 @@ import pytest
 from tests.end_to_end.conftest import truearm_process
 from tests.end_to_end.test_real_time import Simulator
 
+from truearm.session.box_ident import recorded_ident
 from truearm.session.box_reader import BoxReader
 from truearm.session.session_file import open_session
-from truearm.workflows.inspect import ident_of
 
 pytestmark = pytest.mark.soak
 LOAD = "while True: sum(k * k for k in range(100_000))"
@@ -38,7 +38,7 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     cut = re.search(r"dwells: \d+ usable, 1 too short;", done.stderr)
     assert done.returncode == (4 if cut else 0), done.stderr
     session = open_session(tmp_path / "session.mcap")
-    reader, taken, begin_us = BoxReader(ident_of(session)), 0, None
+    reader, taken, begin_us = BoxReader(recorded_ident(session)), 0, None
     for blocks in (*(reader.feed(messages) for messages in session.batches()), reader.finish()):
         for some in blocks:
             taken, end_us = some.n0[-1] + some.n[-1], some.t0_us[-1] + some.n[-1] * some.period_ns[-1] / 1000

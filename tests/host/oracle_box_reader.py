@@ -13,7 +13,7 @@ Device time belongs to a segment; within a run samples are complete between bloc
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -354,11 +354,3 @@ class BoxReader:
         self._count.update(sync_requests=1, sync_unanswered=exchange is None)
         if exchange is not None and self._keep_exchanges:
             self.segment.exchanges.append(exchange)
-
-
-def blocks_of(messages: Iterable[Message], ident: Ident | None) -> Iterator[Block]:
-    """Return the blocks of samples of a session's messages in the order of sending; ``ident`` as in ``BoxReader``."""
-    reader = BoxReader(ident, keep_exchanges=False)
-    for message in messages:
-        yield from reader.feed(message)
-    yield from reader.finish()

@@ -21,13 +21,13 @@ from truearm.errors import SessionError
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
+from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_readings import parse_lines
 from truearm.session.message_columns import columns_of as message_columns
 from truearm.session.observations import Batches, observations, survey
 from truearm.session.session_file import open_session
 from truearm.session.session_tables import MAX_TABLES, tabulate
 from truearm.types import Message
-from truearm.workflows.inspect import ident_of
 
 WORDS = ("reason", "kind", "event", "shell", "bar", "chuck", "sphere")
 FORMATS = ("csv", "npz", "parquet")
@@ -97,7 +97,7 @@ def test_what_sync_sees(made, tmp_path, format):
     messages, path = made
     tables, said = export(path, tmp_path / "x", format)
     opened = open_session(path)
-    found = survey(opened.batches, ident_of(opened))
+    found = survey(opened.batches, recorded_ident(opened))
     blocks = read(messages)[0]
     adc = tables["box_adc"]
     counts = np.concatenate([block.counts for block in blocks])

@@ -12,7 +12,8 @@ from ur10_bench import RIG
 from truearm.files.observation_table import parse_table
 from truearm.files.robot_file import load_robot
 from truearm.types import ObservationTable
-from truearm.workflows.identify import IdentifyOptions, Selection, default_free, identified
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
+from truearm.workflows.selection import default_free
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"

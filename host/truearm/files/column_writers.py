@@ -12,65 +12,19 @@ import math
 import shutil
 import tempfile
 import zipfile
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
+from truearm.files.column_tables import Columns, Placement, Table, Tables
 
 _encoder = msgspec.json.Encoder()
-
-Columns = Mapping[str, NDArray[Any]]  # titles and columns of equal length
-
-
-class Placement(NamedTuple):
-    """For files of messages in time: UTC minus the host's clock, the start of the session on that clock [ns], and the
-    highest wanted rate.
-
-    The rate is in samples per second for each stream; 0 keeps all samples.
-    """
-
-    utc_offset_ns: int = 0
-    begin_ns: int = 0
-    rate_hz: float = 0.0
-
-
-class Table(ABC):
-    """A table that is being written; ``rows`` is the number of rows so far. Raises OSError if the disk refuses a write.
-
-    It is created from the first batch, which defines titles and types. That batch is not written yet.
-    """
-
-    def __init__(self) -> None:
-        self.rows = 0
-
-    def write(self, columns: Columns) -> None:
-        """Append a batch with the titles and types of the first."""
-        self.rows += self._write(columns)
-
-    @abstractmethod
-    def _write(self, columns: Columns) -> int:
-        """Write a batch and return the number of rows written."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Complete the table."""
-
-
-class Tables(Protocol):
-    """All tables of a folder."""
-
-    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
-        """Return the name under which a table is stored, and the table; ``columns`` is its first batch."""
-
-    def close(self) -> None:
-        """Complete the parts that the tables share."""
 
 
 class TableFiles:

@@ -16,7 +16,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from truearm.files.column_writers import Columns, Placement, Table
+from truearm.files.column_tables import Columns, Placement, Table
 from truearm.units import NS
 
 FILE = "session.mcap"

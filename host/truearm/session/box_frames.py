@@ -240,14 +240,6 @@ _DATA = np.dtype(
     }
 )
 _DATA_TAG = np.array([0xD8, 0x4E, 0x58], np.uint8)
-_HEARTBEAT = np.dtype(
-    {
-        "names": ["begin", "type", "mark", "seq", "m_boot", "boot", "m_t", "t"],
-        "formats": ["u1", "u1", "u1", ">u4", "u1", ">u4", "u1", ">u8"],
-        "offsets": [0, 1, 2, 3, 7, 8, 12, 13],
-        "itemsize": 35,
-    }
-)
 _SYNC = np.dtype(
     {
         "names": ["begin", "type", "mark", "seq", "id", "times"],

@@ -15,13 +15,16 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import cbor2
 
 from truearm import units
 from truearm.errors import ProtocolError, SessionError
 from truearm.units import MDEGC
+
+if TYPE_CHECKING:
+    from truearm.session.session_file import Session
 
 PROTOCOL_MAJOR = 1
 MAX_STREAMS = 16
@@ -313,3 +316,9 @@ def _plain(value: Any) -> Any:
 
 def _refuse(_: object) -> NoReturn:
     raise ValueError("references are not supported")
+
+
+def recorded_ident(session: Session) -> Ident | None:
+    """Return the box's description in the session's metadata; None if there is none."""
+    text = session.metadata.get("box", {}).get("ident")
+    return None if text is None else parse_ident_json(text)

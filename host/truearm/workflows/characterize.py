@@ -30,14 +30,13 @@ from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
-from truearm.session.box_ident import Ident
+from truearm.session.box_ident import Ident, recorded_ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.observations import SyncResult, Visits, joined, observations, visits
 from truearm.session.session_file import Session, open_session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
-from truearm.workflows.inspect import ident_of
 from truearm.workflows.session_observations import attached_rig, labels_of, reasons_text
 from truearm.workflows.session_parts import refuse_unfinished, session_parts
 
@@ -86,7 +85,8 @@ def characterize_files(
         refuse_unfinished(session)
     rig = _rig(opened, files.rig)
     parts = [
-        Part(_with_plan(one, files.plan), path.name, ident_of(one), labels_of(path)) for path, one in opened.items()
+        Part(_with_plan(one, files.plan), path.name, recorded_ident(one), labels_of(path))
+        for path, one in opened.items()
     ]
     found, noise = characterized(parts, chain, rig, bands)
     if files.out is not None:

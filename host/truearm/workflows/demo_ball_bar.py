@@ -35,8 +35,9 @@ def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCa
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
     from truearm.workflows.calibration_report import longitudes
-    from truearm.workflows.identify import default_free, default_prior
+    from truearm.workflows.identify import default_prior
     from truearm.workflows.inputs import Sources, hashed_inputs
+    from truearm.workflows.selection import default_free
 
     robot, rig, judging = subject.robot, read_rig(out / "rig.toml"), subject.judging.name
     chain, held_out, prior = robot.chain, table.bar == judging, default_prior(robot, "lm")

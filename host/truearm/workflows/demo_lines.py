@@ -118,8 +118,8 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     from truearm.files.result_file import RobotFrames, document_of, write_result
     from truearm.files.rig_file import read_rig
     from truearm.workflows.calibration_report import longitudes
-    from truearm.workflows.identify import default_free
     from truearm.workflows.inputs import Sources, hashed_inputs
+    from truearm.workflows.selection import default_free
 
     robot, rig = subject.robot, read_rig(out / "rig.toml")
     chain, free, judging = robot.chain, default_free(robot), subject.judging.name

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import InputError, WriteError
-from truearm.files.column_writers import FORMATS, Columns, Placement, Table, check_format
+from truearm.files.column_tables import Columns, Placement, Table
+from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
@@ -17,12 +18,12 @@ from truearm.files.robot_file import load_robot
 from truearm.files.strict_json import strict_json
 from truearm.progress import step
 from truearm.record.session_writer import read_anchor
+from truearm.session.box_ident import recorded_ident
 from truearm.session.observations import Survey, observations, survey
 from truearm.session.session_file import Session, open_session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.text import one_line
 from truearm.types import Rig
-from truearm.workflows.inspect import ident_of
 from truearm.workflows.session_observations import attached_rig, labels_of
 from truearm.workflows.session_parts import refuse_unfinished
 
@@ -85,7 +86,7 @@ def _export(
     session: Session, folder: Path, wanted: ExportSession, rig: Rig | None, units: Sequence[str]
 ) -> dict[str, Any]:
     """Write all tables; return the contents of session.json."""
-    ident = ident_of(session)
+    ident = recorded_ident(session)
     found = survey(session.batches, ident)
     utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
     tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, wanted.rate_hz))

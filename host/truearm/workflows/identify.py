@@ -19,7 +19,7 @@ from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.prediction import predicted_point_error
-from truearm.estimate.prior import free_without_gains, prior_named
+from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, elsewhere
@@ -47,7 +47,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
-from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
+from truearm.workflows.selection import default_free, free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
@@ -264,11 +264,6 @@ def _other_robots() -> dict[str, Candidate]:
     """Return the built-in robots by name, to which observations may belong."""
     robots = {name: builtin_robot(name) for name in builtin_names()}
     return {name: Candidate(robot.chain, robot.free) for name, robot in robots.items()}
-
-
-def default_free(robot: Robot) -> Mask:
-    """Return the parameters (p,) to identify by default: for a URDF, which has redundant constants, all but the gains."""
-    return free_without_gains(robot.chain) if robot.is_urdf else robot.free
 
 
 def default_prior(robot: Robot, solver: str) -> Prior:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
 from truearm.progress import step
+from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_readings import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from truearm.session.box_ident import Ident
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import Pass
     from truearm.session.message_columns import Messages
@@ -96,7 +96,7 @@ def describe(session: Session) -> dict[str, Any]:
     """
     from truearm.session.observations import survey
 
-    contents, ident = Contents(), ident_of(session)
+    contents, ident = Contents(), recorded_ident(session)
     found = survey(lambda: contents.watched(session.batches()), ident)
     times = [t for topic in contents.topics.values() for t in (topic.first_ns, topic.last_ns)]
     document = {
@@ -124,14 +124,6 @@ def describe(session: Session) -> dict[str, Any]:
         **_measured(session, found),
     }
     return without_nan(document)  # type: ignore[no-any-return]
-
-
-def ident_of(session: Session) -> Ident | None:
-    """Return the box's description in the session's metadata; None if there is none."""
-    from truearm.session.box_ident import parse_ident_json
-
-    text = session.metadata.get("box", {}).get("ident")
-    return None if text is None else parse_ident_json(text)
 
 
 def printable(data: bytes) -> str:

@@ -42,9 +42,9 @@ from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
-from truearm.workflows.identify import DEFAULTS, default_free, default_prior
+from truearm.workflows.identify import DEFAULTS, default_prior
 from truearm.workflows.inputs import Sources, observed
-from truearm.workflows.selection import held_out_rows
+from truearm.workflows.selection import default_free, held_out_rows
 from truearm.workflows.session_parts import with_parts
 
 APPROACH_CANDIDATES = 400

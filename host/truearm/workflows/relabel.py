@@ -158,9 +158,9 @@ def undo(session: Path) -> dict[str, Any]:
 @step("reading the session")
 def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig, Readings]:
     """Return the files, their common rig, and the readings of all good stops."""
+    from truearm.session.box_ident import recorded_ident
     from truearm.session.observations import survey
     from truearm.session.session_file import open_session
-    from truearm.workflows.inspect import ident_of
 
     parts, readings = list[Part](), list[Readings]()
     rig = None if rig_file is None else read_rig(rig_file)
@@ -175,7 +175,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
             raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
         if not (rig.bars and rig.chucks and rig.spheres):
             raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
-        found = survey(session.batches, ident_of(session))
+        found = survey(session.batches, recorded_ident(session))
         good, said, of_part = _of_survey(rig, found)
         parts.append(Part(path, found, good, said))
         readings.append(of_part)
@@ -225,7 +225,7 @@ def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
 
 
 def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> Mountings:
-    from truearm.workflows.identify import default_free
+    from truearm.workflows.selection import default_free
 
     words = Words([one.planned for one in said], [one.typed for one in said])
     _check_joints(robot, readings)
@@ -335,7 +335,7 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     Rows that are not dwells are included. A session is judged AT_ONCE dwells at a time. If all of these fit their labels,
     nothing else is checked. Otherwise all evidence about them must support a label, weighed as in ``relabel``.
     """
-    from truearm.workflows.identify import default_free
+    from truearm.workflows.selection import default_free
 
     out = np.ones(len(result.table), dtype=bool)
     used = [i for i, dwell in enumerate(result.dwells) if not dwell.reason]

@@ -123,10 +123,10 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 
     Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
     """
+    from truearm.session.box_ident import recorded_ident
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
     from truearm.session.session_file import open_session, words_of
-    from truearm.workflows.inspect import ident_of
     from truearm.workflows.session_parts import refuse_unfinished
     from truearm.workflows.temperature_warning import temperature_warning
 
@@ -142,7 +142,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
         raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
     rules = LineRules(points=options.line_points)
     result = observations(
-        session.batches, rig, ident=ident_of(session), name=path.name, line_rules=rules, labels=labels_of(path)
+        session.batches, rig, ident=recorded_ident(session), name=path.name, line_rules=rules, labels=labels_of(path)
     )
     if not len(result.table) and not options.may_be_empty:
         raise SessionError(nothing_observed(path, rejected_of(result)))
