@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
@@ -74,10 +75,10 @@ class SolverOptions:
     reject : fit again without outliers (``outliers``), for a least-squares fit by lm or map.
     """
 
-    solver: str = "lm"
-    loss: str = "linear"
+    solver: str = option_defaults.SOLVER
+    loss: str = option_defaults.LOSS
     damping: str = "scaled"
-    max_iterations: int = 50
+    max_iterations: int = option_defaults.MAX_ITERATIONS
     progress: Progress | None = None
     effects: tuple[Effect, ...] = ()
     leave_out: tuple[tuple[int, int], ...] = ()
