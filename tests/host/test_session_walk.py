@@ -10,12 +10,22 @@ import session_stream
 import truearm.session
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
+from truearm.session import session_file
 from truearm.session.observations import observations
 from truearm.session.session_file import open_session
+from truearm.workflows.inputs import Sources, read_sources
 
 FOLDER = Path(truearm.session.__file__).parent
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "code_flow.md"
 HOP = re.compile(r"^\| \d+ \| `session/(\w+)\.py` \| `(?:\w+\.)?(\w+)\(\)` \|(.*)$", re.MULTILINE)
+
+
+def test_an_identified_session_is_opened_and_checked_once(monkeypatch):
+    opened, scan = [], session_file._scan
+    monkeypatch.setattr(session_file, "_scan", lambda path, file: opened.append(path) or scan(path, file))
+    path = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
+    assert len(read_sources(Sources((path,)), None).table) == 3
+    assert opened == [path]
 
 
 def test_the_table_has_every_file_once():

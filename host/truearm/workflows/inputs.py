@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,15 +26,19 @@ from truearm.workflows.session_observations import (
     Rejected,
     Say,
     SessionOptions,
+    is_session,
     labels_of,
     nothing_observed,
-    observations_of_session,
+    observations_of_opened,
     rejected_of,
     silent,
     unheard,
 )
 from truearm.workflows.session_parts import is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
+
+if TYPE_CHECKING:
+    from truearm.session.session_file import Session
 
 Output = tuple[Path, Callable[[bytes], bool]]  # a file to write, and a test of its beginning for a file of truearm
 
@@ -122,8 +126,14 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
     given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
-    of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(inputs, given).items()}
-    read = {path: _read_input(path, joint_units, of_session.get(path), sources, robot) for path in inputs}
+    sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
+    of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given).items()}
+    read = {
+        path: _read_session(sessions[path], joint_units, of_session[path], sources, robot)
+        if path in sessions
+        else _Read(read_table(path, joint_units))
+        for path in inputs
+    }
     tables = [one.table for one in read.values()]
     counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
     table = concatenate([part for part in tables if len(part)] or tables)
@@ -166,20 +176,27 @@ class _Read(NamedTuple):
     rejected: Rejected | None = None
 
 
-def _read_input(
-    path: Path,
+def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
+    """Open every session once: that reads all of its file."""
+    if not paths:  # tables alone do not need the import
+        return {}
+    from truearm.session.session_file import open_session
+
+    return {path: open_session(path, allow_damaged) for path in paths}
+
+
+def _read_session(
+    session: Session,
     joint_units: tuple[str, ...] | None,
-    assigned: Assigned | None,
+    assigned: Assigned,
     sources: Sources,
     robot: Robot | None,
 ) -> _Read:
-    if assigned is None:
-        return _Read(read_table(path, joint_units))
-    name, rig = assigned
+    path, (name, rig) = session.path, assigned
     options = SessionOptions(
         sources.allow_damaged, is_part(path, list(sources.inputs)), sources.line_points, sources.say, sources.heard
     )
-    result = observations_of_session(path, rig, options)
+    result = observations_of_opened(session, rig, options)
     table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
         raise InputError(

@@ -10,11 +10,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from truearm.errors import Argument, InputError, RigError
 from truearm.types import Rig
-from truearm.workflows.session_observations import attached_rig, is_session
+from truearm.workflows.session_observations import attached_rig
 from truearm.workflows.session_parts import first_stem
+
+if TYPE_CHECKING:
+    from truearm.session.session_file import Session
 
 LONGEST = 64  # letters in a name, as for a table's identifiers
 Assigned = tuple[str, Rig]  # name, "" for the common rig, and the rig
@@ -25,16 +29,15 @@ def session_name(path: Path) -> str:
     return re.sub(r"[^\w-]", "_", first_stem(path), flags=re.ASCII)[:LONGEST]
 
 
-def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
-    """Return name and rig of every session among the inputs; ``given`` holds those given by the user, by name.
+def session_rigs(sessions: Mapping[Path, Session], given: Mapping[str, Rig]) -> dict[Path, Assigned]:
+    """Return name and rig of every session; ``given`` holds the rigs given by the user, by name.
 
     If no name is given and all sessions were recorded with one rig, that rig is used for everything, like a rig without
     a name. Raises RigError for a session without a rig, InputError for names that do not distinguish rigs.
     """
-    sessions = [path for path in inputs if is_session(path)]
     if "" in given:
         return dict.fromkeys(sessions, ("", given[""]))
-    recorded = {path: _recorded(path) for path in sessions if session_name(path) not in given}
+    recorded = {path: attached_rig(one, path) for path, one in sessions.items() if session_name(path) not in given}
     for path, rig in recorded.items():
         if rig is None:
             name = f" {session_name(path)}=FILE" * bool(given)
@@ -44,12 +47,6 @@ def session_rigs(inputs: list[Path], given: Mapping[str, Rig]) -> dict[Path, Ass
         return {path: ("", rig) for path, rig in own.items()}
     named = {path: (session_name(path), given[session_name(path)]) for path in sessions if path not in own}
     return named | _named_apart(own)
-
-
-def _recorded(path: Path) -> Rig | None:
-    from truearm.session.session_file import open_session
-
-    return attached_rig(open_session(path, allow_damaged=True), path)
 
 
 def _named_apart(own: Mapping[Path, Rig]) -> dict[Path, Assigned]:
