@@ -180,7 +180,7 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     session = tmp_path / "session.mcap"
     session.write_bytes(b"an afternoon")
     assert box("gauge", "lvdt", "--box", "/dev/none", "--out", session) == 2
-    assert "was not written by truearm; give another name" in capsys.readouterr().err
+    assert "is not a file that this command writes; give another name" in capsys.readouterr().err
     assert session.read_bytes() == b"an afternoon"
 
 

@@ -243,7 +243,7 @@ OPTIONS = {
     f"{CORRECT} --margin nan": "--margin",
     f"{CORRECT} --margin 1.0": "too near a singularity",
     f"{CORRECT} --residuals new.csv": "already an input or output",
-    f"{CORRECT} --out precious.csv": "was not written by truearm",
+    f"{CORRECT} --out precious.csv": "is not a file that this command writes",
     f"{CORRECT.replace('result.json', '/dev/null')}": "not a regular file",
     f"{VALIDATE} --rig irb120.toml": "several rigs need names",
     f"{VALIDATE.replace('rows.csv', 'targets.csv')}": "has no column 'kind'",

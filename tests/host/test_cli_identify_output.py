@@ -142,7 +142,7 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
         (["--out", table], "is already an input"),
         (["--save-table", table], "is already an input"),
         (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "is named for two outputs"),
-        (["--out", mine], "was not written by truearm"),
+        (["--out", mine], "is not a file that this command writes"),
         ([table], "is given twice"),
     ):
         outcome = run(*map(str, [*good, *more]))
@@ -185,8 +185,8 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
     assert out.splitlines()[-1].endswith("r.html")
     told(run(*good, "--report", page), "r.html: exists; choose another name or give --force")
     assert run(*good, "--report", page, "--force").code == 0
-    told(run(*good, "--report", diary, "--force"), "was not written by truearm")
-    told(run(*good, "--report", diary), "was not written by truearm")
+    told(run(*good, "--report", diary, "--force"), "is not a file that this command writes")
+    told(run(*good, "--report", diary), "is not a file that this command writes")
     new = tmp_path / "new"
     told(run(*good, "--report", new, "--out", new), "is named for two outputs")
     told(run(*good, "--report", good[1]), "is already an input")

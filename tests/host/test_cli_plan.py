@@ -192,7 +192,7 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
     precious.write_text("precious")
     given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)
     assert main([*given, str(precious)]) == 2
-    assert "exists and was not written by truearm" in capsys.readouterr().err
+    assert "exists and is not a file that this command writes" in capsys.readouterr().err
     assert precious.read_text() == "precious"
     assert [main([*given, str(own), *force]) for force in ((), (), ["--force"])] == [0, 2, 0]
     assert "exists; choose another name or give --force" in capsys.readouterr().err

@@ -23,7 +23,9 @@ def table(path, separator, comma, n=5):
     return np.round(rows, 9)
 
 
-@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", True)])
+@pytest.mark.parametrize(
+    ("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", True), (" ", False), ("   ", True)]
+)
 def test_a_table_of_another_program(tmp_path, separator, comma):
     rows = table(tmp_path / "r.csv", separator, comma)
     found = list(readings(tmp_path / "r.csv", FileOptions("", columns=parse_renames(UR))))
@@ -37,12 +39,17 @@ def test_our_own_columns_may_be_separated_by_semicolons_too(tmp_path):
     (tmp_path / "r.csv").write_text("t_s;q1_deg;q2_deg\n1,5;90;-45,5\n")
     (one,) = readings(tmp_path / "r.csv", FileOptions(""))
     assert json.loads(one.line)["q"] == pytest.approx(np.deg2rad([90.0, -45.5]))
+    (tmp_path / "r.txt").write_text("# t_s  q1_deg  q2_deg\n  1.5     90   -45.5\n")
+    (one,) = readings(tmp_path / "r.txt", FileOptions(""))
+    assert json.loads(one.line)["q"] == pytest.approx(np.deg2rad([90.0, -45.5]))
 
 
 def test_joints_are_counted_from_the_lowest_number_there_is():
     assert renamed(["q2", "t", "q1"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg"]
     assert renamed(["q1", "t", "q0", "z"], parse_renames("t_s=t,q{}_deg=q{}")) == ["q2_deg", "t_s", "q1_deg", "x_3"]
-    assert [separator_of(text) for text in ("a,b;c,d", "a;b", "a\tb\tc", "a")] == [",", ";", "\t", ","]
+    assert [separator_of(text) for text in ("a,b;c,d", "a;b", "a\tb\tc", "a", "a, b c d", "a  b")] == [
+        *(",", ";", "\t", ",", ",", " ")
+    ]
 
 
 @pytest.mark.parametrize("text", ["", "t_s", "=x", "t_s=", "q{}_rad=q", "q1_rad=q{}", "q{}_rad=q{}{}", "t_s=t,,"])

@@ -18,6 +18,7 @@ from truearm.files.project_folder import find_project
 if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
+EXPERIMENTS = ("ballbar", "line", "both")  # of truearm demo, whose option was once --rig
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash")
 Answer = Callable[[], Any]  # the value of an option; None: no default
 
@@ -26,12 +27,19 @@ class ProjectCommand(TyperCommand):
     """A command that prints on standard error what it took from truearm.toml and refuses numbers that are not finite."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts."""
+        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for an experiment
+        in place of a rig file.
+        """
         for one in self.params:
             given = ctx.params[one.name or ""]
             for value in given if isinstance(given, list | tuple) else (given,):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{one.opts[0]} must be a finite number, is {value}")
+                if "--rig" in one.opts and str(value) in EXPERIMENTS and not Path(str(value)).exists():
+                    raise InputError(
+                        f"--rig {value}: --rig takes a rig file (.toml); choose what is simulated with truearm demo "
+                        "--experiment, or with truearm simulate --lines"
+                    )
         taken = [
             word
             for one in self.params

@@ -135,7 +135,9 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
     if ours is not None and path.exists():
         with path.open("rb") as file:
             if not ours(file.read(1024)):
-                raise InputError(f"{path}: exists and was not written by truearm; give another name, or remove it")
+                raise InputError(
+                    f"{path}: exists and is not a file that this command writes; give another name, or remove it"
+                )
 
 
 def same_file(a: Path, b: Path) -> bool:

@@ -59,8 +59,9 @@ SEPARATORS = ",;\t"
 
 
 def separator_of(header: str) -> str:
-    """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab."""
-    return max(SEPARATORS, key=header.count)
+    """Return the delimiter of a table with this header: the most frequent one of comma, semicolon and tab, else a space."""
+    most = max(SEPARATORS, key=header.count)
+    return most if most in header or " " not in header.strip() else " "
 
 
 def with_point(cell: str) -> str:

@@ -60,7 +60,8 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     lines = _lines(path, file)
     header = next(lines, "")
     separator = separator_of(header)
-    rows = rows_of(chain([header], lines), str(path), separator=separator)
+    given = chain([header], lines)
+    rows = rows_of(map(_one_space, given) if separator == " " else given, str(path), separator=separator)
     try:
         titles = next(rows, Row(1, [])).cells
         columns = read_columns(renamed(titles, renames) if renames else titles)
@@ -83,6 +84,13 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
         raise
     except InputError as exc:
         raise TableError(f"{path}: {exc}") from exc
+
+
+def _one_space(line: str) -> str:
+    """Return a line of columns that are aligned with spaces, with one space between them; a "#" before a header is left
+    out.
+    """
+    return " ".join(line.removeprefix("#").split()) + "\n"
 
 
 def _lines(path: Path, file: IO[str]) -> Iterator[str]:
