@@ -50,13 +50,16 @@ from truearm.files.programs.tree_walks import (
     touched_by,
 )
 from truearm.files.programs.values import (
+    MAX_NESTED,
     MOST_LISTS,
     Begin,
+    Fields,
     Goal,
     Listed,
     Unknown,
     Value,
     Values,
+    all_of,
     combined,
     counts,
     distinct,
@@ -67,7 +70,9 @@ from truearm.files.programs.values import (
 
 MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
-CALL = 10  # cost of a call, in parts of an expression
+CALL = 20  # cost of a call, in parts of an expression
+GOAL = 5  # of a goal of a move
+LETTERS = 100  # that cost as much as one part of an expression
 
 TOOL = "tool in force"  # variable names contain no spaces
 _ANYWHERE: Values = (Unknown("the position in which the program starts is not known", 0),)
@@ -220,6 +225,8 @@ class Flow:
 
     def set(self, name: str, values: Values, scope: str = "") -> None:
         """Assign to a name. If a routine assigns to an outer name undeclared, either variable may be meant."""
+        if any(isinstance(one, Listed | Fields) and one.depth > MAX_NESTED for one in values):
+            values = (Unknown(f"{name} has lists within each other, too many to trace", 0),)
         own = (self.stack[-1].scope, name)
         if self.loose:
             values = joined(self.get(name), values)
@@ -266,7 +273,7 @@ class Flow:
             case Return(value):
                 found = () if value is None else self.value(value)
                 here = self.stack[-1]
-                here.returns.append((found, self.environment.since(here.depth)))
+                here.returns.append((found, self._since(here.depth)))
                 return False
             case Leave(what):
                 return self._leave(what)
@@ -279,8 +286,14 @@ class Flow:
     def _leave(self, what: str) -> bool:
         if what != "halt" and self.turns:
             turn = self.turns[-1]
-            (turn.breaks if what == "break" else turn.continues).append(self.environment.since(turn.depth))
+            (turn.breaks if what == "break" else turn.continues).append(self._since(turn.depth))
         return False
+
+    def _since(self, depth: int) -> dict[Key, Values]:
+        """Return what was assigned since a depth: a copy, which each further end of a loop or routine has."""
+        way = self.environment.since(depth)
+        self.work.spend(len(way))
+        return way
 
     def _assign(self, target: Name | Element, values: Values, scope: str) -> None:
         if isinstance(target, Name):
@@ -375,6 +388,7 @@ class Flow:
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found: list[Value] = []
                 for one, place in product(lists, places):
+                    self.work.spend(1 if isinstance(place, str | Number) else _size(one))
                     reached = self.language.item(one, place, start)
                     self.work.spend(len(reached) // SEVERAL)
                     found += reached
@@ -384,6 +398,7 @@ class Flow:
                 if sign in ("and", "or") and self._runs_routine(operands[1]):
                     return self._either(expression)
                 given = [self.value(operand) for operand in operands]
+                self.work.spend(length_of_texts(given) // LETTERS)
                 self.work.spend(min(prod(map(len, given)), most_choices(given)) - 1)
                 return combined(start, operator_of(sign, start), given)
             case _:
@@ -488,12 +503,11 @@ class Flow:
     def _repeats(self, trace: Trace) -> bool:
         """Return whether all that a routine read is the same here."""
         environment = self.environment
-        self.work.spend(1)
+        self.work.spend(1 + (len(trace.read) + len(trace.written)) // 2)
         for key, values in trace.read.items():
             found, _ = environment.find(key)
             if not (found is values or found == values):
                 return False
-        self.work.spend(len(trace.read) // SEVERAL + len(trace.written))
         return all(environment.find((one.scope, name))[0] is None for one in self.stack[1:] for name in trace.swept)
 
     def _inherit(self, trace: Trace, repeated: bool) -> None:
@@ -556,9 +570,8 @@ class Flow:
         self.stack.pop()
         end = self.environment.end()
         ways = [*(way for _, way in here.returns), *([end] if reached else [])]
-        results: Values = ()
-        for values, _ in here.returns:
-            results = joined(results, values)
+        self.work.spend(sum(len(values) for values, _ in here.returns))
+        results = all_of([values for values, _ in here.returns if values])
         after = [{name: values for (scope, name), values in way.items() if scope == here.scope} for way in ways]
         ways = [{key: v for key, v in way.items() if key[0] != here.scope} for way in ways]
         return _Effect(results, ways, after, trace)
@@ -644,7 +657,7 @@ class Flow:
         ``straight``: along a line from the robot's position.
         """
         motion = self.motion(call.function, call.start, call.end)
-        self.work.spend(len(tools) * len(frames) * sum(len(values) for values, _ in targets))
+        self.work.spend(GOAL * len(tools) * len(frames) * sum(len(values) for values, _ in targets))
         ends: dict[Value, None] = {}
         for tool in tools:
             for frame in frames:
@@ -682,6 +695,16 @@ def _from(values: Values, here: Values) -> Values:
     if not any(isinstance(one, Begin) for one in values):
         return values
     return distinct(chain.from_iterable(here if isinstance(one, Begin) else (one,) for one in values))
+
+
+def length_of_texts(given: Iterable[Values]) -> int:
+    """Return the number of characters of all possible texts."""
+    return sum(len(one.text) for values in given for one in values if isinstance(one, Text))
+
+
+def _size(value: Value) -> int:
+    """Return how many items a list may have."""
+    return len(value.items) if isinstance(value, Listed | Fields) else 1
 
 
 def _upward(at: _Activation | None) -> Iterator[_Activation]:

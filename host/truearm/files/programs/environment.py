@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from truearm.errors import ProgramError
 from truearm.files.programs.syntax import Source
-from truearm.files.programs.values import Begin, Unknown, Value, Values, joined
+from truearm.files.programs.values import Begin, Unknown, Value, Values, all_of
 
 Key = tuple[int, str]  # the scope, 0 for the program's own, and the name
 GLOBAL = 0
@@ -147,10 +147,9 @@ class Environment:
         """Continue where several paths meet, each with its own assignments."""
         for key in dict.fromkeys(key for way in ways for key in way):
             before = self.get(key)
-            values: Values | None = None
-            for way in ways:
-                values = joined(values, way.get(key, before))
-            self.set(key, values or ())
+            found = [values for way in ways if (values := way.get(key, before))]
+            self.work.spend(sum(map(len, found)) if len(found) > 1 else 0)
+            self.set(key, all_of(found))
 
 
 def few(places: Values) -> Values:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from truearm.files.programs.dataflow import Flow
+from truearm.files.programs.dataflow import LETTERS, Flow, length_of_texts
 from truearm.files.programs.environment import Key
 from truearm.files.programs.rapid import LATE_BOUND, Module
 from truearm.files.programs.rapid_expressions import PASSED
@@ -138,6 +138,7 @@ class Rapid:
             turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
             return combined(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
         if name in SENDERS and name not in self.harmless:
+            flow.work.spend(length_of_texts([*arguments, *named.values()]) // LETTERS)
             sent = why_sent(value for values in (*arguments, *named.values()) for value in values)
             if sent is not None:
                 flow.uncertain(name, at, call.end, sent, "harmless")
@@ -246,8 +247,11 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     used = {
         call.function for one in routines for call in calls_in((one.body, one.handlers)) if call.function != one.name
     }
-    entries = sorted((one for one in routines if one.name not in used), key=lambda one: one.name != "main")
-    entries += [one for one in routines if one.name == "main" and one not in entries]
+    entries = sorted(
+        (one for one in routines if one.name not in used or one.name == "main"),
+        key=lambda one: (one.name in used, one.name != "main"),
+    )
+    begun = {one.name for one in entries}
     record: dict[Key, dict[Value, None]] = {}
     flow.environment.records.append(record)
     kept_keys = {(0, name) for name in kept}
@@ -278,7 +282,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     flow.environment.records.pop()
     flow.environment.begin_any_time(record)
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call
-        if routine.name != "main" and (routine in entries or routine.name not in flow.called):
+        if routine.name != "main" and (routine.name in begun or routine.name not in flow.called):
             flow.environment.begin({})
             flow.enter(routine, None, (), {})
             flow.environment.end()

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from truearm.files.programs.dataflow import TOOL, Flow
+from truearm.files.programs.dataflow import LETTERS, TOOL, Flow, length_of_texts
 from truearm.files.programs.sent_moves import text_of, why_sent
 from truearm.files.programs.syntax import (
     Block,
@@ -37,12 +37,14 @@ from truearm.files.programs.values import (
     Values,
     combined,
     first_unknown,
+    most_choices,
     numbers_of,
     taught_pose,
 )
 
 _SENDERS = ("socket_send_line", "socket_send_string")
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
+GEOMETRY = 15  # cost of a function of poses, in parts of an expression
 TRACKED = "tracked conveyor"  # variable names contain no spaces
 
 
@@ -79,6 +81,8 @@ class UrScript(NamedTuple):
                 name, at, call.end, f"{name} moves the robot without a target; there is nothing to correct in it"
             )
             return (Truth(True),)
+        if name in _SENDERS or name == "str_cat":
+            flow.work.spend(length_of_texts([*arguments, *named.values()]) // LETTERS)
         if name in _SENDERS and name not in self.harmless:
             why = why_sent(value for values in (*arguments, *named.values()) for value in values)
             if why is not None:
@@ -99,6 +103,7 @@ class UrScript(NamedTuple):
             return list_made(arguments, named, at)
         if name in PURE:
             values = [*arguments, *named.values()]
+            flow.work.spend(GEOMETRY * min(math.prod(map(len, values)), most_choices(values)) if values else 0)
             return combined(at, lambda *given: PURE[name](given, at), values) if values else None
         if name.startswith("."):
             return (Unknown("the result of a method or remote procedure is known only at run time", at),)

@@ -21,6 +21,8 @@ from truearm.types import Floats
 from truearm.units import DEG, MM
 
 MOST = 1_000  # possibilities of a function of several arguments
+MOST_FACTORS = 100  # of a product of poses
+MAX_NESTED = 50  # lists and records within each other
 MOST_LISTS = 16  # versions of a list or record, before the possibilities of its items are joined
 UNIT_QUATERNION = 1e-3  # tolerance of the norm of a quaternion about 1, if it was written with few digits
 
@@ -42,18 +44,47 @@ class Listed(_Listed):
     """A list or record, each item with its possibilities; ``pose`` where it is a p[…]. It may be large, so that its hash is kept."""
 
     _hash: int | None = None
+    _depth: int | None = None
 
     def __hash__(self) -> int:
         if self._hash is None:
             self._hash = super().__hash__()
         return self._hash
 
+    @property
+    def depth(self) -> int:
+        """Return how many lists and records are within each other."""
+        if self._depth is None:
+            self._depth = _depth(self.items)
+        return self._depth
 
-class Fields(NamedTuple):
-    """A record with named fields."""
 
+class _Fields(NamedTuple):
     names: tuple[str, ...]
     items: tuple[Values, ...]
+
+
+class Fields(_Fields):
+    """A record with named fields. It may be large, so that its hash is kept."""
+
+    _hash: int | None = None
+    _depth: int | None = None
+
+    def __hash__(self) -> int:
+        if self._hash is None:
+            self._hash = super().__hash__()
+        return self._hash
+
+    @property
+    def depth(self) -> int:
+        """Return how many lists and records are within each other."""
+        if self._depth is None:
+            self._depth = _depth(self.items)
+        return self._depth
+
+
+def _depth(items: Iterable[Values]) -> int:
+    return 1 + max((one.depth for values in items for one in values if isinstance(one, Listed | Fields)), default=0)
 
 
 class Fixed(NamedTuple):
@@ -120,6 +151,13 @@ def joined(a: Values | None, b: Values | None) -> Values:
     return distinct(a + b)
 
 
+def all_of(found: Sequence[Values]) -> Values:
+    """Return the possibilities of several values, in order."""
+    if all(one is found[0] or one == found[0] for one in found):
+        return found[0] if found else ()
+    return distinct(chain.from_iterable(found))
+
+
 def distinct(values: Iterable[Value]) -> Values:
     """Return each value once, in order.
 
@@ -154,10 +192,17 @@ def merged(values: Values) -> Values:
 def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
     """Return the results of a function of single values for every combination of possibilities."""
     if len(arguments) == 1:
-        return tuple(function(one) for one in arguments[0])
+        return tuple(_traced(function(one), at) for one in arguments[0])
     if math.prod(map(len, arguments)) > most_choices(arguments):
         return (Unknown("it has too many possible values to trace", at),)
-    return distinct(function(*choice) for choice in product(*arguments))
+    return distinct(_traced(function(*choice), at) for choice in product(*arguments))
+
+
+def _traced(value: Value, at: int) -> Value:
+    """Return a value, unless it is a product of too many poses: each further product would copy all of them."""
+    if isinstance(value, Pose) and len(value.factors) > MOST_FACTORS:
+        return Unknown(f"it is a product of more than {MOST_FACTORS} poses", at)
+    return value
 
 
 def counts(before: Values | None, after: Values | None) -> bool:
