@@ -103,7 +103,7 @@ def test_what_cannot_be_chosen_is_said():
     rows, _ = problem()
     for arguments, message in (
         ((3, "X"), "criterion 'X'"),
-        ((3, "I"), "needs the region"),
+        ((3, "I"), "needs the argument region"),
         ((13, "D"), "13 of 12 candidates"),
         ((0, "D"), "0 of 12"),
     ):

@@ -60,8 +60,8 @@ def add_joints(
 ) -> None:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
-    truearm did not see these readings arrive. It computes their place in the session from the controller's time and notes
-    this in the file.
+    Each reading is placed by the controller's time that it has, since truearm did not see it arrive. The new file records
+    that its readings were added in this way.
 
     \b
     Example:

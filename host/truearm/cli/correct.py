@@ -67,7 +67,7 @@ def correct(
         str | None,
         typer.Option(
             metavar="X,Y,Z,RX,RY,RZ",
-            help="The controller's flange in the end frame of the calibration [mm, deg]. Needed if that frame's name does not determine it.",
+            help="The controller's flange in the end frame of the calibration [mm, deg]. Needed if truearm does not know that frame by its name, as it knows tool0.",
         ),
     ] = None,
     joint_moves: Annotated[
@@ -80,7 +80,8 @@ def correct(
         bool,
         typer.Option(
             "--split",
-            help="Write a separate target into a move that shares one but needs different numbers, such as Offs(p1,0,0,50).",
+            help="If two moves use one target, such as p1 and Offs(p1,0,0,50), but need different corrections: "
+            "write a separate target into the move.",
         ),
     ] = False,
     partial: Annotated[

@@ -221,7 +221,8 @@ def _regression(y: Floats, x: Floats, pose: NDArray[np.int64]) -> tuple[Floats, 
     basis, root = np.linalg.qr(x[:, seen])
     if np.linalg.cond(root) > 1e6:
         raise ProblemError(
-            "the joints' sides are not independent of each other; record a plan of truearm plan characterize"
+            "the approach directions of two or more joints always change together, so their backlash cannot be separated; "
+            "record a plan of truearm plan characterize"
         )
     solution = np.linalg.solve(root, basis.T @ y)
     residual = y - x[:, seen] @ solution

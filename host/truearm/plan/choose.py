@@ -161,7 +161,9 @@ def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Cri
     if criterion not in tuple(Criterion):
         raise PlanError(f"criterion {criterion!r} is not known; use {', '.join(Criterion)}")
     if criterion == Criterion.I and region is None:
-        raise PlanError("an I-optimal choice needs the region in which the error should be small")
+        raise PlanError(
+            "criterion I needs the argument region: the rows of the region in which the error should be small"
+        )
     if not 1 <= n <= len(rows):
         raise PlanError(f"{n} of {len(rows)} candidates cannot be chosen; ask for fewer poses or more candidates")
     return Criterion(criterion)
