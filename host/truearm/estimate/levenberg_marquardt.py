@@ -16,6 +16,11 @@ at a smaller λ. Otherwise it follows Nielsen's rule (1999, Damping Parameter in
 at the largest worthwhile step (docs/decisions/0019-damping.md has a comparison). λ is multiplied by 4 after a step that
 did not reduce χ².
 
+A step that does not reduce χ² may only have left a curved valley: rotating the base about nearly collinear chucks moves
+them on arcs, and their lengths resolve micrometres. Before it is given up, up to CORRECTORS full steps from its end return
+to the valley (a watchdog: Chamberlain and others 1982, Mathematical Programming Study 16). Otherwise the damped steps would
+be as short as the deviation of the arcs from their tangents permits, thousands of them.
+
 The iteration ends when the reduction still predicted by the linearised problem, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (x is then
 within about 1e-5 σ of the minimum) or below 1e-10 per residual (data without noise), or when the step is at rounding
 level. If no step reduces χ² any more although x is within 1e-5 σ of the minimum, the gain is lost in the rounding of χ²:
@@ -43,6 +48,7 @@ DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
 REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that it needs with 10, with the rule above
 STRAIGHT = 1e-3
+CORRECTORS = 3  # full steps from a point that is no better, before it is given up
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
@@ -81,7 +87,7 @@ def minimise(
     """
     here = linearise(x)
     for iteration in range(max_iterations + 1):
-        if not (np.isfinite(here.chi2) and np.isfinite(here.root).all()):
+        if not _finite(here):
             return Minimum(x, "stalled", "residuals or derivatives are not finite numbers", iteration, here)
         parts = spectrum(here.root)
         promised = promise(parts, here.rhs)
@@ -105,7 +111,14 @@ def minimise(
                 goal = move(x, delta)
                 there = linearise(goal)
                 chi2 = there.chi2 if cost is None else cost(goal, x)
-            if chi2 < here.chi2:  # False for a diverging step with a NaN χ²
+                for _ in range(CORRECTORS):  # χ² may be NaN after a diverging step
+                    if chi2 < here.chi2 or not _finite(there):
+                        break
+                    back = spectrum(there.root)
+                    goal = move(goal, step(back, promise(back, there.rhs), 0.0)[0])
+                    there = linearise(goal)
+                    chi2 = there.chi2 if cost is None else cost(goal, x)
+            if chi2 < here.chi2:
                 break
             refused = True
             damping = after_refusal(damping)
@@ -119,6 +132,10 @@ def minimise(
         if on_step is not None:
             on_step(iteration + 1, here)
     return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, here)
+
+
+def _finite(here: Information) -> bool:
+    return bool(np.isfinite(here.chi2) and np.isfinite(here.root).all() and np.isfinite(here.rhs).all())
 
 
 def _too_few(iterations: int) -> str:
