@@ -446,7 +446,7 @@ REFUSED = [
     ("rig", InputError, lambda a: truearm.identify(a.robot, a.table, {})),
     ("home", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4), home=[0.0, 0.0, 0.0, 0.0, 0.0, 7.0])),
     ("at", InputError, lambda a: truearm.error_map(a.result, at=[0.0, 0.0, 0.0, 0.0, 0.0, -7.0])),
-    ("over", InputError, lambda a: truearm.export_robot(a.result, "dh", over=np.full((20, 6), 7.0))),
+    ("over", InputError, lambda a: truearm.export_robot(a.result, "dh", over=np.full((20, 6), 1e4))),
     ("result", InputError, lambda a: truearm.plan_ball_bar(truearm.load_robot("irb120"), a.bench, poses=8, result=a.result)),
 ]  # fmt: skip
 

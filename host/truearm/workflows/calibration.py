@@ -292,15 +292,19 @@ def check_joints(argument: str, given: Sequence[float] | None, chain: Chain) -> 
     q = np.array(given, dtype=float)
     if q.shape != (len(chain.joints),) or not np.isfinite(q).all():
         raise InputError(Argument(argument), f": must be {len(chain.joints)} finite numbers, one per joint")
-    check_limits(argument, q[None], chain)
+    largest = largest_readings(chain)
+    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    check_within(argument, q[None], chain, np.maximum(lower, -largest), np.minimum(upper, largest))
     return q
 
 
-def check_limits(argument: str, q: Floats, chain: Chain) -> None:
-    """Raise InputError for the first of the joint readings (n, j) that is outside the limits of its joint."""
-    largest = np.array([UNITS[unit].largest for unit in chain.joint_units])
-    lower = np.maximum([joint.lower for joint in chain.joints], -largest)
-    upper = np.minimum([joint.upper for joint in chain.joints], largest)
+def largest_readings(chain: Chain) -> Floats:
+    """Return the largest plausible reading (j,) of each joint, whatever its limits [rad, m]."""
+    return np.array([UNITS[unit].largest for unit in chain.joint_units])
+
+
+def check_within(argument: str, q: Floats, chain: Chain, lower: Floats, upper: Floats) -> None:
+    """Raise InputError for the first of the joint readings (n, j) that is outside lower and upper (j,)."""
     bad = np.argwhere((q < lower - ROUNDED) | (q > upper + ROUNDED))
     for i, j in bad[:1].tolist():
         scale = UNITS[chain.joint_units[j]].scale

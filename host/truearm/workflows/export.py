@@ -21,7 +21,14 @@ from truearm.progress import step
 from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms
 from truearm.units import MM
-from truearm.workflows.calibration import Calibration, check_limits, check_names, mounting_lines, read_calibration
+from truearm.workflows.calibration import (
+    Calibration,
+    check_names,
+    check_within,
+    largest_readings,
+    mounting_lines,
+    read_calibration,
+)
 from truearm.workflows.curve_table import curve_table, looks_like_curves
 from truearm.workflows.selection import matching
 
@@ -200,7 +207,10 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
                 f" {options.adjust[0]}: leaves no parameter that {options.form} can hold; use another pattern or format",
             )
     if over is not None:
-        check_limits("over", over, chain)
+        largest = largest_readings(
+            chain
+        )  # poses that were measured may be beyond the limits that the robot file states
+        check_within("over", over, chain, -largest, largest)
     q = _anywhere(calibration) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
