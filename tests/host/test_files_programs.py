@@ -529,6 +529,29 @@ def test_possibilities_do_not_multiply(program_of, monkeypatch):
     assert works[1] < 4 * works[0]
 
 
+GROWING = {
+    "a text that doubles": ['x="movel"', *["x=str_cat(x,x)"] * 60],
+    "ends of a loop that keep all names": ["while a:", *[f"a{k}={k}\nif a:\nbreak\nend" for k in range(3000)], "end"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", GROWING)
+def test_what_would_fill_the_memory_is_refused_with_its_line(what):
+    text = "\n".join(["def work():", f"movel({P})", *GROWING[what], "end"])
+    with pytest.raises(ProgramError, match=r"line \d+: .*too complex"):
+        parsed(text, "urscript")
+
+
+@pytest.mark.parametrize(
+    "grown", ["x=pose_trans(x,p[0,0,0.1,0,0,0])", "x=struct(a=x)", "x=[x]", "x=pose_trans(pose_inv(x),x)"]
+)
+def test_what_grows_without_end_is_not_followed(grown):
+    """Each further one would copy, compare and hash all before it; a move to the result is refused."""
+    text = "\n".join(["def work():", f"movel({P})", f"x={P}", *[grown] * 3000, "movel(x)", "end"])
+    refused = targets_of(parsed(text, "urscript"), True, False).refused
+    assert [one.line for one in refused] == [text.count("\n")]
+
+
 def mutated(rng, text):
     """Return a program with a few changes: parts removed, doubled, moved, replaced by keywords, brackets and bytes."""
     data = bytearray(text.encode("latin-1"))

@@ -260,6 +260,8 @@ class Flow:
         return all(self._step(statement) for statement in block)
 
     def _step(self, statement: Statement) -> bool:
+        if not isinstance(statement, Leave | Return):  # these may have no place
+            self.work.statement = statement
         self.work.spend(1)
         match statement:
             case Do(what):
@@ -436,7 +438,7 @@ class Flow:
     ) -> Values:
         """Execute a routine with the possibilities of its arguments."""
         self.called.add(routine.name)
-        self.work.spend(CALL)
+        self.work.spend(CALL + len(routine.parameters))
         if len(self.stack) > MAX_CALLS or any(one.routine is routine for one in self.stack):
             at = call or Call(routine.name, (), (), routine.start, routine.start)
             self.uncertain(
@@ -610,7 +612,7 @@ class Flow:
             if name not in self.touched:
                 self.touched[name] = touched_by(self.routines[name], self.routines, self.language.changed_by)
             own_used, own_changed, called = self.touched[name]
-            self.work.spend((len(own_used) + len(own_changed) + len(called)) // SEVERAL)
+            self.work.spend(4 + (len(own_used) + len(own_changed) + len(called)) // SEVERAL)
             used |= own_used
             changed |= own_changed
             waiting += called - found

@@ -29,6 +29,16 @@ def calls_in(node: object) -> Iterator[Call]:
             yield from calls_in(inner)
 
 
+def places_in(node: object) -> Iterator[int]:
+    """Yield the places of a statement's or expression's parts, the outermost first."""
+    start = getattr(node, "start", None)
+    if isinstance(start, int):
+        yield start
+    if isinstance(node, tuple):
+        for inner in node:
+            yield from places_in(inner)
+
+
 def names_in(node: object) -> Iterator[str]:
     """Yield the names of variables in a block, a statement or an expression."""
     if isinstance(node, Name):

@@ -44,7 +44,7 @@ from truearm.files.programs.values import (
 
 _SENDERS = ("socket_send_line", "socket_send_string")
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
-GEOMETRY = 15  # cost of a function of poses, in parts of an expression
+GEOMETRY = 30  # cost of a function of poses, in parts of an expression
 TRACKED = "tracked conveyor"  # variable names contain no spaces
 
 
