@@ -207,9 +207,8 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
                 f" {options.adjust[0]}: leaves no parameter that {options.form} can hold; use another pattern or format",
             )
     if over is not None:
-        largest = largest_readings(
-            chain
-        )  # poses that were measured may be beyond the limits that the robot file states
+        # Poses that were measured may be beyond the limits that the robot file states.
+        largest = largest_readings(chain)
         check_within("over", over, chain, -largest, largest)
     q = _anywhere(calibration) if over is None else _thinned(over)
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
