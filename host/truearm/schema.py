@@ -45,6 +45,7 @@ HUGE = 1e12  # no number in any unit is larger; a larger integer may have no flo
 UNKNOWN = "unknown"
 NO_UNIT = ("",)
 NAME = re.compile(r"[\w-]{1,64}")  # no dots: parameter names such as socket.<place>.<socket>.x are made from these
+LARGEST_RATIO = 1e6  # of standard deviations in a covariance; the smallest would be lost in the rounding of its square
 
 T = TypeVar("T")
 
@@ -249,7 +250,7 @@ class Covariance:
         if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):
             raise SchemaError("must be symmetric")
         least, most = np.linalg.eigvalsh(array)[[0, -1]]
-        rounding = 1e-12 * abs(most)
+        rounding = abs(most) / LARGEST_RATIO**2
         if least < -rounding or (least <= rounding and not self.singular):
             raise SchemaError(f"is not a covariance: it has an eigenvalue of {least:g}")
         if least < SMALLEST**2 and not self.singular:
@@ -273,6 +274,8 @@ class Sigmas:
 
     def parse(self, raw: Any, suffix: str) -> Matrix:
         values = List(self.number, self.size).parse(raw, suffix)
+        if self.number.positive and max(values) >= LARGEST_RATIO * min(values):
+            raise SchemaError(f"the largest must be less than {LARGEST_RATIO:,.0f} times the smallest")
         return tuple(tuple(s * s if i == k else 0.0 for k in range(len(values))) for i, s in enumerate(values))
 
     def format(self, value: Matrix) -> str:

@@ -172,7 +172,10 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         ((*good, "--over", tmp_path / "short.csv"), "1 joint column, the robot"),
         ((*good, "--over", tmp_path / "none.csv"), "no such file"),
         (("export", result, "--format", "ur", "--out", tmp_path / "o.yaml"), "Universal Robots"),
-        (("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"), "exists and is not a file that this command writes"),
+        (
+            ("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"),
+            "exists and is not a file that this command writes",
+        ),
         (("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"), "not strict JSON"),
     ]
     for arguments, says in cases:

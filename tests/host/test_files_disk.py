@@ -27,7 +27,7 @@ def test_an_input_is_never_an_output(tmp_path):
 def test_only_what_we_wrote_is_replaced(tmp_path):
     (tmp_path / "theirs").write_text("theirs")
     (tmp_path / "ours").write_text("ours, older")
-    with pytest.raises(InputError, match="not written by truearm"):
+    with pytest.raises(InputError, match="is not a file that this command writes"):
         check_writable(tmp_path / "theirs", ours=ours)
     check_writable(tmp_path / "ours", ours=ours)
     check_writable(tmp_path / "new", ours=ours)
