@@ -135,7 +135,7 @@ def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     )
     (counts,) = document_of(estimate, TABLE, ROBOT, [])["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
-    names = {f"{column}s": 0 for column in identifiers() if column != "rig"} | {"places": 1}
+    names = {f"{column}s": 0 for column in identifiers() if column != "rig"} | {"places": 1, "sockets": 1}
     assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, **names}
     assert found == {
         "rms_before_mm": 1000.0,  # of the rows that have a residual

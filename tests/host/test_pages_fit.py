@@ -9,7 +9,7 @@ from browser import A4_PT, MARGIN_PT, needs_browser, needs_printer, printed, scr
 from report_bench import full_page, make_page
 
 from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page
-from truearm.report.map_picture import map_picture
+from truearm.report.map_picture import Cells, map_picture
 
 PHONE = 400
 LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.mcap --serial 2019-7 --out " + "x" * 60
@@ -88,7 +88,8 @@ def reproduced():
 def map_():
     u, v = np.arange(0.0, 900.0, 25.0), np.arange(0.0, 300.0, 25.0)
     error = np.hypot(*np.meshgrid(u, v)) / 1e3
-    return map_picture(u, v, error, np.full_like(error, 0.1), "Error of ur5e as described", (100.0, 400.0, 50.0, 250.0))
+    cells = Cells(u, v, error, np.full_like(error, 0.1), error > 0.8)
+    return map_picture(cells, "Error of ur5e as described", (100.0, 400.0, 50.0, 250.0))
 
 
 @pytest.fixture(scope="module")

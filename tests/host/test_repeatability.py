@@ -95,7 +95,7 @@ def test_too_few_visits_are_refused():
     with pytest.raises(ProblemError, match="too few repetitions"):
         repeatability(few)
     together = Visited(**{**vars(once), "side": np.repeat(once.side[:, :1], JOINTS, axis=1)})
-    with pytest.raises(ProblemError, match="not independent"):
+    with pytest.raises(ProblemError, match="always change together"):
         repeatability(together)
 
 
