@@ -13,11 +13,11 @@ from tests.host.mutations import is_clear
 
 from truearm.errors import ProgramError
 from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
-from truearm.files.programs.environment import Work
 from truearm.files.programs.program import Surroundings, parse_program
-from truearm.files.programs.syntax import MAX_DEPTH
+from truearm.files.programs.reader import MAX_DEPTH
 from truearm.files.programs.targets import poses_of, quarters_of, targets_of
 from truearm.files.programs.values import NOWHERE, readings_of
+from truearm.files.programs.work import Work
 from truearm.model.poses import apart, pose_of
 
 FREE = "[9E9,9E9,9E9,9E9,9E9,9E9]"

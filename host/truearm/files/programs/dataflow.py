@@ -9,13 +9,13 @@ A ``Language`` defines the meaning of the language's own functions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, product
 from math import prod
 from typing import NamedTuple, Protocol, assert_never
 
-from truearm.files.programs.environment import GLOBAL, HERE, SEVERAL, Environment, Key, Trace, Work, few
+from truearm.files.programs.environment import GLOBAL, HERE, SEVERAL, Environment, Key, Trace, few
 from truearm.files.programs.motions import UNDECLARED, Motion, goal_of
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.syntax import (
@@ -35,7 +35,6 @@ from truearm.files.programs.syntax import (
     Operation,
     Return,
     Routine,
-    Source,
     Statement,
     Taught,
     Text,
@@ -67,11 +66,13 @@ from truearm.files.programs.values import (
     merged,
     most_choices,
 )
+from truearm.files.programs.work import Work
 
 MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
 CALL = 20  # cost of a call, in parts of an expression
 GOAL = 5  # of a goal of a move
+GEOMETRY = 30  # of a function of poses
 LETTERS = 100  # that cost as much as one part of an expression
 
 TOOL = "tool in force"  # variable names contain no spaces
@@ -148,10 +149,9 @@ class _Turn:
 class Flow:
     """A program that is followed; ``motions`` contains the moves found, by place."""
 
-    def __init__(self, source: Source, language: Language, routines: Iterable[Routine]) -> None:
-        self.source, self.language = source, language
+    def __init__(self, work: Work, language: Language, routines: Iterable[Routine]) -> None:
+        self.work, self.source, self.language = work, work.source, language
         self.motions: dict[int, Motion] = {}
-        self.work = Work(source)
         self.environment = Environment(self.work)
         self.parents: dict[str, str | None] = {}
         self.routines: dict[str, Routine] = {}
@@ -432,6 +432,11 @@ class Flow:
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
                 self._assign(argument, (Unknown(f"{call.function} may change it at run time", 0),), "")
         return found
+
+    def posed(self, at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
+        """Return what a function of poses gives for every choice of its arguments' possibilities (``combined``)."""
+        self.work.spend(GEOMETRY * min(prod(map(len, arguments)), most_choices(arguments)))
+        return combined(at, function, arguments)
 
     def enter(
         self, routine: Routine, call: Call | None, arguments: Sequence[Values], named: Mapping[str, Values]

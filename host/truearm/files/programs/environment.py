@@ -4,34 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from truearm.errors import ProgramError
-from truearm.files.programs.syntax import Source
-from truearm.files.programs.tree_walks import places_in
 from truearm.files.programs.values import Begin, Unknown, Value, Values, all_of
+from truearm.files.programs.work import Work
 
 Key = tuple[int, str]  # the scope, 0 for the program's own, and the name
 GLOBAL = 0
 HERE: Key = (GLOBAL, "where the robot is")  # variable names contain no spaces
 
 
-WORK, WORK_EACH = 500_000, 0.3  # parts of a program that are followed at most, and more for each byte of it
 SEVERAL = 8  # possibilities that cost as much as one part of an expression
-
-
-class Work:
-    """What may still be spent on a program, in units of about two microseconds: its size bounds the time and the memory."""
-
-    def __init__(self, source: Source) -> None:
-        self.source, self.left = source, WORK + WORK_EACH * len(source.text)
-        self.statement: object = None  # that is followed now
-
-    def spend(self, units: int) -> None:
-        """Take off units; raises ProgramError where too few are left."""
-        self.left -= units
-        if self.left < 0:
-            why = "its routines and loops are too complex to trace; split the file"
-            at = next(places_in(self.statement), None)
-            raise ProgramError(f"{self.source.name}: {why}") if at is None else self.source.wrong(at, why)
 
 
 class Trace:

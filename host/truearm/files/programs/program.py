@@ -19,6 +19,7 @@ from truearm.files.programs.rapid import read_rapid
 from truearm.files.programs.syntax import Source
 from truearm.files.programs.urscript import read_urscript
 from truearm.files.programs.values import Pose, Unknown
+from truearm.files.programs.work import Work
 from truearm.text import one_line
 
 MAX_BYTES = 64 * 2**20
@@ -101,12 +102,13 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
 
 
 def _followed(source: Source, language: ProgramLanguage, surroundings: Surroundings) -> Flow:
+    work = Work(source)
     match language:
         case "urscript":
             tool = surroundings.tool or Unknown("no set_tcp comes before it, so its tool is not known", 0, "tool")
-            return urscript_meaning.analyse(source, read_urscript(source), (tool,), surroundings.harmless)
+            return urscript_meaning.analyse(work, read_urscript(work), (tool,), surroundings.harmless)
         case "rapid":
-            return rapid_meaning.analyse(source, read_rapid(source), surroundings.frames, surroundings.harmless)
+            return rapid_meaning.analyse(work, read_rapid(work), surroundings.frames, surroundings.harmless)
         case _:
             assert_never(language)
 

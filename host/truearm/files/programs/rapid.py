@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from truearm.files.programs.rapid_expressions import CLOSING, ENDS, TOKENS, ExpressionReader
+from truearm.files.programs.reader import END
 from truearm.files.programs.syntax import (
-    END,
     Assign,
     Block,
     Call,
@@ -27,10 +27,10 @@ from truearm.files.programs.syntax import (
     Parameter,
     Return,
     Routine,
-    Source,
     Statement,
     Truth,
 )
+from truearm.files.programs.work import Work
 
 LATE_BOUND = "%"  # represents %expression%: the procedure of that name
 
@@ -53,9 +53,9 @@ class Module(NamedTuple):
     records: dict[str, tuple[tuple[str, str], ...]]  # the type and name of each component
 
 
-def read_rapid(source: Source) -> tuple[Module, ...]:
+def read_rapid(work: Work) -> tuple[Module, ...]:
     """Return the modules of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source, TOKENS)
+    reader = _Reader(work, TOKENS)
     found = [reader.module()]
     while reader.kind != END:
         found.append(reader.module())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from truearm.files.programs.reader import Reader
 from truearm.files.programs.syntax import (
     NUMBER,
     Call,
@@ -14,7 +15,6 @@ from truearm.files.programs.syntax import (
     Name,
     Number,
     Operation,
-    Reader,
     Taught,
     Text,
     Truth,

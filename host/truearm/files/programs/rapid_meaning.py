@@ -35,7 +35,7 @@ from truearm.files.programs.rapid_words import (
     STRAIGHT,
 )
 from truearm.files.programs.sent_moves import why_sent
-from truearm.files.programs.syntax import Assign, Call, Expression, Number, Source, Taught, Truth
+from truearm.files.programs.syntax import Assign, Call, Expression, Number, Taught, Truth
 from truearm.files.programs.tree_walks import calls_in, root_of, statements_in
 from truearm.files.programs.values import (
     NOWHERE,
@@ -44,10 +44,10 @@ from truearm.files.programs.values import (
     Unknown,
     Value,
     Values,
-    combined,
     counts,
     joined,
 )
+from truearm.files.programs.work import Work
 
 DISPLACED = "program displacement"
 LOCKED = "axis 4 locked"
@@ -131,12 +131,12 @@ class Rapid:
         if name == PASSED:
             return arguments[0]
         if name == "offs" and len(arguments) == 4:
-            return combined(at, lambda *given: offset(given, at), arguments)
+            return flow.posed(at, lambda *given: offset(given, at), arguments)
         if name == "orientzyx" and len(arguments) == 3:
-            return combined(at, lambda *given: oriented(given, at), arguments)
+            return flow.posed(at, lambda *given: oriented(given, at), arguments)
         if name == "reltool" and len(arguments) == 4:
             turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
-            return combined(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
+            return flow.posed(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
         if name in SENDERS and name not in self.harmless:
             flow.work.spend(length_of_texts([*arguments, *named.values()]) // LETTERS)
             sent = why_sent(value for values in (*arguments, *named.values()) for value in values)
@@ -203,7 +203,7 @@ class Rapid:
         )
 
 
-def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
+def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
     """Follow a program; ``frames`` are tools and work objects declared elsewhere."""
     records = {
         name: k for module in modules for record in module.records.values() for k, (_, name) in enumerate(record)
@@ -222,7 +222,7 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     for routine in routines:  # in a routine, a name may be another variable's
         constants -= {one.name for one in routine.parameters}
         constants -= {root_of(one.target) for one in statements_in(routine.body) if isinstance(one, Assign)}
-    flow = Flow(source, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
+    flow = Flow(work, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
     for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, LOCKED: NOWHERE, **frames}.items():
         flow.environment.set((0, name), (pose,))
     for name in CONFIGURATIONS:
@@ -231,12 +231,12 @@ def analyse(source: Source, modules: Sequence[Module], frames: Mapping[str, Pose
     for module in modules:
         for datum in module.data:
             if datum.name in begin or datum.name in flow.routines:
-                raise source.wrong(
+                raise work.source.wrong(
                     datum.start, f"{datum.name} is declared twice in this file; put each module in its own file"
                 )
             if datum.name in frames:
                 what = f"{datum.name} is declared in this program; leave its pose out of the options"
-                raise source.wrong(datum.start, what)
+                raise work.source.wrong(datum.start, what)
             if datum.value is None:
                 why = f"{datum.name} is declared without a value; declare it with its values"
                 begin[datum.name] = (Unknown(why, datum.start),)

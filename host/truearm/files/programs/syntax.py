@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from typing import Literal, NamedTuple
 
 from truearm.errors import ProgramError
-from truearm.schema import quoted
 
 _BRACKETS = dict.fromkeys(map(ord, "p[]"))
-MAX_DEPTH = 60  # nesting depth of brackets and blocks
-MAX_LINKS = 1_000  # of a chain of fields, indexes or operators
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 NUMBERS = re.compile(rf"[+-]?{NUMBER}")
 
@@ -230,85 +226,6 @@ class Source:
     def wrong(self, at: int, what: str) -> ProgramError:
         """Return an error with file and line."""
         return ProgramError(f"{self.name} line {self.line(at)}: {what}")
-
-
-END = "end of the file"
-Token = tuple[str, str, int]  # kind, the name of the group in the language's pattern; text; place
-
-
-def tokens_of(source: Source, pattern: re.Pattern[str]) -> Iterator[Token]:
-    """Yield the tokens of a text, by a pattern whose named groups are the kinds.
-
-    The pattern begins with what is skipped, and matches nothing else if there is no token. The last tokens have kind
-    END. Raises ProgramError with the line for text that is not a token.
-    """
-    at, text = 0, source.text
-    for match in pattern.finditer(text):
-        kind = match.lastgroup
-        if kind is None:
-            at = match.end()
-            break
-        start, end = match.span(kind)
-        yield kind, text[start:end], start
-    if at != len(text):
-        raise source.wrong(at, f"{quoted(text[at : at + 12])} is not known in this language")
-    while True:
-        yield END, "", at
-
-
-class Reader:
-    """Tokens taken one after the other, by a language's grammar.
-
-    ``kind``, ``text`` and ``start`` belong to the next token, ``following`` is the text of the token after it. ``last``
-    is the place of the token taken last, ``end`` the place after that token.
-    """
-
-    __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text")
-
-    def __init__(self, source: Source, pattern: re.Pattern[str]) -> None:
-        self.source, self.depth, self.last, self.end = source, 0, 0, 0
-        self._tokens = tokens_of(source, pattern)
-        self.kind, self.text, self.start = next(self._tokens)
-        self._next = next(self._tokens)
-        self.known: dict[str, str] = {}  # names, each stored once
-
-    def step(self) -> str:
-        """Take the token; return its text."""
-        text, self.last = self.text, self.start
-        self.end = self.last + len(text)
-        self.kind, self.text, self.start = self._next
-        self._next = next(self._tokens)
-        return text
-
-    @property
-    def following(self) -> str:
-        """Return the text of the token after the next one."""
-        return self._next[1]
-
-    def once(self, name: str) -> str:
-        """Return a name, always as the same object."""
-        return self.known.setdefault(name, name)
-
-    def wrong(self, what: str) -> ProgramError:
-        """Return an error at the reader's position."""
-        return self.source.wrong(self.start, what)
-
-    def unexpected(self, wanted: str) -> ProgramError:
-        """Return an error: something else was expected here."""
-        if self.kind == END:
-            return self.wrong(f"the file ends where {wanted} is expected; it is truncated")
-        return self.wrong(f"expected {wanted}, found {quoted(self.text)}")
-
-    def deeper(self) -> None:
-        """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""
-        self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise self.wrong(f"is nested more than {MAX_DEPTH} deep")
-
-    def longer(self, links: int) -> None:
-        """Check the length of a chain of fields, indexes or operators, each of which contains the one before."""
-        if links > MAX_LINKS:
-            raise self.wrong("an expression is nested too deeply; split it")
 
 
 def words(text: str) -> frozenset[str]:

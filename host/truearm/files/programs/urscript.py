@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 
+from truearm.files.programs.reader import END, Reader
 from truearm.files.programs.syntax import (
-    END,
     NUMBER,
     Assign,
     Block,
@@ -26,15 +26,14 @@ from truearm.files.programs.syntax import (
     Number,
     Operation,
     Parameter,
-    Reader,
     Return,
     Routine,
-    Source,
     Statement,
     Taught,
     Text,
     Truth,
 )
+from truearm.files.programs.work import Work
 
 _SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
 _TOKENS = re.compile(
@@ -53,9 +52,9 @@ _LEAVES = {"break": Leave("break"), "continue": Leave("continue"), "halt": Leave
 _NO_NAMES = _CLOSING | {"def", "thread", "sec", "if", "while", "return", "break", "continue", "halt", "global", "local"}
 
 
-def read_urscript(source: Source) -> Block:
+def read_urscript(work: Work) -> Block:
     """Return the statements of a program. Raises ProgramError with file and line."""
-    reader = _Reader(source)
+    reader = _Reader(work)
     block = reader.block()
     if reader.kind != END:
         raise reader.wrong(f"{reader.text} ends a block that was not opened")
@@ -67,8 +66,8 @@ class _Reader(Reader):
 
     __slots__ = ("open",)
 
-    def __init__(self, source: Source) -> None:
-        super().__init__(source, _TOKENS)
+    def __init__(self, work: Work) -> None:
+        super().__init__(work, _TOKENS)
         self.open = 0
 
     def block(self) -> Block:

@@ -19,7 +19,6 @@ from truearm.files.programs.syntax import (
     Form,
     Number,
     Routine,
-    Source,
     Taught,
     Text,
     Truth,
@@ -37,14 +36,13 @@ from truearm.files.programs.values import (
     Values,
     combined,
     first_unknown,
-    most_choices,
     numbers_of,
     taught_pose,
 )
+from truearm.files.programs.work import Work
 
 _SENDERS = ("socket_send_line", "socket_send_string")
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
-GEOMETRY = 30  # cost of a function of poses, in parts of an expression
 TRACKED = "tracked conveyor"  # variable names contain no spaces
 
 
@@ -103,8 +101,7 @@ class UrScript(NamedTuple):
             return list_made(arguments, named, at)
         if name in PURE:
             values = [*arguments, *named.values()]
-            flow.work.spend(GEOMETRY * min(math.prod(map(len, values)), most_choices(values)) if values else 0)
-            return combined(at, lambda *given: PURE[name](given, at), values) if values else None
+            return flow.posed(at, lambda *given: PURE[name](given, at), values) if values else None
         if name.startswith("."):
             return (Unknown("the result of a method or remote procedure is known only at run time", at),)
         if name in QUIET or name in self.harmless:
@@ -137,13 +134,15 @@ class UrScript(NamedTuple):
         return Listed((*items[:k], new, *items[k + 1 :]), isinstance(of, Pose) or (isinstance(of, Listed) and of.pose))
 
 
-def analyse(source: Source, block: Block, tool: Values, harmless: frozenset[str]) -> Flow:
+def analyse(work: Work, block: Block, tool: Values, harmless: frozenset[str]) -> Flow:
     """Follow a program; ``tool`` is active until it sets another."""
     routines = [one for one in block if isinstance(one, Routine)]
-    flow = Flow(source, UrScript(harmless), routines)
+    flow = Flow(work, UrScript(harmless), routines)
     for name in flow.routines:
         if name in OVERWRITES:
-            raise source.wrong(flow.routines[name].start, f"{name} is a function of the language and cannot be defined")
+            raise work.source.wrong(
+                flow.routines[name].start, f"{name} is a function of the language and cannot be defined"
+            )
     flow.environment.set((0, TOOL), tool)
     flow.run(block)
     flow.end_threads(None)
