@@ -252,7 +252,9 @@ class Covariance:
         least, most = np.linalg.eigvalsh(array)[[0, -1]]
         rounding = abs(most) / LARGEST_RATIO**2
         if least < -rounding or (least <= rounding and not self.singular):
-            raise SchemaError(f"is not a covariance: it has an eigenvalue of {least:g}")
+            raise SchemaError(
+                f"is not a covariance: it has an eigenvalue of {least:g}; check the signs and the entries off the diagonal"
+            )
         if least < SMALLEST**2 and not self.singular:
             raise SchemaError(f"has an eigenvalue of {least:g}, too small; give {SMALLEST**2:g} or more")
         return matrix

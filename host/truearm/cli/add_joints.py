@@ -92,7 +92,9 @@ def add_joints(
     if as_json:
         print_json({"out": str(out), "readings": count, "times": times})
     else:
-        typer.echo(f"{out}: {count} joint readings added; their times are {times}, not arrivals")
+        typer.echo(
+            f"{out}: {count} joint readings added, placed by their own times{'' if zero is None else ' and --zero'}"
+        )
     warn_of_further_parts(
         session,
         f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",

@@ -103,7 +103,7 @@ def parse_robot(text: str) -> Robot:
     Raises RobotError, naming table and key, for anything missing, unknown or implausible.
     """
     if len(text) > MAX_TEXT:
-        raise RobotError(f"robot file has {len(text)} characters, the limit is {MAX_TEXT}")
+        raise RobotError(f"robot file has {len(text)} characters, the limit is {MAX_TEXT}; is this the right file?")
     try:
         doc = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # tomllib propagates int()'s digit limit and impossible dates

@@ -67,7 +67,9 @@ def chain_from_urdf(text: str, base: str | None = None, tip: str | None = None) 
 
 def _parse(text: str) -> Xml:
     if len(text) > MAX_TEXT:
-        raise RobotError(f"URDF has {len(text)} characters, the limit is {MAX_TEXT}")
+        raise RobotError(
+            f"URDF has {len(text)} characters, the limit is {MAX_TEXT}; give a file of one arm, without other robots and scenery"
+        )
     try:
         root = fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
@@ -83,7 +85,9 @@ def _read_joints(root: Xml) -> list[_UrdfJoint]:
     # Only direct children: <joint> inside <transmission> has another meaning.
     nodes = root.findall("joint")
     if len(nodes) > MAX_JOINTS:
-        raise RobotError(f"URDF has {len(nodes)} joints, the limit is {MAX_JOINTS}")
+        raise RobotError(
+            f"URDF has {len(nodes)} joints, the limit is {MAX_JOINTS}; give a file of one arm, without other robots and scenery"
+        )
     out = [_read_joint(node) for node in nodes]
     for what, names in (("joint name", [j.name for j in out]), ("parent of link", [j.child for j in out])):
         twice = sorted({n for n in names if names.count(n) > 1}) if len(set(names)) < len(names) else []

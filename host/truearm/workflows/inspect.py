@@ -231,7 +231,9 @@ def _observations(session: Session, attached: bytes, found: Survey) -> SyncResul
     try:
         text = attached.decode()
     except UnicodeDecodeError as exc:
-        raise InputError("the attached rig.toml is not UTF-8 text") from exc
+        raise InputError(
+            f"{session.path}: the attached rig.toml is not UTF-8 text; give the rig file to truearm identify with --rig"
+        ) from exc
     return observations(session.batches, parse_rig(text, "rig.toml"), found=found, labels=labels_of(session.path))
 
 

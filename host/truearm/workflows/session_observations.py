@@ -115,7 +115,7 @@ def attached_rig(session: Session, path: Path) -> Rig | None:
     try:
         return parse_rig(data.decode(), f"{path}: {RIG}")
     except UnicodeDecodeError as exc:
-        raise RigError(f"{path}: {RIG} is not UTF-8") from exc
+        raise RigError(f"{path}: {RIG} is not UTF-8 text; give the rig file with the argument rig") from exc
 
 
 def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:

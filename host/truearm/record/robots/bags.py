@@ -170,7 +170,9 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
     stamp = state.header.stamp
     t = stamp.sec + 1e-9 * stamp.nanosec
     if stamp.sec < 0 or stamp.nanosec >= 10**9:
-        raise SessionError(f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time")
+        raise SessionError(
+            f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time; correct the stamps, or leave this message out of the bag"
+        )
     return Reading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
 
 
