@@ -230,7 +230,8 @@ def _resolve(
 def decoupled(netlist: Netlist) -> list[str]:
     """Return supply pins without the capacitance of their data sheet. Each capacitor counts for one pin only."""
     found = []
-    capacitors = Counter((frozenset((b.first, b.second)), float(b.value)) for b in bridges(netlist) if b.kind == "C")
+    fitted = [b for b in bridges(netlist) if b.kind == "C" and netlist.components[b.ref].fitted]
+    capacitors = Counter((frozenset((b.first, b.second)), float(b.value)) for b in fitted)
     for ref, part in netlist.components.items():
         sheet = data_sheet(part.mpn)
         for pin, ground, farad in sheet.decoupling if sheet else ():

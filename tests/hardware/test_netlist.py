@@ -1,6 +1,7 @@
 """The box's netlist compared with data sheets and board_pico.py, independently of its generator; and these checks with injected faults."""
 
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -93,6 +94,11 @@ def test_a_wrong_value_is_found(made):
     parts = dict(made.components)
     parts["R9"] = Component("R9", "4.99k 0.1%", parts["R9"].mpn)
     assert any("499" in text for text in findings(Netlist(parts, made.pins)))
+
+
+def test_a_capacitor_that_is_not_fitted_is_found(made):
+    parts = {**made.components, "C7": replace(made.components["C7"], fitted=False)}
+    assert any("U3.CAP" in text for text in findings(Netlist(parts, made.pins)))
 
 
 def test_a_resistor_across_the_isolation_is_found(made):
