@@ -211,7 +211,9 @@ def test_errors_that_are_alike_along_a_path_inflate_the_variance_of_their_sums(c
     error = rng.normal(size=(n, 3))
     for i in range(1, n):
         error[i] = correlation * error[i - 1] + np.sqrt(1.0 - correlation**2) * error[i]
-    rows = systematic._Whitened(np.repeat(np.arange(n), 3), np.zeros((3 * n, 0)), error.ravel(), np.zeros((3 * n, 0)))
+    rows = systematic._Whitened(
+        np.repeat(np.arange(n), 3), np.zeros((3 * n, 0)), error.ravel(), np.zeros((3 * n, 0)), np.zeros((3 * n, 0))
+    )
     table = random_table(n, rng)
     assert systematic._inflation(rows, measured_order(table, np.ones(n, dtype=bool))) == pytest.approx(
         expected, rel=0.1

@@ -138,12 +138,29 @@ class Fitted(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """The rows' m scalar residuals in the order of measurement, minus the parameters' part; parameter knowledge follows."""
+    """The rows' m scalar residuals in the order of measurement, minus the parameters' part; parameter knowledge follows.
+
+    Findings that became parameters are further columns ``added`` of Q. They stand alone because ``basis`` is large, and
+    the same for all tests of a fit.
+    """
 
     row: Indices  # (m,) of the n fitted rows, n for knowledge
     basis: Floats  # (m, r) Q
     residual: Floats  # (m,) e⊥
     errors: Floats  # (m, c) whitened ``error_columns``
+    added: Floats  # (m, D)
+
+    def of(self, some: slice | NDArray[np.bool_]) -> Floats:
+        """Return some rows of Q with the added columns (·, r + D)."""
+        return np.concatenate([self.basis[some], self.added[some]], axis=1)
+
+    def along(self, by: Floats) -> Floats:
+        """Return byᵀQ (d, r + D) of columns (m, d)."""
+        return np.concatenate([by.T @ self.basis, by.T @ self.added], axis=1)
+
+    def without(self, by: Floats) -> Floats:
+        """Return the part of columns (m, d) that Q does not span."""
+        return np.asarray(by - self.basis @ (self.basis.T @ by) - self.added @ (self.added.T @ by))
 
 
 class _Family(NamedTuple):
@@ -193,10 +210,10 @@ class _Test(NamedTuple):
         """Return the test with some findings as further parameters."""
         rows, state = self.rows, self.state
         for one in found:
-            added = _directions(_effect_columns(one, self.errors, rows, self.how), rows.basis)
+            added = _directions(_effect_columns(one, self.errors, rows, self.how), rows)
             along = added.T @ rows.residual
             rows = rows._replace(
-                basis=np.concatenate([rows.basis, added], axis=1), residual=rows.residual - added @ along
+                added=np.concatenate([rows.added, added], axis=1), residual=rows.residual - added @ along
             )
             state = state.less(float(along @ along), along.size)
         return self._replace(rows=rows, state=state)
@@ -270,7 +287,7 @@ def _in_fewer_rows(best: _Best, test: _Test) -> _Best:
     if cause is None or best.family.drift or not 0 < best.first < n - best.first or best.last < n:
         return best
     by = _columns(cause, test.errors, test.rows)
-    followed = not _left(by.T @ by, by.T @ test.rows.basis)[2].any()
+    followed = not _left(by.T @ by, test.rows.along(by))[2].any()
     return best._replace(first=0, last=best.first, within=((0, 0), best.within[0])) if followed else best
 
 
@@ -296,7 +313,7 @@ def _jointly(found: Sequence[_Best], test: _Test, together: _Test) -> list[_Best
     ``together`` is the ``test`` with all of them as parameters, along ``along`` (m, D). The directions of one that are
     not those of the others are found among these D.
     """
-    along = together.rows.basis[:, test.rows.basis.shape[1] :]
+    along = together.rows.added[:, test.rows.added.shape[1] :]
     columns = [_effect_columns(one, test.errors, test.rows, test.how) for one in found]
     ways, step = [along.T @ of for of in columns], along.T @ test.rows.residual
     again = []
@@ -332,7 +349,7 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
     row = np.concatenate([np.zeros(0, dtype=np.intp), *of_rows])
     m = row.size
     if not m:
-        return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)))
+        return _Whitened(row, np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
     order = np.argsort(row, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(m)
@@ -352,7 +369,7 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
         at += len(whole)
     residual[:m] -= basis[:m] @ fit.left
     if not np.isfinite(residual[:m]).all() or not np.isfinite(basis[:m]).all():
-        return _Whitened(row[order], basis[:m], np.full(m, np.nan), errors[:m])
+        return _Whitened(row[order], basis[:m], np.full(m, np.nan), errors[:m], np.zeros((m, 0)))
     known, off = _knowledge(basis[:m], residual[:m])
     end = m + off.size
     # Where the data hardly determine a direction, S has lost digits; a row that alone determines it must have no
@@ -362,7 +379,7 @@ def _whitened(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitt
     lower = np.linalg.cholesky(basis.T @ basis)
     basis = scipy.linalg.solve_triangular(lower, basis.T, lower=True, overwrite_b=True).T
     row = np.concatenate([row[order], np.full(off.size, problem.n_rows)])
-    return _Whitened(row, basis, residual - basis @ (basis.T @ residual), errors[:end])
+    return _Whitened(row, basis, residual - basis @ (basis.T @ residual), errors[:end], np.zeros((end, 0)))
 
 
 def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
@@ -487,12 +504,12 @@ def _drops(by: Floats, family: _Family, rows: _Whitened) -> tuple[Floats, Indice
     """
     edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
     cuts = np.searchsorted(rows.row, edges)
-    w, d, r = family.first.size, by.shape[1], rows.basis.shape[1]
+    w, d, r = family.first.size, by.shape[1], rows.basis.shape[1] + rows.added.shape[1]
     sums = np.zeros((edges.size, d, d + r + 1))
     for i, (a, b) in enumerate(pairwise(cuts)):
         across = by[a:b].T
         sums[i + 1, :, :d] = sums[i, :, :d] + across @ by[a:b]
-        sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.basis[a:b]
+        sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.of(slice(a, b))
         sums[i + 1, :, -1] = sums[i, :, -1] + across @ rows.residual[a:b]
     parts = []
     for some in np.array_split(np.arange(w), max(1, -(-w // SPANS))):
@@ -525,7 +542,7 @@ def _block_drops(family: _Family, rows: _Whitened) -> tuple[Floats, Indices, Flo
         for at in np.unique(cuts[side, some]):
             mine = np.flatnonzero(some & (cuts[side] == at))
             which = slice(int(cuts[0, mine].min()), int(cuts[1, mine].max()))
-            q, e = (part[which][:: -1 if side else 1] for part in (rows.basis, rows.residual))
+            q, e = (part[:: -1 if side else 1] for part in (rows.of(which), rows.residual[which]))
             if not e.size:
                 continue
             lower = np.linalg.cholesky(np.eye(e.size) * (1.0 + SEEN) - q @ q.T)
@@ -589,11 +606,10 @@ def _with_offset(by: Floats, profile_of_rows: Floats) -> Floats:
     return np.concatenate([by * profile_of_rows[:, None], by], axis=1)
 
 
-def _directions(by: Floats, basis: Floats) -> Floats:
+def _directions(by: Floats, rows: _Whitened) -> Floats:
     """Return an orthonormal basis (m, d') of the part of the columns (m, d) that the parameters cannot follow."""
-    left = by - basis @ (basis.T @ by)
-    left -= basis @ (basis.T @ left)
-    _, vectors, seen = _left(by.T @ by, by.T @ basis)
+    left = rows.without(rows.without(by))
+    _, vectors, seen = _left(by.T @ by, rows.along(by))
     # The lengths of V's smallest directions are known to rounding only, so the columns themselves are made orthonormal.
     return np.asarray(np.linalg.qr(left @ vectors[:, seen])[0])
 
@@ -604,8 +620,8 @@ def _with_unknown_noise(one: _Best, own: Floats, test: _Test, together: _Test) -
     ``together`` is the ``test`` with all findings as parameters along D further directions, of which ``own`` (D, d) are
     this finding's.
     """
-    rows, how, basis = together.rows, test.how, test.rows.basis
-    mine, along = rows.row < how.row.size, rows.basis[:, basis.shape[1] :]
+    rows, how, before = together.rows, test.how, test.rows.added
+    mine, along = rows.row < how.row.size, rows.added[:, before.shape[1] :]
     pose, added = how.pose[rows.row[mine]], along @ own
     found = added.T @ test.rows.residual
     log_p = -math.inf  # of rows left out there is no score
@@ -621,7 +637,9 @@ def _with_unknown_noise(one: _Best, own: Floats, test: _Test, together: _Test) -
         if test.by_chance(log_p + one.log_count):
             return log_p
     rest = np.linalg.svd(own)[0][:, own.shape[1] :]
-    without = rows._replace(basis=np.concatenate([basis, along @ rest], axis=1), residual=rows.residual + added @ found)
+    without = rows._replace(
+        added=np.concatenate([before, along @ rest], axis=1), residual=rows.residual + added @ found
+    )
     gain, judging = _held_out(without, how) - _held_out(rows, how), _judging(rows, how)[mine]
     of_pose = np.bincount(pose[judging], gain[mine][judging])[np.unique(pose[judging])]
     error = math.sqrt(of_pose.size * float(of_pose.var()) * together.inflation)
@@ -649,7 +667,8 @@ def _inflation(rows: _Whitened, how: Measured) -> float:
 
 def _judging(rows: _Whitened, how: Measured) -> NDArray[np.bool_]:
     """Return a mask (m,) of all residuals except knowledge and those of blocks, which were left out."""
-    return np.asarray((np.einsum("ij,ij->i", rows.basis, rows.basis) < 1.0 - SEEN) & (rows.row < how.row.size))
+    lengths = sum(np.einsum("ij,ij->i", of, of) for of in (rows.basis, rows.added))
+    return np.asarray((lengths < 1.0 - SEEN) & (rows.row < how.row.size))
 
 
 def _held_out(rows: _Whitened, how: Measured) -> Floats:
@@ -661,7 +680,7 @@ def _held_out(rows: _Whitened, how: Measured) -> Floats:
     out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is never held out
     for number in range(FOLDS):
         mine = fold == number
-        q, e = rows.basis[mine], rows.residual[mine]
+        q, e = rows.of(mine), rows.residual[mine]
         rest = np.eye(q.shape[1]) * (1.0 + SEEN) - q.T @ q
         out[mine] = (e + q @ np.linalg.solve(rest, q.T @ e)) ** 2
     return out
@@ -681,7 +700,7 @@ def _described(found: Sequence[_Best], test: _Test, after: FitChi2) -> tuple[tup
     errors, rows, how = test.errors, test.rows, test.how
     parts = [_effect_columns(best, errors, rows, how) for best in found]
     by = np.concatenate(parts, axis=1)
-    values, vectors, seen = _left(by.T @ by, by.T @ rows.basis)
+    values, vectors, seen = _left(by.T @ by, rows.along(by))
     root = vectors[:, seen] / np.sqrt(values[seen])
     scale = 1.0 if after.explained else max(math.sqrt(after.chi2 / max(after.freedom, 1.0)), 1.0)
     value, covariance = root @ (root.T @ (by.T @ rows.residual)), scale**2 * root @ root.T
