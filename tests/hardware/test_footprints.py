@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from hardware import footprints, kicad
+from hardware import footprints
 from hardware.__main__ import fitting_footprints
 from hardware.box import sheets
 from hardware.footprints import FOOTPRINTS, footprint_of, gap_across, misfits, read_pads
@@ -13,14 +13,6 @@ from hardware.parts import CATALOGUE
 
 PARTS = [(part, CATALOGUE[part.kind.name, part.value][1]) for sheet in sheets() for part in sheet.parts]
 LOGIC = {"U9": {"1", "2", "3", "4"}, "U10": {"1", "2", "3", "4"}, "U11": {"1", "2"}}
-
-
-@pytest.fixture(scope="module")
-def tools():
-    try:
-        return kicad.find()
-    except kicad.NoTools as error:
-        pytest.skip(str(error))
 
 
 def test_every_part_has_one_and_none_is_of_a_part_that_is_not_there():

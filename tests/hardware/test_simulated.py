@@ -3,19 +3,11 @@
 import pytest
 
 from hardware import __main__ as commands
-from hardware import budget, kicad, lvdt_check, outputs, power_up, spice_check, stress
+from hardware import budget, lvdt_check, outputs, power_up, spice_check, stress
 from hardware.box import sheets
 from hardware.netlist import Component, Netlist
 from hardware.sheet import netlist
 from hardware.spice import Circuit
-
-
-@pytest.fixture(scope="module")
-def tools():
-    try:
-        return kicad.find()
-    except kicad.NoTools as error:
-        pytest.skip(str(error))
 
 
 def test_the_rules_check_finds_nothing(tools):

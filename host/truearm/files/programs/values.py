@@ -35,14 +35,10 @@ class Unknown(NamedTuple):
     remedy: str = ""
 
 
-class _Listed(NamedTuple):
+class _Kept:
+    """What may be large: its hash and its depth are computed once."""
+
     items: tuple[Values, ...]
-    pose: bool = False
-
-
-class Listed(_Listed):
-    """A list or record, each item with its possibilities; ``pose`` where it is a p[…]. It may be large, so that its hash is kept."""
-
     _hash: int | None = None
     _depth: int | None = None
 
@@ -57,6 +53,15 @@ class Listed(_Listed):
         if self._depth is None:
             self._depth = _depth(self.items)
         return self._depth
+
+
+class _Listed(NamedTuple):
+    items: tuple[Values, ...]
+    pose: bool = False
+
+
+class Listed(_Kept, _Listed):
+    """A list or record, each item with its possibilities; ``pose`` where it is a p[…]."""
 
 
 class _Fields(NamedTuple):
@@ -64,23 +69,8 @@ class _Fields(NamedTuple):
     items: tuple[Values, ...]
 
 
-class Fields(_Fields):
-    """A record with named fields. It may be large, so that its hash is kept."""
-
-    _hash: int | None = None
-    _depth: int | None = None
-
-    def __hash__(self) -> int:
-        if self._hash is None:
-            self._hash = super().__hash__()
-        return self._hash
-
-    @property
-    def depth(self) -> int:
-        """Return how many lists and records are within each other."""
-        if self._depth is None:
-            self._depth = _depth(self.items)
-        return self._depth
+class Fields(_Kept, _Fields):
+    """A record with named fields."""
 
 
 def _depth(items: Iterable[Values]) -> int:
