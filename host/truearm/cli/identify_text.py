@@ -290,9 +290,10 @@ def predicted(document: Document) -> list[str]:
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
         ]
     where = " (excluding the pose of the base)" if error["relative"] else ""
+    found = " The systematic errors above are not included." if document["systematic"] else ""
     return [
         f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {counted(error['n'], 'pose')}{where}, at most "
-        f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
+        f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}.{found}"
     ]
 
 
