@@ -8,7 +8,8 @@ from tests.host.puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHER
 from truearm.correct.inverse import singular_value
 from truearm.estimate.identify import identify
 from truearm.files.observation_table import concatenate
-from truearm.files.result_file import RobotFrames, document_of, write_result
+from truearm.files.result_document import document_of
+from truearm.files.result_file import RobotFrames, write_result
 from truearm.model.chain import forward
 from truearm.types import Estimate
 

@@ -11,9 +11,9 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
 from truearm.files.observation_table import read_table, write_table
-from truearm.files.result_file import read_result
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
+from truearm.files.stored_result import read_result
 from truearm.model.chain import forward
 from truearm.types import ObservationTable
 

@@ -13,8 +13,8 @@ from identify_bench import MUKCA, ROOT, SIGMA, identified
 from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema
 
 from truearm.cli import main as cli
-from truearm.files.result_file import parse_result, read_result
 from truearm.files.robot_file import load_robot
+from truearm.files.stored_result import parse_result, read_result
 from truearm.types import ObservationTable, Rig
 
 

@@ -13,7 +13,8 @@ from truearm.export.link_frames import link_frames
 from truearm.export.urdf import new_urdf
 from truearm.files.observation_table import write_table
 from truearm.files.plan_file import check_against_rig, read_plan
-from truearm.files.result_file import RobotFrames, document_of, write_result
+from truearm.files.result_document import document_of
+from truearm.files.result_file import RobotFrames, write_result
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_text
 from truearm.plan.forecast import bar_table

@@ -19,7 +19,8 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import limit_margins, straight_moves
 from truearm.estimate.identify import identify
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.files.result_file import RobotFrames, checksum, document_of, write_result
+from truearm.files.result_document import document_of
+from truearm.files.result_file import RobotFrames, checksum, write_result
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.model.robot import builtin_robot

@@ -18,7 +18,7 @@ from truearm.estimate.problem import build_problem
 from truearm.estimate.systematic import FOLDS, STRETCHES, FitChi2, Fitted, systematic_errors
 from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.wrong_inputs import diagnosed
-from truearm.files.result_file import systematic_entries
+from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
 from truearm.report.systematic_words import systematic_sentences

@@ -15,15 +15,9 @@ from hypothesis import strategies as st
 
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
-from truearm.files.result_file import (
-    RobotFrames,
-    document_of,
-    format_document,
-    input_of,
-    parse_result,
-    read_result,
-    write_result,
-)
+from truearm.files.result_document import document_of
+from truearm.files.result_file import RobotFrames, format_document, input_of, write_result
+from truearm.files.stored_result import parse_result, read_result
 from truearm.kinds.registry import identifiers
 from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 

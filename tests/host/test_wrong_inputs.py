@@ -17,7 +17,8 @@ from ur10_bench import ROBOT as UR10
 import truearm
 from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, explanations_of
+from truearm.estimate.other_readings import Candidate
+from truearm.estimate.wrong_inputs import absurd, diagnosed, explanations_of
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from truearm.arguments import converted
 from truearm.errors import Argument, InputError
-from truearm.files.result_file import StoredResult, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
+from truearm.files.stored_result import StoredResult, read_result
 from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain

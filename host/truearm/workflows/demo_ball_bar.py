@@ -32,7 +32,8 @@ def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCa
     from truearm.estimate.identify import identify
     from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import prior_named
-    from truearm.files.result_file import RobotFrames, document_of, write_result
+    from truearm.files.result_document import document_of
+    from truearm.files.result_file import RobotFrames, write_result
     from truearm.files.rig_file import read_rig
     from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.identify import default_prior

@@ -115,7 +115,8 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     from truearm.estimate.identify import SolverOptions, identify
     from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import wide_prior
-    from truearm.files.result_file import RobotFrames, document_of, write_result
+    from truearm.files.result_document import document_of
+    from truearm.files.result_file import RobotFrames, write_result
     from truearm.files.rig_file import read_rig
     from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.inputs import Sources, hashed_inputs

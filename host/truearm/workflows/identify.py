@@ -18,22 +18,17 @@ from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
+from truearm.estimate.other_readings import Candidate
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.estimate.wrong_inputs import Candidate, absurd, diagnosed, elsewhere
+from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
-from truearm.files.result_file import (
-    Input,
-    RobotFrames,
-    document_of,
-    looks_like_result,
-    stored_result,
-    with_checksum,
-    write_result,
-)
+from truearm.files.result_document import document_of
+from truearm.files.result_file import Input, RobotFrames, looks_like_result, with_checksum, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.stored_result import stored_result
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.builtin import builtin_names

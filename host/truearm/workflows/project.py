@@ -295,7 +295,7 @@ def _session(path: Path) -> SessionState:
 
 
 def _result(path: Path) -> ResultState:
-    from truearm.files.result_file import read_result
+    from truearm.files.stored_result import read_result
 
     try:
         document: dict[str, Any] = json.loads(path.read_bytes())

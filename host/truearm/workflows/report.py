@@ -13,8 +13,8 @@ from truearm import __version__
 from truearm.errors import InputError
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project
-from truearm.files.result_file import read_result
 from truearm.files.robot_file import load_robot
+from truearm.files.stored_result import read_result
 from truearm.progress import step
 from truearm.report.certificate import Certificate, Recording
 from truearm.report.page_parts import looks_like_page

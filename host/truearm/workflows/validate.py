@@ -25,9 +25,10 @@ from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
-from truearm.files.result_file import Input, systematic_entries
+from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
+from truearm.files.systematic_document import systematic_entries
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.progress import step

@@ -1,0 +1,170 @@
+"""Other interpretations of a whole table: another unit, another robot, joints in another order or with other signs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.errors import ProblemError
+from truearm.estimate.better_fit import thinned
+from truearm.estimate.problem import Rigs
+from truearm.estimate.trial_fit import placed
+from truearm.kinds.quantities import LARGEST_NOISE, Quantity
+from truearm.kinds.registry import kinds, points
+from truearm.model.chain import Chain
+from truearm.types import Floats, ObservationTable, Rig, WrongInput
+from truearm.units import DEG, MM, UNITS
+
+FEW_ROWS = 60  # enough to rank arrangements of joints
+MOST_FITTED = 4  # of the orders and signs of joints, those with the smallest residuals before the robot is fitted
+
+Mask = NDArray[np.bool_]
+
+
+class Candidate(NamedTuple):
+    """Another robot that the observations may belong to: its chain and the parameters to free (p,)."""
+
+    chain: Chain
+    free: Mask
+
+
+class Reading(NamedTuple):
+    """Another interpretation of the inputs, and the message if it explains the observations."""
+
+    text: str
+    chain: Chain
+    rig: Rigs
+    table: ObservationTable
+    free: Mask
+
+
+def other_readings(
+    chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, robots: Mapping[str, Candidate]
+) -> Iterator[tuple[WrongInput, list[Reading]]]:
+    """Return the interpretations of each type, the most common mistake first; each type is made when it is asked for."""
+    yield WrongInput.UNITS, list(_in_other_units(chain, rig, table, free))
+    yield WrongInput.ROBOT, list(of_other_robots(chain, rig, table, robots))
+    yield WrongInput.JOINTS, list(_of_other_joints(chain, rig, table, free))
+
+
+def of_other_robots(
+    chain: Chain, rig: Rigs, table: ObservationTable, robots: Mapping[str, Candidate]
+) -> Iterator[Reading]:
+    """Return the table as one of other robots with the same units of joints."""
+    for name, other in robots.items():
+        if name != chain.name and other.chain.joint_units == chain.joint_units:
+            text = f"the observations are of robot {name}, not of {chain.name}"
+            yield Reading(text, other.chain, rig, table, other.free)
+
+
+def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Reading]:
+    """Return columns and points in the other unit."""
+    used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
+    # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
+    if all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used):
+        for unit, scale, names in (
+            ("rad", DEG.scale, ("degrees", "radians")),
+            ("m", MM.scale, ("millimetres", "metres")),
+        ):
+            which = np.array([of == unit for of in chain.joint_units])
+            if which.any():
+                for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+                    q = np.where(which, factor * table.q, table.q)
+                    rate = np.where(which, factor * table.q_rate, table.q_rate)
+                    text = f"the joint readings are in {are}, not in {called}"
+                    yield Reading(text, chain, rig, replace(table, q=q, q_rate=rate), free)
+    for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
+        if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
+            continue
+        scale = MM.scale if quantity.unit == "m" else DEG.scale
+        names = ("millimetres", "metres") if quantity.unit == "m" else ("degrees", "radians")
+        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+            text = f"the readings of {quantity.words} are in {are}, not in {called}"
+            yield Reading(text, chain, rig, _with_column(table, quantity.field, factor), free)
+    for column, entry in points().items():
+        for factor, (are, called) in (
+            (MM.scale, ("millimetres", "metres")),
+            (1.0 / MM.scale, ("metres", "millimetres")),
+        ):
+            scaled = _with_points(rig, entry, factor)
+            if scaled is not None:
+                text = f"the rig's coordinates of each {column} are in {are}, not in {called}"
+                yield Reading(text, chain, scaled, table, free)
+
+
+def _with_column(table: ObservationTable, field: str, factor: float) -> ObservationTable:
+    column = factor * table.column(field, np.nan)
+    if field in table.fields():
+        own: dict[str, Any] = {field: column}
+        return replace(table, **own)
+    return replace(table, more={**table.more, field: column})
+
+
+def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
+    """Return the rig, or rigs, with some points' coordinates multiplied; None if there are none, or they are too far."""
+    if not isinstance(rig, Rig):
+        scaled = {name: _with_points(one, entry, factor) for name, one in rig.items()}
+        every = {name: one for name, one in scaled.items() if isinstance(one, Rig)}
+        return {**rig, **every} if every else None
+    known = rig.named(entry)
+    farthest = max((abs(v) for point in known.values() for v in point.xyz), default=0.0)
+    if not 0.0 < factor * farthest <= UNITS["m"].largest:
+        return None
+    moved: dict[str, Any] = {
+        entry: {name: replace(p, xyz=tuple(factor * v for v in p.xyz)) for name, p in known.items()}
+    }
+    return replace(rig, **moved)
+
+
+def _of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Reading]:
+    """Return the orders and signs of joints with the smallest residuals before the robot is fitted."""
+    names = [joint.name for joint in chain.joints]
+    few = table.select(thinned(len(table), FEW_ROWS))
+    scored = []
+    for order, signs in _arrangements(len(names)):
+        if any(chain.joint_units[i] != unit for i, unit in zip(order, chain.joint_units, strict=True)):
+            continue
+        try:
+            with np.errstate(all="ignore"):
+                least = placed(chain, rig, _with_joints(few, order, signs)).reduced
+        except (ProblemError, np.linalg.LinAlgError):
+            continue
+        if np.isfinite(least):
+            scored.append((least, _arranged(names, order, signs), order, signs))
+    scored.sort(key=lambda one: one[0])
+    for _, text, order, signs in scored[:MOST_FITTED]:
+        yield Reading(text, chain, rig, _with_joints(table, order, signs), free)
+
+
+def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:
+    return replace(table, q=table.q[:, order] * signs, q_rate=table.q_rate[:, order] * signs)
+
+
+def _arrangements(n: int) -> Iterator[tuple[list[int], Floats]]:
+    """Return orders and signs of n joints: exchanges of two, cycles, the reverse; all signs."""
+    same, plus = list(range(n)), np.ones(n)
+    for a, b in combinations(same, 2):
+        order = list(same)
+        order[a], order[b] = b, a
+        yield order, plus
+    for shift in range(1, n):
+        yield same[shift:] + same[:shift], plus
+    yield same[::-1], plus
+    for signs in product((1.0, -1.0), repeat=n):
+        if min(signs) < 0.0:
+            yield same, np.array(signs)
+
+
+def _arranged(names: Sequence[str], order: Sequence[int], signs: Floats) -> str:
+    turned = [name for name, sign in zip(names, signs, strict=True) if sign < 0.0]
+    if turned:
+        return f"the {'sign' if len(turned) == 1 else 'signs'} of {', '.join(turned)} {'is' if len(turned) == 1 else 'are'} reversed"
+    moved = [(names[i], names[k]) for k, i in enumerate(order) if i != k]
+    if len(moved) == 2:
+        return f"the columns of {moved[0][0]} and {moved[0][1]} are exchanged"
+    return f"the joints' columns are in another order: {', '.join(names[order.index(i)] for i in range(len(names)))}"
