@@ -176,7 +176,7 @@ def identify(
     if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
         with step("testing for systematic errors"):
             wrong = systematic_errors(
-                taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, unweighted.explained), how
+                taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, unweighted.band[1]), how
             )
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))

@@ -44,7 +44,7 @@ def law_systematic(
     chi2 = data.chi2 - float(data.rhs @ data.rhs) + _remaining(data.root, data.rhs, fitted)
     freedom = data.n_residuals - float(((data.root @ root) ** 2).sum())
     # The noise was learned from the same residuals, so the declared one cannot show what is beyond chance.
-    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, explained=False), how)
+    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, limit=0.0), how)
     if wrong is None:
         return None
     return replace(wrong, chi2_reduced=wrong.chi2_reduced * declared.reduced * freedom / chi2)

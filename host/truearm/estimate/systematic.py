@@ -41,14 +41,26 @@ family. The reported figures are those of this joint test.
 **Gross errors.** If GROSS σ distort a fit, the first-order analysis shows only which rows distort it, so only blocks
 are searched.
 
+**Rows of one pose** have correlated errors: the arm's repeatability at that pose, and errors that the model lacks. Where
+they could add more than MOST_SHARED to the variance of a sum over the rows, or χ²/ν is out of its range even with the
+findings as parameters, a finding must also be beyond chance by the spread of its poses' scores. Their sum of squares
+takes the place of V, with each residual from a fit without its pose, e_g → (I − H_gg)⁻¹e_g, because a few poses attract
+the fit (the jackknife, CR3: Bell and McCaffrey 2002). The statistic follows Hotelling's T² with
+
+    η = d(d + 1) / Σ_g [(tr W_g)² + tr W_g²]
+
+degrees of freedom, where W_g is the share of pose g in V (Pustejovsky and Tipton 2018), or with those that the scores'
+fourth moments show, if these are fewer: then some poses are noisier. A step in few poses is therefore hardly ever beyond
+chance. Of a block, a pose counts as one residual.
+
 **Where the model is wrong anyway.** If χ²/ν is outside its range, the noise is unknown. A drop with d degrees of
-freedom is then tested against the remaining unexplained variance, F(d, ν − d), and in the joint test again with the sum
-of squares of each pose's score in place of V, since residuals of one pose have correlated errors. Along a path, poses
-that follow each other are close together, so smooth model errors are correlated in the order of measurement and can mimic
-steps in it. The variance of every sum over that order is therefore multiplied by 1 + 2 Σ ρ_k, with ρ_k the
-autocorrelation of the remaining residuals at a lag of k poses, summed as long as it is beyond chance (Bartlett 1946). A
-finding must also reduce the sum of squares of rows held out in contiguous stretches of the order by SURE standard errors,
-paired by pose.
+freedom is then tested against the remaining unexplained variance, F(d, ν − d), and in the joint test again by poses as
+above. Along a path, poses that follow each other are close together, so smooth model errors are correlated in the order
+of measurement and can mimic steps in it. The variance of every sum over that order is therefore multiplied by 1 + 2 Σ
+ρ_k, with ρ_k the autocorrelation of the remaining residuals at a lag of k poses, summed as long as it is beyond chance
+(Bartlett 1946). The rows of a block must be off by more than NOISIER times the noise of the others, because noise can
+differ between rows. A finding must also reduce the sum of squares of rows held out in contiguous stretches of the order
+by SURE standard errors, paired by pose.
 """
 
 from __future__ import annotations
@@ -84,6 +96,8 @@ MOST_BLOCK = 300  # rows: each of their residuals is a column
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
 LIKELY = 0.95  # that an error begins and ends within the rows named
 AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
+MOST_SHARED = 0.2  # check poses are fewer; where no other pose has several rows, their errors are part of the noise
+NOISIER = 5.0  # times the noise of the others: rows with less than that are noisier, but not off
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 STRETCHES, FOLDS = 40, 8  # of the order of measurement, to hold out
 SURE = 2.0  # standard errors, of the held-out reduction and of an autocorrelation
@@ -104,21 +118,32 @@ class Measured(NamedTuple):
         """Return the number of rows of the user's table."""
         return len(self.table)
 
+    @property
+    def shared(self) -> bool:
+        """Return whether errors of a pose would add more than MOST_SHARED to the variance of a sum over the rows."""
+        count = np.unique(self.pose, return_counts=True)[1]
+        return float((count.astype(float) ** 2).sum()) > (1.0 + MOST_SHARED) * self.pose.size
+
 
 class FitChi2(NamedTuple):
-    """χ² of the fit, its degrees of freedom, and whether the declared noise explains it."""
+    """χ² of the fit, its degrees of freedom, and the upper limit of χ²/ν; 0 if the noise is not the declared one."""
 
     chi2: float
     freedom: float
-    explained: bool
+    limit: float
+
+    @property
+    def explained(self) -> bool:
+        """Return whether the declared noise explains χ²."""
+        return self.chi2 <= self.limit * self.freedom
 
     def more(self, drop: float, freedom: int) -> FitChi2:
         """Return χ² with fewer parameters."""
-        return FitChi2(self.chi2 + drop, self.freedom + freedom, self.explained)
+        return FitChi2(self.chi2 + drop, self.freedom + freedom, self.limit)
 
     def less(self, drop: float, freedom: int) -> FitChi2:
         """Return χ² with further parameters; after gross errors only rounding may be left."""
-        return FitChi2(max(self.chi2 - drop, 1e-9 * self.chi2), max(self.freedom - freedom, 1.0), self.explained)
+        return FitChi2(max(self.chi2 - drop, 1e-9 * self.chi2), max(self.freedom - freedom, 1.0), self.limit)
 
 
 class Fitted(NamedTuple):
@@ -150,7 +175,7 @@ class _Whitened(NamedTuple):
     errors: Floats  # (m, c) whitened ``error_columns``
     added: Floats  # (m, D)
 
-    def of(self, some: slice | NDArray[np.bool_]) -> Floats:
+    def of(self, some: slice | NDArray[np.bool_] | Indices) -> Floats:
         """Return some rows of Q with the added columns (·, r + D)."""
         return np.concatenate([self.basis[some], self.added[some]], axis=1)
 
@@ -299,7 +324,7 @@ def _confirmed(found: Sequence[_Best], test: _Test) -> tuple[list[_Best], float]
     left = list(found)
     while True:
         together = test.given(left)
-        together = together._replace(inflation=1.0 if test.state.explained else _inflation(together.rows, test.how))
+        together = together._replace(inflation=1.0 if together.state.explained else _inflation(together.rows, test.how))
         again = _jointly(left, test, together)
         worst = max(range(len(left)), key=lambda i: again[i].log_p, default=None)
         if worst is None or not test.by_chance(again[worst].log_p):
@@ -316,6 +341,8 @@ def _jointly(found: Sequence[_Best], test: _Test, together: _Test) -> list[_Best
     along = together.rows.added[:, test.rows.added.shape[1] :]
     columns = [_effect_columns(one, test.errors, test.rows, test.how) for one in found]
     ways, step = [along.T @ of for of in columns], along.T @ test.rows.residual
+    explained = together.state.explained
+    by_poses, left_out = not explained or test.how.shared, None
     again = []
     for i, (one, by) in enumerate(zip(found, columns, strict=True)):
         others = _span_of([of for k, of in enumerate(ways) if k != i], along.shape[1])
@@ -324,10 +351,12 @@ def _jointly(found: Sequence[_Best], test: _Test, together: _Test) -> list[_Best
         seen = values > SEEN * np.trace(by.T @ by)
         own = left @ vectors[:, seen] / np.sqrt(values[seen])
         drop, freedom = float(((own.T @ step) ** 2).sum()), own.shape[1]
-        state = together.state.more(drop, freedom)
+        state = together.state if explained else together.state.more(drop, freedom)
         log_p = float(_log_chance(np.array([drop / together.inflation]), np.array([freedom]), state)[0])
-        if not (state.explained or test.by_chance(log_p + one.log_count)):
-            log_p = max(log_p, _with_unknown_noise(one, own, test, together))
+        noisier = one.family.cause is None and not test.state.explained  # without a block, χ² may be in its range
+        if (by_poses or noisier) and not test.by_chance(log_p + one.log_count):
+            left_out = _left_out(together.rows, test.how) if left_out is None else left_out
+            log_p = max(log_p, _by_poses(one, own, test, together, left_out))
         again.append(one._replace(drop=drop, freedom=freedom, log_p=min(log_p + one.log_count, 0.0)))
     return again
 
@@ -614,36 +643,97 @@ def _directions(by: Floats, rows: _Whitened) -> Floats:
     return np.asarray(np.linalg.qr(left @ vectors[:, seen])[0])
 
 
-def _with_unknown_noise(one: _Best, own: Floats, test: _Test, together: _Test) -> float:
-    """Return the log probability of a finding by chance where the noise is unknown; 0 if held-out rows do not confirm it.
+def _by_poses(one: _Best, own: Floats, test: _Test, together: _Test, left_out: Floats) -> float:
+    """Return the log probability of a finding by chance without the assumption that residuals are independent.
 
-    ``together`` is the ``test`` with all findings as parameters along D further directions, of which ``own`` (D, d) are
-    this finding's.
+    Where the noise is unknown it is 0 if held-out rows do not confirm the finding. ``together`` is the ``test`` with all
+    findings as parameters along D further directions, of which ``own`` (D, d) are this finding's, and ``left_out`` (m,)
+    are its residuals by fits without their poses.
     """
     rows, how, before = together.rows, test.how, test.rows.added
-    mine, along = rows.row < how.row.size, rows.added[:, before.shape[1] :]
-    pose, added = how.pose[rows.row[mine]], along @ own
+    along = rows.added[:, before.shape[1] :]
+    added = along @ own
     found = added.T @ test.rows.residual
-    log_p = -math.inf  # of rows left out there is no score
-    if one.family.cause is not None:
-        scores = np.zeros((int(pose.max()) + 1, found.size))
-        np.add.at(scores, pose, (added * rows.residual[:, None])[mine])
-        values, vectors = np.linalg.eigh(scores.T @ scores)
-        if values[0] <= 0.0:
-            return 0.0
-        robust = (vectors.T @ found) ** 2 / (values * together.inflation)
-        noise_known = FitChi2(0.0, 0.0, True)
-        log_p = float(_log_chance(robust.sum(keepdims=True), np.array([values.size]), noise_known)[0])
-        if test.by_chance(log_p + one.log_count):
-            return log_p
+    if one.family.cause is None:
+        log_p = _block_chance(one, test.state.explained, together.state, float(found @ found), how)
+    else:
+        log_p = _cluster_chance(found, added, left_out, rows, together)
+    if together.state.explained or test.by_chance(log_p + one.log_count):
+        return log_p
+    mine = rows.row < how.row.size
     rest = np.linalg.svd(own)[0][:, own.shape[1] :]
     without = rows._replace(
         added=np.concatenate([before, along @ rest], axis=1), residual=rows.residual + added @ found
     )
     gain, judging = _held_out(without, how) - _held_out(rows, how), _judging(rows, how)[mine]
+    pose = how.pose[rows.row[mine]]
     of_pose = np.bincount(pose[judging], gain[mine][judging])[np.unique(pose[judging])]
     error = math.sqrt(of_pose.size * float(of_pose.var()) * together.inflation)
     return log_p if of_pose.sum() > SURE * error else 0.0
+
+
+def _cluster_chance(found: Floats, added: Floats, left_out: Floats, rows: _Whitened, test: _Test) -> float:
+    """Return the log probability of a size ``found`` (d,) along directions ``added`` (m, d) for clusters of poses.
+
+    The directions are orthonormal, and ``left_out`` (m,) are the residuals by fits without their poses.
+    """
+    mine, d = rows.row < test.how.row.size, found.size
+    pose = test.how.pose[rows.row[mine]]
+    scores, weights = np.zeros((int(pose.max()) + 1, d)), np.zeros((int(pose.max()) + 1, d, d))
+    np.add.at(scores, pose, added[mine] * left_out[mine, None])
+    np.add.at(weights, pose, added[mine][:, :, None] * added[mine][:, None, :])
+    values, vectors = np.linalg.eigh(scores.T @ scores)
+    if values[0] <= 0.0:
+        return 0.0
+    turn = vectors / np.sqrt(values)
+    traces = np.trace(weights, axis1=1, axis2=2) ** 2 + (weights**2).sum(axis=(1, 2))
+    fourth = ((scores @ turn) ** 2).sum(axis=1) ** 2
+    clusters = min(d * (d + 1) / traces.sum(), d * (d + 2) / fourth.sum()) / test.inflation
+    freedom = clusters - d + 1.0
+    if freedom <= 0.0:
+        return 0.0
+    drop = float(((turn.T @ found) ** 2).sum()) / test.inflation * freedom / clusters
+    unknown = FitChi2(drop + freedom, freedom + d, 0.0)
+    return float(_log_chance(np.array([drop]), np.array([d]), unknown)[0])
+
+
+def _block_chance(one: _Best, explained: bool, state: FitChi2, drop: float, how: Measured) -> float:
+    """Return the log probability that rows which are not off, but whose errors a pose shares, fit this badly.
+
+    ``state`` is χ² without the rows, which has fallen by ``drop``. In the worst case a pose is one residual.
+    Where declared noise does not explain χ² with them, they may also be NOISIER than the others, which alone would bring
+    χ² without them into its range.
+    """
+    poses = np.unique(how.pose[one.first : one.last]).size
+    if explained:
+        return float(_log_chance(np.array([drop * poses / one.freedom]), np.array([poses]), state)[0])
+    per_pose = one.freedom / poses
+    drop /= per_pose * state.chi2 / state.freedom * NOISIER**2  # over the variance of the others
+    freedom = max(state.freedom / per_pose, 1.0)
+    of_poses = FitChi2(drop + freedom, freedom + poses, 0.0)
+    return float(_log_chance(np.array([drop]), np.array([poses]), of_poses)[0])
+
+
+def _left_out(rows: _Whitened, how: Measured) -> Floats:
+    """Return the residuals (m,) of each pose by the fit without it, linearised: (I − Q_g Q_gᵀ)⁻¹ e_g; 0 for knowledge."""
+    out, at = np.zeros(rows.row.size), np.flatnonzero(rows.row < how.row.size)
+    pose = how.pose[rows.row[at]]
+    at = at[np.argsort(pose, kind="stable")]
+    _, first, size = np.unique(np.sort(pose), return_index=True, return_counts=True)
+    width = rows.basis.shape[1] + rows.added.shape[1]
+    for count in np.unique(size):
+        starts = first[size == count]
+        for some in np.array_split(starts, -(-starts.size * count * (width + count) // AT_ONCE)):
+            which = at[some[:, None] + np.arange(count)]
+            q = rows.of(which.ravel()).reshape(some.size, count, width)
+            e = rows.residual[which][..., None]
+            if count <= width:
+                rest = np.eye(count) * (1.0 + SEEN) - q @ q.swapaxes(1, 2)
+                out[which] = np.linalg.solve(rest, e)[..., 0]
+            else:
+                rest = np.eye(width) * (1.0 + SEEN) - q.swapaxes(1, 2) @ q
+                out[which] = (e + q @ np.linalg.solve(rest, q.swapaxes(1, 2) @ e))[..., 0]
+    return out
 
 
 def _inflation(rows: _Whitened, how: Measured) -> float:

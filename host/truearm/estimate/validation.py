@@ -188,7 +188,7 @@ def consistency(
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
     how = measured_order(table, np.ones(len(table), dtype=bool))
     fitted = Fitted(ways @ root, left)
-    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, chi2 <= limit), how)
+    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, limit / freedom), how)
     return Consistency(chi2, freedom, limit, wrong)
 
 
