@@ -1010,11 +1010,20 @@ class Estimate:
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
-    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by SI unit, where χ² is above its range
+    unexplained: Mapping[str, MeanError] = field(
+        default_factory=dict
+    )  # by SI unit, if something is systematic or χ² above its range
     with_outliers: WithOutliers | None = None  # all rows, if outliers were left out (estimate.outliers)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
     pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
+
+    @property
+    def covariance_explains(self) -> bool:
+        """Return whether the covariance says how far the parameters are off, at least without the systematic errors."""
+        if self.systematic is None:
+            return not self.unexplained
+        return self.systematic.chi2_reduced <= self.chi2_band[1]
 
     @property
     def used(self) -> NDArray[np.bool_]:

@@ -1,6 +1,7 @@
 """``truearm identify`` on data with a systematic error: what it prints and stores, and that its advice helps."""
 
 import json
+import re
 
 import fault_worlds as worlds
 import numpy as np
@@ -53,6 +54,18 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     outcome = run("identify", *files)
     assert outcome.out.startswith(f"Systematic error: chuck.{chuck} is off by 0.")
     assert "To apply it: --allow chuck." in outcome.out
+    # What survives comes first: the error of poses that were not fitted. The covariance knows nothing of the slip.
+    expect = (
+        r"The fit has systematic errors\. Expect errors of (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
+    )
+    without = r"Without the systematic errors, these sigmas predict a tool error of (0\.\d+) mm RMS over "
+    for text in (outcome.out, page.read_text()):
+        assert "Tool error predicted from these sigmas" not in text
+        assert "of the tool, predicted" not in text
+        assert "The covariance of the parameters predicts" not in text
+        mean, low, high = map(float, re.search(expect, text).groups())
+        assert low < mean < high
+        assert re.search(expect, text).end() < re.search(without, text).start()
     assert f"Systematic error: chuck.{chuck} is off by 0." in page.read_text()
 
 

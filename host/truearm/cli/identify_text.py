@@ -27,6 +27,7 @@ from truearm.report.result_words import (
     pose_error_words,
     time_offset,
     unexplained_words,
+    without_systematic_words,
 )
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
@@ -284,26 +285,26 @@ def predicted(document: Document) -> list[str]:
     if document["status"] != "converged" or not document["usable"]:
         return []
     if document["unexplained"] is not None:
-        return [_unexplained(document["unexplained"])]
+        beside = [without_systematic_words(MM.to_si(error["rms_mm"]), error["n"])] if error else []
+        return [_unexplained(document["unexplained"], bool(document["systematic"])), *beside]
     if error is None:
         return [
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
         ]
     where = " (excluding the pose of the base)" if error["relative"] else ""
-    found = " The systematic errors above are not included." if document["systematic"] else ""
     return [
         f"Tool error predicted from these sigmas: {_cell(error['rms_mm'])} mm RMS over {counted(error['n'], 'pose')}{where}, at most "
-        f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}.{found}"
+        f"{_cell(error['max_mm'])} mm, at {one_line(error['at'])}."
     ]
 
 
-def _unexplained(error: Document) -> str:
+def _unexplained(error: Document, systematic: bool) -> str:
     """Return the mean error of poses that were not fitted, if the declared noise does not explain it."""
     found = {}
     for unit in (SUFFIXES[name[5:]] for name in error if name.startswith("mean_")):
         mean, low, high = (from_shown(error[f"{name}_{unit.suffix}"], unit.si) for name in ("mean", "low", "high"))
         found[unit.si] = MeanError(mean, low, high, error[f"n_{unit.suffix}"], error["by"] == "held out")
-    return unexplained_words(found)
+    return unexplained_words(found, systematic)
 
 
 def seen(document: Document) -> list[str]:

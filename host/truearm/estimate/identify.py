@@ -190,7 +190,7 @@ def identify(
     held_before, error_before = judged(problem, x_before, rig, table, held, modelled)
     held_after, error_after = judged(problem, x, rig, table, held, modelled)
     unexplained: Mapping[str, MeanError] = {}
-    if not fit_quality.explained:
+    if wrong is not None or not fit_quality.explained:
         unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
         if not unexplained:
             inliers = taken if loss is Loss.LINEAR else only(problem, ~beyond)

@@ -240,13 +240,13 @@ class _Work:
         rows = law_rows(of, found, learned.noise)
         freedom = before.rank + _followed(of, found)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
+        how = measured_order(self.table, before.fitted)
+        wrong = law_systematic(of, fitted, learned.noise, how, quality)
         unexplained: Mapping[str, MeanError] = {}
-        if quality.reduced > quality.band[1]:
+        if wrong is not None or not quality.explained:
             unexplained = mean_errors(error, poses(self.table.select(self.held)), held_out=True) or mean_errors(
                 rows.left_out, of.pose, held_out=False
             )
-        how = measured_order(self.table, before.fitted)
-        wrong = law_systematic(of, fitted, learned.noise, how, quality)
         if wrong is not None:
             wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
         out = before.weight == 0.0

@@ -36,17 +36,25 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     )
 
 
-def unexplained_words(errors: Mapping[str, MeanError]) -> str:
-    """Return the mean error by SI unit of poses that were not fitted, where the declared noise does not explain it."""
+def unexplained_words(errors: Mapping[str, MeanError], systematic: bool) -> str:
+    """Return the mean error by SI unit of poses that were not fitted, if the declared noise does not explain it.
+
+    ``systematic``: systematic errors were found.
+    """
     parts = []
     for si, error in errors.items():
         low, high = (number(value, si) for value in (error.low, error.high))
         parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
     of = f"{counted(n, 'pose')} held out" if held_out else f"{counted(n, 'pose')}, each predicted without its own rows"
-    return (
-        f"The declared noise does not explain the residuals. Expect errors of {' and '.join(parts)}, the mean of {of}."
-    )
+    because = "The fit has systematic errors" if systematic else "The declared noise does not explain the residuals"
+    return f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."
+
+
+def without_systematic_words(rms: float, n: int) -> str:
+    """Return the error of the tool that the covariance predicts [m] over n poses, beside systematic errors."""
+    error = f"{number(rms, 'm')} {symbol('m')}"
+    return f"Without the systematic errors, these sigmas predict a tool error of {error} RMS over {counted(n, 'pose')}."
 
 
 def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str = Loss.LINEAR) -> str:

@@ -84,10 +84,12 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
 
 def _error_elsewhere(found: Identification) -> list[str]:
     """Describe the error where nothing was measured, if it does not follow from the parameters' covariance."""
-    from truearm.report.result_words import unexplained_words
+    from truearm.report.result_words import unexplained_words, without_systematic_words
 
-    if found.estimate.unexplained:
-        return [unexplained_words(found.estimate.unexplained)]
+    estimate, predicted = found.estimate, found.predicted
+    if estimate.unexplained:
+        beside = [without_systematic_words(predicted.rms, predicted.n)] if predicted else []
+        return [unexplained_words(estimate.unexplained, estimate.systematic is not None), *beside]
     return [] if found.predicted else [UNPREDICTED]
 
 

@@ -342,8 +342,8 @@ def identified(
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or declare the sigmas of the rig"
         )
-    predicted = None  # nor does one whose residuals the declared noise does not explain: see ``Estimate.unexplained``
-    if estimate.status == "converged" and not estimate.unusable and not estimate.unexplained:
+    predicted = None
+    if estimate.status == "converged" and not estimate.unusable and estimate.covariance_explains:
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
