@@ -2,7 +2,11 @@
 
 import io
 import json
+import os
 import re
+import select
+import signal
+import subprocess
 import sys
 import time
 
@@ -82,7 +86,9 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
         said = capsys.readouterr().out
         assert "1 of 6: set -20.0000 mm, then Enter" in said
         assert "order 1: cross-validation error" in said
-        assert said.splitlines()[-1].endswith(f"{device}: unchanged")
+        assert said.splitlines()[-1].endswith(
+            f"{device}: unchanged; {page.with_suffix('.places.toml')} keeps the places"
+        )
         assert box("config", "get", "--box", device) == 0
         assert 'serial = "sim-lvdt"' in capsys.readouterr().out
     assert page.exists()
@@ -106,7 +112,7 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         assert box("gauge", "lvdt", "--box", device, "--references", table, "--force") == 2
         assert "steps.csv: 999.0000 mm and -20.0000 mm are 1019.0000 mm apart" in capsys.readouterr().err
         table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n")
-        lines = [(-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
+        lines = ["no", (-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
         more = ("--references", table, "--seconds", "0.2", "--order", "1", "--force")
         assert box("gauge", "lvdt", "--box", device, *more) == 0
@@ -184,6 +190,144 @@ def test_a_page_overwrites_nothing_but_a_page(tmp_path, capsys):
     assert session.read_bytes() == b"an afternoon"
 
 
+class AtTheBox:
+    """``truearm box gauge`` in a process of its own, as a terminal starts it: what it shows, and what is typed."""
+
+    def __init__(self, folder, *arguments):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "truearm", "box", "gauge", *map(str, arguments)],
+            cwd=folder,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"PYTHONUNBUFFERED": "1"},
+            start_new_session=True,
+            # a suite that runs in the background inherits an ignored SIGINT, and so would this process
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
+        self.shown = ""
+
+    def until(self, text, within_s=120.0):
+        """Read what it shows until ``text``; return all of it since the last call."""
+        end = time.monotonic() + within_s
+        while text not in self.shown:
+            left = end - time.monotonic()
+            assert select.select([self.process.stdout], [], [], max(left, 0.0))[0], (text, self.shown)
+            read = os.read(self.process.stdout.fileno(), 4096)
+            assert read, (text, self.shown, self.process.stderr.read())
+            self.shown += read.decode()
+        said, self.shown = self.shown, ""
+        return said
+
+    def types(self, line):
+        self.process.stdin.write(f"{line}\n".encode())
+        self.process.stdin.flush()
+
+    def ends(self, number=None):
+        """Send a signal, if one is given; return what it still shows, its errors, and the exit code."""
+        if number is not None:
+            os.killpg(self.process.pid, number)
+        rest, errors = self.process.communicate(timeout=120)
+        return self.shown + rest.decode(), errors.decode(), self.process.returncode
+
+
+QUESTION = "(empty: done, undo): "
+
+
+def at_places(run, world, positions):
+    """Set the stage to each position [mm], type it, and wait for the next question."""
+    for mm in positions:
+        world.position = 1e-3 * mm
+        run.types(mm)
+        run.until(QUESTION)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "killed"])
+def test_places_outlive_a_run_that_ends_early(tmp_path, number):
+    """The next run of the same command continues from them, and both together give what one run does."""
+    kept = tmp_path / "gauge-lvdt.places.toml"
+    with served() as (device, world, _):
+        command = ("lvdt", "--box", device, "--seconds", "0.3", "--order", "2")
+        first = AtTheBox(tmp_path, *command)
+        first.until(QUESTION)
+        at_places(first, world, [-30, -15, 0, 3])
+        first.types("undo")
+        first.until(QUESTION)
+        if number == signal.SIGINT:  # while the box samples
+            first.types(15)
+        rest, errors, code = first.ends(number)
+        if number == signal.SIGINT:
+            assert (code, errors) == (130, "truearm: interrupted\n")
+            assert "gauge-lvdt.places.toml keeps the places; the same command continues from them" in rest
+        assert kept.read_text().startswith("# places of a gauging that is not finished: not a calibration;")
+        assert kept.read_text().count("[[place]]") == 3
+        assert not (tmp_path / "gauge-lvdt.html").exists()
+
+        again = AtTheBox(tmp_path, *command, *(("--stop",) if number == signal.SIGKILL else ()))
+        said = again.until("[Y/n] ")
+        assert "gauge-lvdt.places.toml: 3 places from a run whose calibration was not stored" in said
+        again.types("")
+        assert "  3: 0.0000 mm at " in again.until(QUESTION)
+        at_places(again, world, [15, 30])
+        again.types("")
+        again.until("store it in the box? [y/N] ")
+        rest, _, code = again.ends(signal.SIGINT)  # at the last question: the page is written, the box unchanged
+        assert (code, kept.exists()) == (130, True)
+
+        last = AtTheBox(tmp_path, *command)
+        last.until("[Y/n] ")
+        last.types("y")
+        last.until(QUESTION)
+        last.types("")
+        assert "5 places, sigma" in last.until("store it in the box? [y/N] ")
+        last.types("y")
+        rest, errors, code = last.ends()
+        assert (code, errors) == (0, "")
+        assert "stored; the box uses it from now on" in rest
+        assert not kept.exists()
+
+
+def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypatch, capsys):
+    """There and back, a reference stands in the list twice and has been measured once."""
+    monkeypatch.chdir(tmp_path)
+    table = tmp_path / "steps.csv"
+    table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n0.1\n-20\n")
+    with served() as (device, world, _):
+        command = ("gauge", "lvdt", "--box", device, "--seconds", "0.2", "--order", "1", "--references", table)
+        monkeypatch.setattr(sys, "stdin", Operator(world, [(-20, ""), (-10, ""), "s", "q", "q"]))
+        assert box(*command) == 2
+        said = capsys.readouterr()
+        assert "gauge-lvdt.places.toml keeps the places" in said.out
+        assert "places measured: 2" in said.err
+        lines = ["", (0, ""), (10, ""), (20, ""), (0.1, ""), (-20, ""), "y"]
+        monkeypatch.setattr(sys, "stdin", Operator(world, lines))
+        assert box(*command) == 0
+        said = capsys.readouterr().out
+        assert re.findall(r"(\d) of 7: set", said) == list("34567")
+        assert "7 places, sigma" in said
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("\0", "NUL"),
+        ("channel = ", "is not TOML"),
+        ("", "needs channel"),
+        ('channel = "lvdt"\nscale = 1.0\n', "holds places of another box, channel or gain ('lvdt' of box '')"),
+        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = nan\n', "[[place]] 1: reference_m: not a finite"),
+        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = 0.0\n', "[[place]] 1: needs mean"),
+    ],
+)
+def test_kept_places_of_something_else_are_refused(text, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    kept = tmp_path / "gauge-lvdt.places.toml"
+    kept.write_text(text)
+    with served() as (device, _, _):
+        assert box("gauge", "lvdt", "--box", device) == 2
+    assert says in capsys.readouterr().err
+    assert kept.read_text() == text
+
+
 class Rehearsal(io.StringIO):
     """Standard input of somebody at `truearm simulate --stage`: sets the carriage, waits for it to arrive or not, types what it reads."""
 
@@ -215,7 +359,7 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         assert box(*command) == 2
         said = capsys.readouterr()
         assert "places measured: 4, some of them more than once (5 readings); a calibration needs 5 or more" in said.err
-        monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [(40, False), *((mm, True) for mm in places), ""]))
+        monkeypatch.setattr(sys, "stdin", Rehearsal(stage, ["n", (40, False), *((mm, True) for mm in places), ""]))
         assert box(*command) == 0
         said = capsys.readouterr().out
         assert re.search(r"rejected: the sensor moved by [-+][\d.e-]+ V while it was sampled; do not touch it", said)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -12,6 +13,7 @@ import numpy as np
 
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of
+from truearm.box.gauge_places import GaugeRun, KeptPlaces, kept_path, read_kept
 from truearm.box.gauge_result import (
     HEAD,
     MAG,
@@ -23,9 +25,9 @@ from truearm.box.gauge_result import (
     words,
     write_page,
 )
-from truearm.errors import Argument, InputError, LinkError, TableError
+from truearm.errors import Argument, InputError, LinkError, TableError, TruearmError
 from truearm.progress import Advance, step
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.units import MM, NS, suffixes
 
 if TYPE_CHECKING:
@@ -98,27 +100,72 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
         "gauge-" + "".join(c if c.isalnum() or c in "-_" else "_" for c in channel[:40]) + ".html"
     )
     inputs = [] if options.references is None else [options.references]
-    check_writable(page, options.force, inputs=inputs, ours=lambda head: MARK.encode() in head)
+    kept = kept_path(page)  # if it exists, a page belongs to the same run: it was interrupted at the last question
+    check_writable(page, options.force or kept.exists(), inputs=inputs, ours=lambda head: MARK.encode() in head)
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)
-        places = _measured_places(box, (stream, index), options, listed, operator)
-        result, tried = calibrate(places, options.order, stream.name == MAG)
-        for line in words(places, result, tried, stream.channels[index]):
-            say(line)
-        new = with_calibration(config, stream, index, places, result, options.serial)
-        write_page(page, _circumstances(box, options, new), stream.channels[index], places, result, tried, new)
-        say(f"{page}: residuals and orders")
-        changes = change_lines(config, new)
-        for line in changes:
-            say(line)
-        if not changes:
-            say("the box has this calibration already")
-        elif options.agreed or _agreed(operator):
-            box.put_config(new)
-            say(f"{device}: stored; the box uses it from now on")
-        else:
-            say(f"{device}: unchanged")
+        run = GaugeRun(kept, _continued(kept, ident_of(box), stream.channels[index], operator), say)
+        with _told_if_kept(run, say):
+            _measure_places(box, (stream, index), options, listed, run, operator)
+            places = run.places
+            result, tried = calibrate(places, options.order, stream.name == MAG)
+            for line in words(places, result, tried, stream.channels[index]):
+                say(line)
+            new = with_calibration(config, stream, index, places, result, options.serial)
+            write_page(page, _circumstances(box, options, new), stream.channels[index], places, result, tried, new)
+            say(f"{page}: residuals and orders")
+            if _stored(box, (config, new), device, options.agreed, operator):
+                run.finish()
+            else:
+                say(f"{device}: unchanged; {kept} keeps the places")
+
+
+def _stored(
+    box: BoxControl, configs: tuple[dict[str, Any], dict[str, Any]], device: str, agreed: bool, operator: Operator
+) -> bool:
+    """Show the changes of the box's configuration, from the first to the second, and return whether the box has them."""
+    changes = change_lines(*configs)
+    for line in changes:
+        operator.say(line)
+    if not changes:
+        operator.say("the box has this calibration already")
+    elif agreed or _agreed(operator):
+        box.put_config(configs[1])
+        operator.say(f"{device}: stored; the box uses it from now on")
+    else:
+        return False
+    return True
+
+
+@contextmanager
+def _told_if_kept(run: GaugeRun, say: Callable[[str], None]) -> Iterator[None]:
+    """If the run ends early, tell the operator how it is continued."""
+    try:
+        yield
+    except (KeyboardInterrupt, TruearmError):
+        if run.places:
+            say(f"\n{run.path} keeps the places; the same command continues from them")
+        raise
+
+
+def _continued(kept: Path, ident: Ident, channel: Channel, operator: Operator) -> KeptPlaces:
+    """Return the places of a run that ended early, if the operator wants them. Raises InputError."""
+    of = KeptPlaces(_uid(ident), channel.name, channel.unit, channel.scale)
+    found = read_kept(kept, of)
+    if found.places:
+        number = counted(len(found.places), "place")
+        operator.say(f"{kept}: {number} from a run whose calibration was not stored")
+        question = "continue from there? Only if sensor and reference stayed mounted as they were [Y/n] "
+        if (operator.ask(question) or "y").lower() not in ("y", "yes"):
+            return of
+        for at, place in enumerate(found.places, 1):
+            operator.say(f"  {_placewords(at, place, channel)}")
+    return found
+
+
+def _uid(ident: Ident) -> str:
+    return one_line(str(ident.document.get("uid", ""))[:32])
 
 
 def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) -> Circumstances:
@@ -133,7 +180,7 @@ def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) 
         instrument=options.instrument,
         uncertainty=options.uncertainty,
         operator=options.operator,
-        uid=one_line(str(ident.document.get("uid", ""))[:32]),
+        uid=_uid(ident),
         firmware=one_line(ident.firmware[:32]),
         serial=str(named[0].get("serial", "")),
     )
@@ -183,20 +230,20 @@ def _find(ident: Ident, name: str) -> tuple[Stream, int]:
 # --- at the stage
 
 
-def _measured_places(
+def _measure_places(
     box: BoxControl,
     found: tuple[Stream, int],
     options: GaugeOptions,
     listed: list[float] | None,
+    run: GaugeRun,
     operator: Operator,
-) -> list[Place]:
+) -> None:
     """Ask for references and sample at each, until the operator ends."""
-    places: list[Place] = []
     stream, index = found
     stroke = _stroke(stream) if options.stroke is None else options.stroke
     if listed is not None and max(listed) - min(listed) > stroke:
         raise InputError(f"{options.references}: {_beyond(max(listed), min(listed), stroke)}")
-    given = _typed(places, options.unit, stroke, operator) if listed is None else _listed(listed, places, operator)
+    given = _typed(run, options.unit, stroke, operator) if listed is None else _listed(listed, run, operator)
     for reference in given:
         counts = sample(box, stream, options.seconds)
         problem = trouble(counts[:, index], stream)
@@ -211,21 +258,24 @@ def _measured_places(
             )
             continue
         place = _place(reference, read, box)
-        places.append(place)
-        operator.say(f"  {_placewords(len(places), place, stream.channels[index])}")
-    return places
+        run.add(place)
+        operator.say(f"  {_placewords(len(run.places), place, stream.channels[index])}")
 
 
-def _listed(references: Sequence[float], places: Sequence[Place], operator: Operator) -> Iterator[float]:
-    """Yield each reference until it has been measured or is skipped."""
+def _listed(references: Sequence[float], run: GaugeRun, operator: Operator) -> Iterator[float]:
+    """Yield each reference until it has been measured or is skipped; those of an earlier run have been measured."""
     asked_again = False
+    measured = [place.reference for place in run.places]
     for number, reference in enumerate(references, 1):
-        taken = len(places)
-        while len(places) == taken:
+        if reference in measured:
+            measured.remove(reference)
+            continue
+        taken = len(run.places)
+        while len(run.places) == taken:
             line = operator.ask(
                 f"{number} of {len(references)}: set {MM.text(reference, '.4f')}, then Enter (s: skip, q: enough): "
             )
-            if line is None or (line == "q" and (asked_again or _are_enough(places, "q", operator))):
+            if line is None or (line == "q" and (asked_again or _are_enough(run.places, "q", operator))):
                 return
             if line == "s":
                 break
@@ -234,26 +284,28 @@ def _listed(references: Sequence[float], places: Sequence[Place], operator: Oper
                 yield reference
 
 
-def _typed(places: list[Place], unit: str, stroke: float, operator: Operator) -> Iterator[float]:
+def _typed(run: GaugeRun, unit: str, stroke: float, operator: Operator) -> Iterator[float]:
     """Yield references as they are typed. A single empty line ends them only if the places are enough."""
     asked_again = False
-    while len(places) < MAX_REFERENCES:
+    while len(run.places) < MAX_REFERENCES:
         line = operator.ask(f"reference [{unit}] (empty: done, undo): ")
-        if line is None or (not line and (asked_again or _are_enough(places, "empty", operator))):
+        if line is None or (not line and (asked_again or _are_enough(run.places, "empty", operator))):
             return
         asked_again = not line
         if not line:
             continue
         if line == "undo":
-            operator.say(f"  {'dropped place ' + str(len(places)) if places else 'there is none'}")
-            del places[-1:]
+            operator.say(f"  {'dropped place ' + str(len(run.places)) if run.places else 'there is none'}")
+            if run.places:
+                run.drop()
             continue
         try:
             reference = parse_reference(line, UNITS[unit])
         except InputError as exc:
             operator.say(f"  {exc}; type a number of {unit}")
             continue
-        far = max((place.reference for place in places), key=lambda other: abs(other - reference), default=reference)
+        measured = (place.reference for place in run.places)
+        far = max(measured, key=lambda other: abs(other - reference), default=reference)
         if abs(far - reference) > stroke:
             operator.say(f"  {_beyond(reference, far, stroke)}; undo drops the last place")
         else:

@@ -65,7 +65,7 @@ def gauge(
     travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. truearm chooses the
     lowest order of the polynomial that is not significantly worse than the best in cross-validation. For the magnetostrictive sensor, the velocity of sound and the
     delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
-    temperature.
+    temperature. If a run ends early, the same command continues from the places that were measured.
 
     \b
     Example:
