@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm.record.status import RecordSummary
 from truearm.text import counted
+from truearm.units import S
 from truearm.workflows.record import Recorded
 
 
@@ -38,8 +39,10 @@ def _totals(summary: RecordSummary) -> str:
         parts.append(f"link lost {counters.link_losses} times")
     if counters.robot_losses:
         parts.append(f"robot lost {counters.robot_losses} times")
-    if counters.robot_held_up or counters.robot_unstored:
+    if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
         parts.append("the robot sent more than could be stored")
+    elif counters.robot_held_up:
+        parts.append(f"the robot's readings came up to {S.text(counters.robot_late_s, '.1f')} late, none is missing")
     if counters.held_up:
         parts.append(f"storing fell behind {counters.held_up} times")
     return ", ".join(parts)

@@ -10,6 +10,7 @@ finished announces this beforehand with the line ``END``.
 from __future__ import annotations
 
 import json
+import math
 
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
@@ -80,6 +81,7 @@ class RobotIntake:
         self._rubbish = 0  # bytes since the last reading
         self._silent = False
         self._last: JointLine | None = None  # reading
+        self._shortest_s = math.inf  # arrival minus the robot's time, since that last stepped back
         self._linked = True
 
     def read(self) -> Arrivals:
@@ -160,6 +162,9 @@ class RobotIntake:
             if reading is not None:
                 if self.lost_ns is not None:
                     self._back(t_host_ns, reading)
+                elif self._last is not None:
+                    self._count_missing(self._last, reading)
+                self._measure_delay(t_host_ns, reading)
                 self._rubbish = 0
                 self._counters.robot_lines += 1
                 self._writer.add_reading(t_host_ns, line, reading)
@@ -171,6 +176,23 @@ class RobotIntake:
                     self.end = LinkClosed(f"{self._link.name}: the robot reported that its program has ended")
                     self._writer.event("robot-closed", t_host_ns, text=str(self.end))
         self._counters.robot_other_joints = self._lines.other_joints
+
+    def _count_missing(self, before: JointLine, after: JointLine) -> None:
+        """Count readings that were lost because they could not be stored, by their numbers if they have any."""
+        backlog = backlog_of(self._link)
+        if not backlog.held_up:
+            return
+        if UNNUMBERED in (before.seq, after.seq):
+            self._counters.robot_dropped |= backlog.drops
+        elif after.t > before.t:
+            self._counters.robot_missing += max(after.seq - before.seq - 1, 0)
+
+    def _measure_delay(self, t_host_ns: int, reading: JointLine) -> None:
+        """Note how much later than the quickest a reading came. A robot that restarted counts its time anew."""
+        delay_s = t_host_ns / 1e9 - reading.t
+        begins = self._last is None or reading.t < self._last.t
+        self._shortest_s = delay_s if begins else min(delay_s, self._shortest_s)
+        self._counters.robot_late_s = max(self._counters.robot_late_s, delay_s - self._shortest_s)
 
     def flush(self, t_host_ns: int) -> None:
         """Store what came behind the last line feed."""

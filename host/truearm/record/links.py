@@ -79,10 +79,14 @@ class Reopenable(Protocol):
 
 
 class Backlog(NamedTuple):
-    """Backlog between a link's reader and the recorder: pieces waiting, and how often the reader had to stop for them."""
+    """Backlog between a link's reader and the recorder: pieces waiting, and how often the reader had to stop for them.
+
+    ``drops``: what the reader does not fetch in time is lost. Otherwise the sender waits, and only sends late.
+    """
 
     waiting: int = 0
     held_up: int = 0
+    drops: bool = False
 
 
 def backlog_of(link: Link) -> Backlog:

@@ -53,7 +53,7 @@ class Reopening:
     def backlog(self) -> Backlog:
         """Return the backlog of the open link, and how often the readers of all links had to wait."""
         now = Backlog() if self._link is None else backlog_of(self._link)
-        return Backlog(now.waiting, now.held_up + self._held_up)
+        return now._replace(held_up=now.held_up + self._held_up)
 
     def _opened(self) -> Link:
         if self._link is None:

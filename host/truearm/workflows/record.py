@@ -16,6 +16,7 @@ from truearm.live.mounted_parts import check_mounted, parse_mounted
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
+from truearm.text import counted
 from truearm.types import Move
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
 from truearm.workflows.session_parts import SETUP, Earlier, earlier, gone_on
@@ -118,7 +119,10 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     elif with_robot and not summary.counters.robot_lines:
         closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
         reasons.append(f"{closed} a joint reading")
-    if summary.counters.robot_unstored or summary.counters.robot_held_up:
+    if summary.counters.robot_missing:
+        number = counted(summary.counters.robot_missing, "reading is", "readings are")
+        reasons.append(f"the robot sent more than could be stored: {number} missing; let it send fewer per second")
+    elif summary.counters.robot_unstored or summary.counters.robot_dropped:
         reasons.append(
             "the robot sent more than could be stored, so readings may be missing; let it send fewer per second"
         )

@@ -6,7 +6,7 @@ import select
 import socket
 
 from truearm.errors import LinkError
-from truearm.record.links import Clock, SocketLink, host_and_port
+from truearm.record.links import Backlog, Clock, SocketLink, host_and_port
 
 MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
 _POLL_S = 0.1
@@ -36,6 +36,11 @@ class UdpLink(SocketLink):
     def write(self, data: bytes) -> int:
         """Do nothing: such a robot receives no data."""
         return self._clock.now_ns()
+
+    @property
+    def backlog(self) -> Backlog:
+        """Return the backlog."""
+        return super().backlog._replace(drops=True)
 
     def _receive(self) -> bytes:
         try:

@@ -1,0 +1,103 @@
+"""A robot whose readings cannot be stored at once: late readings are complete, lost ones are not."""
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+from record_box import Box, Robot
+from record_files import run, topics
+from record_real import box_on_a_socket
+
+from truearm.record.links import Backlog
+from truearm.workflows.record import what_is_missing
+
+BURST = 30_000  # readings of 52 bytes: 380 pieces of 4096 bytes
+SMALL_QUEUE = (
+    "import truearm.record.links as l; l._QUEUE_ITEMS = 16; from truearm.cli.main import main; raise SystemExit(main())"
+)
+
+
+def bursting_robot(lost):
+    """Return the address of a robot that sends a burst, then a few readings as they come; ``lost`` are left out."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def line(k):
+        return json.dumps({"t": 0.01 * k, "seq": k, "q": [0.1, 0.2]}).encode() + b"\n"
+
+    def serve():
+        peer, _ = listener.accept()
+        with peer, listener, suppress(OSError):
+            peer.sendall(b"".join(line(k) for k in range(BURST)))
+            for k in range(BURST + lost, BURST + lost + 100):
+                peer.sendall(line(k))
+                time.sleep(0.01)
+            peer.sendall(b'{"end": true}\n')
+
+    threading.Thread(target=serve, daemon=True).start()
+    return f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(("lost", "code"), [(0, 0), (7, 4)])
+def test_a_stream_that_was_held_up_is_complete_if_nothing_is_missing(tmp_path, lost, code):
+    """TCP makes the sender wait, so only readings that the robot itself left out are lost."""
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        options = ["--unchecked", "--box", device, "--address", bursting_robot(lost), "--out", out]
+        command = [sys.executable, "-c", SMALL_QUEUE, "record", *map(str, options)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == code, done.stderr
+    assert "the robot sends more than can be stored; its readings come late" in done.stderr
+    if lost:
+        assert "the robot sent more than could be stored: 7 readings are missing" in done.stderr.splitlines()[-1]
+    else:
+        assert "late, none is missing" in done.stdout
+    stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]
+    assert stored == [*range(BURST), *range(BURST + lost, BURST + lost + 100)]
+
+
+@pytest.mark.parametrize(
+    ("drops", "counts", "skipped", "says"),
+    [
+        (False, True, 0, ""),
+        (False, False, 0, ""),
+        (False, True, 3, "3 readings are missing"),
+        (True, True, 0, ""),
+        (True, True, 1, "1 reading is missing"),
+        (True, False, 0, "readings may be missing"),
+    ],
+)
+def test_what_a_held_up_robot_lost(lab, path, drops, counts, skipped, says):
+    """By the numbers of its readings; without numbers, datagrams may be lost and a stream is not."""
+    robot = Robot(lab, 2.0, counts=counts)
+    robot.link.backlog = Backlog(0, 1, drops)
+    say = robot.say
+    robot.say = lambda line: None if 10 <= (json.loads(line)["t"] - 100) / 0.008 + 0.5 < 10 + skipped else say(line)
+    summary = run(lab, Box(lab), path, seconds=3.0, robot=robot.link)
+    missing = what_is_missing(summary, with_robot=True)
+    assert (says in missing) if says else missing == ""
+
+
+def test_the_delay_of_a_reading_is_that_beyond_the_quickest(lab, path):
+    """Readings of 0.4 s arrive together, the first of them 0.4 s late; a robot that restarts counts its time anew."""
+    robot = Robot(lab, 1.0)
+    robot.link.backlog = Backlog(0, 1)
+    held, say = [], robot.say
+
+    def stuck(line):
+        t = json.loads(line)["t"] - 100
+        held.append(line)
+        if t > 0.9:
+            say(json.dumps({"t": t, "seq": round(t / 0.008), "q": [0.0] * 6}).encode())  # its time from 0 again
+        elif not 0.3 < t < 0.7:
+            while held:
+                say(held.pop(0))
+
+    robot.say = stuck
+    summary = run(lab, Box(lab), path, seconds=3.0, robot=robot.link)
+    assert summary.counters.robot_late_s == pytest.approx(0.4, abs=0.016)  # two periods
+    assert summary.counters.robot_missing == 0
