@@ -69,6 +69,20 @@ class TestEarlier:
             assert "s.2.mcap: is still being written; end the recording first" in said
         assert earlier(first).part == 3
 
+    def test_a_session_that_is_still_being_written_is_not_overwritten(self, tmp_path, capsys):
+        out = tmp_path / "s.mcap"
+        with SessionWriter(out, HostClock()) as writer:
+            writer.event("note", 1, text="an afternoon")
+            writer.tick(2_000_000_000)
+            before = out.read_bytes()
+            assert main(["record", "--out", str(out), "--force", "--box", "/dev/nothing"]) == 2
+            assert "s.mcap: is still being written; end that recording first" in capsys.readouterr().err
+            assert out.read_bytes() == before
+            assert main(["identify", str(out), "--model", "puma560"]) == 2
+            assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
+            assert main(["export-session", str(out), "--out", str(tmp_path / "tables")]) == 2
+            assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
+
     def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
         """Recorded again under the old name (--force): what lay beside it is neither read with it nor in its way."""
         first = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))

@@ -12,8 +12,7 @@ from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.progress import step
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.session.session_file import open_session
-from truearm.workflows.session_parts import refuse_unfinished
+from truearm.workflows.session_parts import open_finished
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,7 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
     zero = wanted.zero
     if zero is not None and not abs(zero) < 1e9:
         raise InputError(Argument("zero"), f" {zero:g} is not a time; give seconds")
-    opened = open_session(wanted.session, wanted.options.allow_damaged)
-    refuse_unfinished(opened)
+    opened = open_finished(wanted.session, wanted.options.allow_damaged)
     readings = readings_of_file(wanted.source, wanted.options)
     said = {
         "source": wanted.source.name,

@@ -34,11 +34,11 @@ from truearm.session.box_ident import Ident, recorded_ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.observations import SyncResult, Visits, joined, observations, visits
-from truearm.session.session_file import Session, open_session
+from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
 from truearm.workflows.session_observations import attached_rig, labels_of, reasons_text
-from truearm.workflows.session_parts import refuse_unfinished, session_parts
+from truearm.workflows.session_parts import open_finished, session_parts
 
 LEAST_VISITS = 6
 
@@ -80,9 +80,7 @@ def characterize_files(
         read = [*paths, *filter(None, [files.rig, files.plan]), *files.robot.files]
         check_writable(files.out, files.force, inputs=read, ours=looks_like_noise)
     chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
-    opened = {path: open_session(path, files.allow_damaged) for path in paths}
-    for session in opened.values():
-        refuse_unfinished(session)
+    opened = {path: open_finished(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)
     parts = [
         Part(_with_plan(one, files.plan), path.name, recorded_ident(one), labels_of(path))

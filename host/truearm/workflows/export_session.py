@@ -20,12 +20,12 @@ from truearm.progress import step
 from truearm.record.session_writer import read_anchor
 from truearm.session.box_ident import recorded_ident
 from truearm.session.observations import Survey, observations, survey
-from truearm.session.session_file import Session, open_session
+from truearm.session.session_file import Session
 from truearm.session.session_tables import dwell_columns, pass_columns, plan_columns, tabulate
 from truearm.text import one_line
 from truearm.types import Rig
 from truearm.workflows.session_observations import attached_rig, labels_of
-from truearm.workflows.session_parts import refuse_unfinished
+from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
 
@@ -55,8 +55,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
     given = None if wanted.rig is None else read_rig(wanted.rig)
     out = wanted.out
     _check_folder(out)
-    opened = open_session(wanted.session, wanted.allow_damaged)
-    refuse_unfinished(opened)
+    opened = open_finished(wanted.session, wanted.allow_damaged)
     try:
         with working_folder(out.parent) as folder:
             whole = folder / "tables"

@@ -180,9 +180,9 @@ def _opened(paths: Sequence[Path], allow_damaged: bool) -> dict[Path, Session]:
     """Open every session once: that reads all of its file."""
     if not paths:  # tables alone do not need the import
         return {}
-    from truearm.session.session_file import open_session
+    from truearm.workflows.session_parts import open_finished
 
-    return {path: open_session(path, allow_damaged) for path in paths}
+    return {path: open_finished(path, allow_damaged) for path in paths}
 
 
 def _read_session(

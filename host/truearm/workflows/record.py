@@ -199,6 +199,7 @@ def nearest_osr(rate: float) -> int:
 def _work(request: Request) -> Work:
     """Return what to record. Raises InputError for options and files that are invalid or inconsistent."""
     from truearm.files.disk import check_writable
+    from truearm.files.write_lock import is_held
 
     if (request.out is None) == (request.resume is None):
         raise InputError(
@@ -209,6 +210,8 @@ def _work(request: Request) -> Work:
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
     check_writable(out, request.force and before is None, inputs=read)
+    if out.exists() and is_held(out):
+        raise InputError(f"{out}: is still being written; end that recording first, or give another name")
     work = _with_files(Work(out, request.robot, request.osr or USUAL_OSR), request)
     if before is not None:
         work = _going_on(work, request, before)

@@ -10,8 +10,8 @@ from truearm.files.disk import check_writable, sha256, working_folder
 from truearm.progress import step
 from truearm.record.recover import Recovered, is_whole
 from truearm.record.recover import recover as recover_session
-from truearm.session.session_file import Session, open_session
-from truearm.workflows.session_parts import refuse_unfinished
+from truearm.session.session_file import Session
+from truearm.workflows.session_parts import open_finished
 
 
 def recovered_name(session: Path) -> Path:
@@ -25,8 +25,7 @@ def recover_file(session: Path, out: Path, force: bool = False) -> Recovered | N
 
     Raises InputError, SessionError if nothing can be saved or the session is still being written, WriteError.
     """
-    opened = open_session(session, allow_damaged=True)
-    refuse_unfinished(opened)
+    opened = open_finished(session, allow_damaged=True)
     if is_whole(opened):
         return None
     check_writable(out, force, inputs=[session])

@@ -22,7 +22,7 @@ from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
 from truearm.workflows.session_observations import attached_rig
-from truearm.workflows.session_parts import refuse_unfinished, session_parts
+from truearm.workflows.session_parts import open_finished, session_parts
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -165,8 +165,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
     parts, readings = list[Part](), list[Readings]()
     rig = None if rig_file is None else read_rig(rig_file)
     for path in paths:
-        session = open_session(path, allow_damaged=True)
-        refuse_unfinished(session)
+        session = open_finished(path, allow_damaged=True)
         if session.truncated:
             raise SessionError(f"{path}: is incomplete; make a complete session of it with truearm recover {path}")
         session = open_session(path)

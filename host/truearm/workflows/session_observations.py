@@ -123,10 +123,10 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 
     Raises SessionError for a file that is not a session or gives no observation, RigError if there is no rig.
     """
-    from truearm.session.session_file import open_session
+    from truearm.workflows.session_parts import open_finished
 
     options = options or SessionOptions()
-    return observations_of_opened(open_session(path, options.allow_damaged), rig, options)
+    return observations_of_opened(open_finished(path, options.allow_damaged), rig, options)
 
 
 def observations_of_opened(session: Session, rig: Rig | None, options: SessionOptions) -> SyncResult:
@@ -135,11 +135,9 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
     from truearm.session.session_file import words_of
-    from truearm.workflows.session_parts import refuse_unfinished
     from truearm.workflows.temperature_warning import temperature_warning
 
     path = session.path
-    refuse_unfinished(session)
     if session.damage:
         said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
         more = f" and in {counted(len(session.damage) - SAID, 'place')} more" if len(session.damage) > SAID else ""

@@ -96,9 +96,7 @@ def earlier(path: Path) -> Earlier:
     for a session that is still being written, because two recorders would take box and robot from each other.
     """
     first = _first(path)
-    sessions = [_opened(part) for part in session_parts(first)]
-    for one in sessions:
-        refuse_unfinished(one)
+    sessions = [open_finished(part, allow_damaged=True) for part in session_parts(first)]
     setup = dict(sessions[0].metadata.get(SETUP, {}))
     rows: list[dict[str, Any]] = []
     mounted: dict[str, str] = {}
@@ -146,10 +144,23 @@ def gone_on(progress: SessionProgress, before: Earlier) -> None:
     )
 
 
-def refuse_unfinished(session: Session) -> None:
-    """Raise SessionError for a session that a recorder still writes: it would be another one a moment later."""
-    if session.truncated and is_held(session.path):
-        raise SessionError(f"{session.path}: is still being written; end the recording first")
+def open_finished(path: Path, allow_damaged: bool = False) -> Session:
+    """Open a session as ``open_session`` does, unless a recorder still writes it: it would be another one a moment later.
+
+    Raises SessionError.
+    """
+    from truearm.session.session_file import open_session
+
+    try:
+        session = open_session(path, allow_damaged)
+        unfinished = session.truncated and is_held(path)
+    except SessionError:
+        if not (path.is_file() and is_held(path)):
+            raise
+        unfinished = True
+    if unfinished:
+        raise SessionError(f"{path}: is still being written; end the recording first")
+    return session
 
 
 def _first(path: Path) -> Path:
