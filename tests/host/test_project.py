@@ -13,6 +13,7 @@ import pytest
 from session_stream import RIG, session
 
 from truearm.cli.project import defaults
+from truearm.errors import InputError
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE, find_project
@@ -203,6 +204,31 @@ def test_init_refuses_and_leaves_nothing(tmp_path, run, monkeypatch, arguments, 
     assert (code, out) == (2, "")
     assert complaint in err
     assert not (tmp_path / "cell" / FILE).exists()
+
+
+@pytest.mark.parametrize("end", [InputError("the arm cannot reach any pose"), KeyboardInterrupt()])
+def test_an_init_that_ends_early_can_be_repeated(tmp_path, run, monkeypatch, end):
+    """At the last step, the plan: the files that it made are removed, those that were there stay."""
+
+    def plan(*_):
+        raise end
+
+    monkeypatch.setattr("truearm.workflows.plan.plan_ball_bar_files", plan)
+    for folder in (tmp_path / "a" / "b", tmp_path / "mine"):
+        if folder.name == "mine":
+            folder.mkdir()
+            (folder / "notes.txt").write_text("mine")
+        assert run("init", folder, "--model", "puma560").code in (2, 130)
+    assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["mine", "notes.txt"]
+    assert run("init", tmp_path / "a" / "b", "--model", "puma560", "--minutes", 0).code == 0
+
+
+@pytest.mark.parametrize("name", ["file", "file/cell"])
+def test_init_where_no_folder_can_be(tmp_path, run, name):
+    (tmp_path / "file").write_text("mine")
+    code, _, err = run("init", tmp_path / name, "--model", "puma560", "--minutes", 0)
+    assert code == 2
+    assert f"{tmp_path / name}: cannot be used as a folder: " in err
 
 
 def test_init_as_json_names_the_files_and_the_plan(tmp_path, run):

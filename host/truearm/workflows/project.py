@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum, auto
@@ -201,23 +202,60 @@ def create(folder: Path, wanted: Wanted) -> Created:
     model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
     robot = load_robot(choice.robot or "", choice.base, choice.tip)
-    folder.mkdir(parents=True, exist_ok=True)
-    written, plan = list[Path](), None
-    if not paths["rig"].exists():
-        bounded = replace(robot, branch=branch_of(robot, wanted.branch))
-        rig = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
-        write_atomic(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
-        written.append(paths["rig"])
-    read_rig(paths["rig"])
-    for name in ("sessions", "results"):
-        (folder / getattr(project, name)).mkdir(parents=True, exist_ok=True)
-    write_atomic(paths["project"], format_project(project))
-    written.insert(0, paths["project"])
-    if wanted.minutes is not None and not paths["plan"].exists():
-        files = PlanFiles(choice, paths["rig"], branch=wanted.branch, out=paths["plan"])
-        plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
-        written.append(paths["plan"])
+    with _all_or_nothing() as new:
+        plan = None
+        new.folder(folder)
+        if not paths["rig"].exists():
+            bounded = replace(robot, branch=branch_of(robot, wanted.branch))
+            rig = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
+            new.file(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
+        read_rig(paths["rig"])
+        for name in ("sessions", "results"):
+            new.folder(folder / getattr(project, name))
+        new.file(paths["project"], format_project(project))
+        if wanted.minutes is not None and not paths["plan"].exists():
+            files = PlanFiles(choice, paths["rig"], branch=wanted.branch, out=paths["plan"])
+            plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
+            new.files.append(paths["plan"])
+        written = sorted(new.files, key=lambda path: path != paths["project"])
     return Created(tuple(written), plan)
+
+
+class _New:
+    """The files and folders that ``create`` made."""
+
+    def __init__(self) -> None:
+        self.files: list[Path] = []
+        self.folders: list[Path] = []
+
+    def folder(self, path: Path) -> None:
+        """Make a folder and those above it, unless they exist. Raises InputError."""
+        missing = [one for one in (path, *path.parents) if not one.exists()]
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as exc:
+            raise InputError(f"{path}: cannot be used as a folder: {exc.strerror}") from exc
+        self.folders += reversed(missing)
+
+    def file(self, path: Path, text: str) -> None:
+        """Write a file. Raises InputError."""
+        write_atomic(path, text)
+        self.files.append(path)
+
+
+@contextmanager
+def _all_or_nothing() -> Iterator[_New]:
+    """Remove what was made so far if the project cannot be completed: the same command then works again."""
+    new = _New()
+    try:
+        yield new
+    except BaseException:
+        for path in new.files:
+            path.unlink(missing_ok=True)
+        for path in reversed(new.folders):
+            with suppress(OSError):  # somebody else put a file there
+                path.rmdir()
+        raise
 
 
 def _as_known(rig: Rig, wanted: Wanted) -> Rig:
