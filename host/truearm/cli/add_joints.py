@@ -48,7 +48,7 @@ def add_joints(
         float | None,
         typer.Option(
             metavar="S",
-            help="Seconds from the start of the session to the controller's time 0. Default: its time is UTC.",
+            help="Time of the session at which the controller's time was 0 [s]. Default: the controller's time is UTC.",
         ),
     ] = None,
     replace: Annotated[
@@ -60,8 +60,8 @@ def add_joints(
 ) -> None:
     """Add joint readings from a table or a ROS 2 bag to a session, as a new file.
 
-    Each reading is placed by the controller's time that it has, since truearm did not see it arrive. The new file records
-    that its readings were added in this way.
+    truearm did not see these readings arrive, so each is placed in time by the controller's clock. The new file records that
+    its readings were added in this way.
 
     \b
     Example:

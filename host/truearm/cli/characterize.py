@@ -37,7 +37,12 @@ def characterize(
     plan: PlanOption = None,
     within_mm: Annotated[
         list[float] | None,
-        typer.Option(min=1e-4, max=100.0, metavar="MM", help="Settling band (repeatable). Default: 0.02, 0.05, 0.1."),
+        typer.Option(
+            min=1e-4,
+            max=100.0,
+            metavar="MM",
+            help="Settled means: within this distance of the final length (repeatable). Default: 0.02, 0.05, 0.1.",
+        ),
     ] = None,
     out: Annotated[Path | None, out_file("the noise file for truearm identify --noise (.toml)")] = None,
     force: ForceOption = False,
@@ -46,8 +51,8 @@ def characterize(
 ) -> None:
     """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, with their intervals.
 
-    The session is a recording of a plan of truearm plan characterize; its further parts are read with it. The nominal robot is
-    sufficient. Give --plan if the session contains no plan.
+    The session is a recording of a plan of truearm plan characterize; files that continue it (truearm record
+    --resume) are read with it. The nominal robot is sufficient. Give --plan if the session contains no plan.
 
     \b
     Example:

@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
-    BaseOption,
     ForceOption,
+    IdentifiedBaseOption,
     IdentifiedRobotOption,
+    IdentifiedTipOption,
     JsonOption,
     OwnFramesOption,
     PayloadOption,
     ResultArgument,
-    TipOption,
     frame_of,
     joints_of,
     numbers_of,
@@ -39,8 +39,8 @@ def correct(
     ],
     out: Annotated[Path, out_file("the corrected table or program")],
     robot: IdentifiedRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     method: Annotated[Method, typer.Option(help=methods_help())] = Method.NEWTON,
     steps: Annotated[
         int, typer.Option(min=1, max=MOST_STEPS, metavar="N", help=f"Number of steps of {' or '.join(with_steps())}.")
@@ -112,7 +112,12 @@ def correct(
     as_json: JsonOption = False,
     margin: Annotated[
         float,
-        typer.Option(min=1e-4, max=1.0, metavar="SIGMA", help="Refuse targets nearer to a singularity than SIGMA."),
+        typer.Option(
+            min=1e-4,
+            max=1.0,
+            metavar="SIGMA",
+            help="Refuse targets near a singularity, where the Jacobian's smallest singular value is below SIGMA (lengths in units of 0.5 m).",
+        ),
     ] = 0.05,
 ) -> None:
     """Correct targets so that the real robot reaches them.

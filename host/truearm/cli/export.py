@@ -8,14 +8,14 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
-    BaseOption,
     ForceOption,
+    IdentifiedBaseOption,
     IdentifiedRobotOption,
+    IdentifiedTipOption,
     JsonOption,
     OwnFramesOption,
     PayloadOption,
     ResultArgument,
-    TipOption,
     choices,
     completed,
     one_of,
@@ -40,8 +40,8 @@ def export(
     ],
     out: Annotated[Path, out_file("the robot")],
     robot: IdentifiedRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     own_frames: OwnFramesOption = False,
     payload: PayloadOption = None,
     adjust: Annotated[
@@ -61,7 +61,8 @@ def export(
     curves: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Write the joints' error curves too (.csv): reading, error, sigma, covered or not."
+            metavar="FILE",
+            help="Write the joints' error curves too (.csv): reading, error, sigma, and whether the calibration covered the reading.",
         ),
     ] = None,
     force: ForceOption = False,

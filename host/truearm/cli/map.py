@@ -11,14 +11,14 @@ import typer
 
 from truearm.bounds import CELL
 from truearm.cli.options import (
-    BaseOption,
     ForceOption,
+    IdentifiedBaseOption,
     IdentifiedRobotOption,
+    IdentifiedTipOption,
     JsonOption,
     OwnFramesOption,
     PayloadOption,
     ResultArgument,
-    TipOption,
     bounded,
     joints_of,
     numbers_of,
@@ -43,11 +43,13 @@ def map_(
     out: Annotated[Path | None, out_file("the cells as a table (.csv)")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the map as a picture (.svg).")] = None,
     robot: IdentifiedRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     joints: Annotated[
         str,
-        typer.Option("--vary", metavar="I,J", help="The two joints that span the section; their axes are parallel."),
+        typer.Option(
+            "--vary", metavar="I,J", help="The two joints that span the section; their axes must be parallel."
+        ),
     ] = "2,3",
     at: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,...", help="Values of the other joints [deg, mm]. Default: 0.")

@@ -78,20 +78,16 @@ RobotOption = Annotated[str, _robot()]
 OptionalRobotOption = Annotated[str | None, _robot()]
 IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in robot of the result.")]
 BaseOption = Annotated[
-    str | None,
-    typer.Option(
-        "--base",
-        metavar="LINK",
-        help="First link of a URDF. Default: the one stored in the result, if a result is read; otherwise the root.",
-    ),
+    str | None, typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: its root.")
 ]
 TipOption = Annotated[
-    str | None,
-    typer.Option(
-        "--tip",
-        metavar="LINK",
-        help="Last link of a URDF. Default: the one stored in the result, if a result is read; otherwise the only leaf.",
-    ),
+    str | None, typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: its only leaf.")
+]
+IdentifiedBaseOption = Annotated[
+    str | None, typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: the one of the result.")
+]
+IdentifiedTipOption = Annotated[
+    str | None, typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: the one of the result.")
 ]
 BranchOption = Annotated[
     str | None,

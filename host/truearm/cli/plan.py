@@ -47,7 +47,7 @@ MinutesOption = Annotated[
     float | None,
     typer.Option(
         metavar="M",
-        help="Budget in minutes of an operator. Only pairings that are worth mounting are selected.",
+        help="Budget in minutes of the operator's time.",
         **bounded(MINUTES),
     ),
 ]
@@ -127,7 +127,7 @@ def ballbar(
     minutes: MinutesOption = None,
     criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
-    bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this bar (repeatable).")] = None,
+    bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Use only this bar (repeatable).")] = None,
     candidates: Annotated[
         int, typer.Option(metavar="N", help="Poses to choose from.", **bounded(CANDIDATES))
     ] = option_defaults.BAR_CANDIDATES,
@@ -151,7 +151,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Visits to every mount; 2 reveal drift and slip.",
+            help="Number of times that each pairing is mounted; with 2, drift and slip show.",
             **bounded(VISITS),
         ),
     ] = option_defaults.VISITS,
@@ -159,7 +159,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Poses of the first mount to visit again half-way and at the end; not with --visits 2.",
+            help="Poses of the first pairing to measure again half-way and at the end; not with --visits 2.",
             **bounded(CHECK_POSES),
         ),
     ] = option_defaults.CHECK_POSES,
@@ -175,9 +175,10 @@ def ballbar(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan ball-bar poses on shells about the chucks.
+    """Plan ball-bar poses around the chucks.
 
-    Prints the rank, the unidentifiable combinations, the predicted sigma of every parameter, the expected error in the region,
+    A pairing is one bar between one chuck (a magnetic cup on the table) and one sphere (a ball on the robot's end). With
+    --minutes, only the pairings that are worth mounting are planned. Prints the rank, the unidentifiable combinations, the predicted sigma of every parameter, the expected error in the region,
     and the minutes.
 
     \b
@@ -316,7 +317,7 @@ def characterize(
     rounds: Annotated[
         int,
         typer.Option(
-            min=2, max=100, metavar="N", help="Number of times that each pose is reached from each of eight sides."
+            min=2, max=100, metavar="N", help="Number of times that each pose is reached from each of eight directions."
         ),
     ] = option_defaults.ROUNDS,
     long_s: Annotated[

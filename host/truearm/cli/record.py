@@ -76,7 +76,7 @@ def record(
     Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration, when the
     robot's program reports its end, or when a box or robot that was lost does not return within --patience. The file is complete in
     each case; the exit code is 4 if something that was asked for is missing. --force overwrites an earlier file only once the box has
-    started. On a terminal you can type during the recording: Enter confirms the pairing that is asked for,
+    started. On a terminal you can type during the recording: Enter confirms what you are asked to mount,
     bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME names another one, and note TEXT is stored.
 
     \b

@@ -45,9 +45,9 @@ def relabel(
 ) -> None:
     """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
 
-    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them. With
-    --trust evidence a dwell is labelled if one pairing has a probability of 99.8 %, otherwise it is left out. Without --trust you
-    are asked about each run of doubtful dwells.
+    The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them. A
+    dwell is a rest of the robot at one pose. With --trust evidence it is labelled if one pairing of bar, chuck and sphere has a
+    probability of 99.8 %, otherwise it is left out. Without --trust you are asked about each run of doubtful dwells.
 
     \b
     Example:

@@ -11,14 +11,14 @@ import typer
 from truearm.bounds import LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
-    BaseOption,
     ForceOption,
+    IdentifiedBaseOption,
     IdentifiedRobotOption,
+    IdentifiedTipOption,
     InputsArgument,
     JsonOption,
     NamedRigsOption,
     ResultArgument,
-    TipOption,
     bounded,
     out_file,
     rigs_of,
@@ -33,8 +33,8 @@ def report(
     inputs: InputsArgument,
     out: Annotated[Path, out_file("the report (.html)")],
     robot: IdentifiedRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     rig: NamedRigsOption = None,
     noise: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The noise file that was given to truearm identify.")

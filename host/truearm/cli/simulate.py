@@ -145,7 +145,10 @@ def simulate(
     ] = False,
     fault: Annotated[
         list[str] | None,
-        typer.Option(metavar="SECONDS:KIND", help="Fault to simulate; repeatable. An unknown KIND lists them."),
+        typer.Option(
+            metavar="SECONDS:KIND",
+            help="Fault to simulate, such as 20:reboot (repeatable). The error message for an unknown KIND lists all kinds.",
+        ),
     ] = None,
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.

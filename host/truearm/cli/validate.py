@@ -8,13 +8,13 @@ import typer
 
 from truearm.cli.options import (
     AllowDamagedOption,
-    BaseOption,
+    IdentifiedBaseOption,
     IdentifiedRobotOption,
+    IdentifiedTipOption,
     InputsArgument,
     JsonOption,
     NamedRigsOption,
     ResultArgument,
-    TipOption,
     rigs_of,
 )
 from truearm.cli.output import print_lines, warn
@@ -24,8 +24,8 @@ def validate(
     result: ResultArgument,
     inputs: InputsArgument,
     robot: IdentifiedRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
+    base: IdentifiedBaseOption = None,
+    tip: IdentifiedTipOption = None,
     rig: NamedRigsOption = None,
     keep_rig: Annotated[
         bool,
