@@ -484,7 +484,7 @@ def plan_ball_bar(
     chosen = options or BallBarOptions()
     if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
         raise InputError(
-            f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}"
+            f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}; give the robot of the result"
         )
     if result is not None:
         chosen = replace(chosen, reserve=option_defaults.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)

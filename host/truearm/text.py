@@ -30,3 +30,12 @@ def listed(names: Sequence[str], most: int = 12) -> str:
 def with_article(noun: str) -> str:
     """Return a noun with its indefinite article: "a seat", "an inclinometer"."""
     return f"{'an' if noun[:1] in 'aeiouAEIOU' else 'a'} {noun}"
+
+
+def outcome(status: str, iterations: int | None = None) -> str:
+    """Return how a fit ended in words, with its number of iterations if given."""
+    converged = status == "converged"
+    words = "converged" if converged else "not converged"
+    return (
+        words if iterations is None else f"{words} {'in' if converged else 'after'} {counted(iterations, 'iteration')}"
+    )

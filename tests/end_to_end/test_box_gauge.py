@@ -155,7 +155,7 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
         world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
         monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
         assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2") == 2
-        assert "at the converter's rail" in capsys.readouterr().out
+        assert "at the end of the converter's range" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

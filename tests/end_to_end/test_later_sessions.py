@@ -52,7 +52,7 @@ def test_another_day_of_the_same_robot_holds_in_every_region(said, folder):
     assert 0.07 < found["rms_after_mm"] < 0.16
     regions = {region["region"]: region for region in found["regions"]}
     assert {"bar=bar46", "bar=bar61", "shell=bar46-c1", "shell=bar61-c3"} <= set(regions)
-    assert sum("mm out" in name for name in regions) == 4
+    assert sum(name.startswith("radius") for name in regions) == 4
     assert regions["bar=bar46"]["rows"] == regions["bar=bar61"]["rows"] == POSES
     assert all(region["rms_after_mm"] < 0.25 * region["rms_before_mm"] for region in regions.values())
     assert found["identified_from"] == []

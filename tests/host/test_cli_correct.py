@@ -144,7 +144,7 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
     )
     assert code == 0
     assert "these mountings are not corrected" in said
-    assert "robot's base in chuck_fixture: x, y, z 1" in said
+    assert "robot's base in frame chuck_fixture: x, y, z 1" in said
     own = [float(row["before_mm"]) for row in csv.DictReader(out.open())]
     assert np.mean(own) < 15.0  # the base stands some 15 mm from where the design has it
 

@@ -22,7 +22,7 @@ BAD_TABLES = {
     "unknown chuck": (
         HEADER,
         ROW.replace("c0", "c9"),
-        "row 2 column chuck: 'c9' is not in the rig (it has c0, c1, c2)",
+        "row 2 column chuck: 'c9' is not in the rig (it has c0, c1, c2); give a rig that has it as --rig",
     ),
     "no rows": (HEADER, "", "no rows"),
     "ragged": (HEADER, ROW + ",1", "has 12 cells, the header has 11"),

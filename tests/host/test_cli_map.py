@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 
+from truearm.cli.map_text import lines
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
 from truearm.files.stored_result import read_result
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
+from truearm.workflows.map import Mapped
 
 P = len(CHAIN.parameters)
 NONE = np.zeros((P, 0))
@@ -96,6 +98,8 @@ def test_unseen_directions_leave_no_uncertainty_to_tell():
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
     assert np.isnan(found.sigma).all()
     assert np.isfinite(found.error).any()
+    said = lines(Mapped(found, None), 0.2, None)
+    assert any(line.startswith("Error with calibration: unknown in ") for line in said)
 
 
 def test_the_best_region_is_found_by_hand_too():

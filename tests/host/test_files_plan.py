@@ -94,7 +94,11 @@ def test_a_plan_of_dwells_is_written_as_ever():
         ("ball,62.5", "ball,", "row 5 column speed_mm_s: '' is not a speed"),
         ("ball,62.5", "ball,0", "row 5 column speed_mm_s: '0' is not a speed"),
         ("ball,62.5", "ball,10001", "row 5 column speed_mm_s: '10001' is not a speed"),
-        ("0,bar46-c1,bar46,c1,s1,,,,,", "0,,,,,line,left,,100,", "row 2: a line starts at the row before it"),
+        (
+            "0,bar46-c1,bar46,c1,s1,,,,,",
+            "0,,,,,line,left,,100,",
+            "row 2: a line starts at the pose of the row before it",
+        ),
         (",sphere,move,line,target,speed_mm_s", ",sphere,move,line,target", "row 1: column 'q1_rad' is wrong"),
     ],
 )

@@ -63,6 +63,10 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert clock["rate_ppm"] == pytest.approx(-31.0, abs=2.0)
     assert clock["half_asymmetry_ns"] <= clock["bound_ns"]
     assert clock["spread_ns"] is None  # one window
+    (line,) = (
+        line for line in run("inspect", tmp_path / "s.mcap")[1].splitlines() if line.startswith("clock, segment")
+    )
+    assert line.endswith(f"the host counts {clock['rate_ppm']:+.3f} ppm faster")  # one window has no range
     assert said["robot"]["rate_hz"] == pytest.approx(125.0, abs=0.1)
     assert (said["dwells"]["found"], said["dwells"]["observations"], said["dwells"]["rejected"]) == (5, 5, {})
 
@@ -207,7 +211,7 @@ def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):
     assert (gap["from_s"], gap["to_s"]) == pytest.approx((1e-9 * (last - start), 1e-9 * (end - start)))
     assert said["frames_lost"] == 0
     assert said["samples_missing"] == round((end - last) / PERIOD_NS)
-    out = run("inspect", path)[1]
+    out = run("inspect", tmp_path / "s.mcap")[1]
     assert "the box was silent from 5.0 to" in out
     assert f"{said['samples_missing']} samples missing" in out
     assert "nothing lost" not in out

@@ -144,7 +144,7 @@ class TestCheck:
         verdict = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
         assert verdict.warned == (
             "channel lvdt was calibrated 730 days ago, on 2024-11-22",
-            "stream adc samples at osr 4096, not 128 as asked for",
+            "stream adc samples at oversampling ratio (osr) 4096, not 128 as requested",
         )
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}
         assert "which is in the future" in check_box(box(**soon), Purpose(ball_bar=True), TODAY).warned[0]

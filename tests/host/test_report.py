@@ -179,7 +179,7 @@ def test_suspects_are_named_the_farthest_first():
     ]
     assert [row[0] for row in rows] == ["s.csv row 11", "s.csv row 3"]  # without the folder
     assert (rows[0][2], rows[0][4], rows[1][4]) == ("9.2", "0", "0.31")
-    assert "2 rows disagree with all others" in text
+    assert "2 fitted rows are outliers" in text
     assert "1 left out of the fit" in text
     assert "anyone" not in text
     none = replace(page.estimate, suspect=np.zeros(n, dtype=bool))
@@ -338,7 +338,7 @@ def test_tiles_and_verdict_are_of_this_estimate():
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"status": "max_iterations", "message": "stopped at 3"}, "stopped early (max_iterations): stopped at 3"),
+        ({"status": "max_iterations", "message": "stopped at 3"}, "The fit did not converge: stopped at 3"),
         ({"held_out": None}, "Nothing was held out"),
         ({"held_out": HeldOut({"m": Figures(2e-3, 1e-3, 5e-3, 10)}, 10)}, "times the fitted one"),
         ({"chi2_reduced": 9.0}, "3.0 times what the declared sigmas allow"),

@@ -49,7 +49,9 @@ def check_drive(drive: Path, image: Image) -> None:
             f"{drive}: is not a boot drive ({INFO} is not there); hold BOOTSEL while you plug the box in, and mount the drive"
         )
     if board != image.chip.board:
-        raise InputError(f"{drive}: is the boot drive of a {board[:40]!r}, the image is for {image.chip.board}")
+        raise InputError(
+            f"{drive}: is the boot drive of a {board[:40]!r}, the image is for {image.chip.board}; give an image for this board"
+        )
 
 
 def wait_for(find: Callable[[], Path | None], timeout_s: float) -> Path | None:

@@ -383,7 +383,9 @@ def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
 
     if stream.name != MAG:
         return (
-            "the input is at the converter's rail; move the sensor, or lower the gain" if railed(counts).any() else ""
+            "the input is at the end of the converter's range; move the sensor, or lower the gain"
+            if railed(counts).any()
+            else ""
         )
     missing = int(np.count_nonzero(counts == 0))
     if 2 * missing > counts.size or counts.size - missing < FEWEST:

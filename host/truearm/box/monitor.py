@@ -195,7 +195,7 @@ def value_of(counts: NDArray[np.int32], channel: Channel, stream: Stream) -> str
         if not counts.size:
             return "no stop pulses; is the magnet on the rod?"
     elif railed(counts).any():
-        return "at the converter's rail"
+        return "at the end of the converter's range"
     values = counts * channel.scale
     if channel.poly:
         values = np.polynomial.polynomial.polyval(values, channel.poly)

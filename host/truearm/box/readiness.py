@@ -55,7 +55,9 @@ def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
         warned.append(text)
     for stream in ident.streams.values():
         if purpose.osr is not None and stream.osr not in (0, purpose.osr):
-            warned.append(f"stream {stream.name} samples at osr {stream.osr}, not {purpose.osr} as asked for")
+            warned.append(
+                f"stream {stream.name} samples at oversampling ratio (osr) {stream.osr}, not {purpose.osr} as requested"
+            )
     return Verdict(tuple(refused), tuple(warned))
 
 

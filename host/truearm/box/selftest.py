@@ -54,7 +54,7 @@ _ITEMS = {
     "excitation": _Item(
         "current of the LVDT's primary",
         f"check the LVDT's plug, primary and supply ({_HARDWARE}); "
-        "without an LVDT, remove over from all channels of the configuration",
+        "without an LVDT, remove the key 'over' (the channel to divide by) from all channels of the configuration",
         (60_000, 1_100_000), "mV", 1000, ".1f",
     ),
     "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.observations import SyncResult
+from truearm.text import outcome
 from truearm.types import BallBar, Figures, ObservationTable
 from truearm.units import CM, MM, NS, US
 from truearm.workflows.demo_ball_bar import BallBarCalibration
@@ -43,8 +44,8 @@ def ball_bar_lines(found: BallBarCalibration) -> list[str]:
     subject = found.subject
     expected = MM.of(subject.fitted.sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
     lines = [
-        f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, {estimate.status} "
-        f"in {estimate.iterations} iterations",
+        f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, "
+        f"{outcome(estimate.status, estimate.iterations)}",
         f"{shells(subject.fitted):<16}{MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
         f"({n_fitted} dwells; noise alone would leave {expected:.4f})",
     ]
@@ -62,7 +63,7 @@ def line_lines(found: LineCalibration) -> list[str]:
     estimate, other, table = found.estimate, found.other, found.table
     text = [
         f"robot's delay   {delay_words(estimate)}",
-        f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {estimate.status}",
+        f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {outcome(estimate.status)}",
     ]
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
@@ -77,7 +78,7 @@ def line_lines(found: LineCalibration) -> list[str]:
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]
-        text.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this")
+        text.append(f"row by row      the recursive solver ends within {apart.max():.1g} σ of this estimate")
     else:
         alone = Figures.of(other.residual["m"][is_line & ~fitted]).rms
         text.append(f"ball-bar alone  would leave {MM.text(alone, '.4f')} on the validation line")

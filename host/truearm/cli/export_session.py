@@ -60,4 +60,4 @@ def export_session(
         print_json({"folder": str(out), "rows": dict(tables)})
     else:
         print_lines(f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
-    warn_of_further_parts(session, "export each by itself, its clocks are its own")
+    warn_of_further_parts(session, "export each part separately: each has clocks of its own")

@@ -32,7 +32,7 @@ from truearm.report.result_words import (
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.session.dwells import NEED_DECISION
-from truearm.text import counted, one_line
+from truearm.text import counted, one_line, outcome
 from truearm.types import MeanError, PoseError, ResidualParts, Unusable
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
 
@@ -140,7 +140,7 @@ def headline(document: Document) -> str:
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} to fit" + (f", {held} held out" if held else "")
-    end = f"{document['status']} in {counted(document['iterations'], 'iteration')}"
+    end = f"{outcome(document['status'], document['iterations'])}"
     return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
 

@@ -20,7 +20,7 @@ LOSSES = (
     ("frames_unknown", "frames of unknown types"),
     ("samples_lost", "samples lost with frames"),
     ("samples_overrun", "samples overrun in the box"),
-    ("blocks_without_ident", "blocks that no ident describes"),
+    ("blocks_without_ident", "blocks of a stream that the box never described"),
     ("converter_faults", "blocks with a converter fault"),
     ("console_runs", "runs of bytes that are not a frame"),
     ("restarts", "restarts of the box"),
@@ -28,7 +28,7 @@ LOSSES = (
 )
 BOX_WORDS = {  # of the box's counters; others are called by their names
     "dropped": "frames dropped by the box",
-    "short_writes": "short writes of the box",
+    "short_writes": "frames that the link accepted only in pieces (nothing lost)",
     "overruns": "overruns by the box's count",
     "bad_frames": "bad frames received by the box",
     "crc_errors": "damaged frames of the box's converter",
@@ -37,7 +37,7 @@ BOX_WORDS = {  # of the box's counters; others are called by their names
 }
 EXTREME_WORDS = {
     "loop_max_us": "longest loop {} µs",
-    "gc_max_us": "longest collection {} µs",
+    "gc_max_us": "longest garbage collection {} µs",
     "heap_free_min": "least free heap {} bytes",
 }
 
@@ -144,17 +144,18 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
     if not reports:
         yield "clock: no exchange was answered; samples cannot be placed in time"
     for report in reports:
+        varies = f" (varies by {report['rate_range_ppm']:.3f} ppm)" if report["windows"] > 1 else ""
         yield (
-            f"clock, segment {report['segment']}: host − device {NS.to_si(report['offset_ns']):.6f} s, rate {report['rate_ppm']:+.3f} ppm "
-            f"(known to {report['rate_range_ppm']:.3f} ppm)"
+            f"clock, segment {report['segment']}: host − box {NS.to_si(report['offset_ns']):.6f} s, the host counts {report['rate_ppm']:+.3f} ppm "
+            f"faster{varies}"
         )
         yield (
-            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs; exchanges cannot determine "
-            f"±{_of_ns(report['half_asymmetry_ns'], '.1f')} µs of it"
+            f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs; of this, {_of_ns(report['half_asymmetry_ns'], '.1f')} µs is half the shortest "
+            "round trip, because the two directions may differ"
         )
         yield (
-            f"  {counted(report['exchanges'], 'exchange')} ({report['rejected']} rejected) in {counted(report['windows'], 'window')}, "
-            f"spread {_of_ns(report['spread_ns'], '.2f')} µs"
+            f"  {counted(report['exchanges'], 'exchange')} ({report['rejected']} rejected) in "
+            f"{counted(report['windows'], 'window')}{_spread(report['spread_ns'], '.2f')}"
         )
         yield f"  round trip {_of_ns(report['rtt_min_ns'], '.1f')} µs (shortest), {_of_ns(report['rtt_median_ns'], '.1f')} µs (median)"
         for change in report["changes"]:
@@ -188,8 +189,8 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     for report in robot["clock"]:
         yield from _edges(report["edges"])
         yield (
-            f"  clock: {report['rate_ppm']:+.3f} ppm, spread {_of_ns(report['spread_ns'], '.1f')} µs, arrivals "
-            f"{_of_ns(report['jitter_ns'], '.0f')} µs above the fastest on average; a constant latency cannot be determined"
+            f"  clock: the host counts {report['rate_ppm']:+.3f} ppm faster{_spread(report['spread_ns'], '.1f')}; readings arrive "
+            f"{_of_ns(report['jitter_ns'], '.0f')} µs later than the fastest one (mean); a constant latency cannot be determined"
         )
 
 
@@ -261,8 +262,8 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
         late_s = max(row["time_sigma_s"] for row in good)
         off_m = max(row["time_sigma_s"] * row["speed_m_s"] for row in good)
         yield (
-            f"  points are windows of {max(row['window_s'] for row in good):.2f} s; their time is known to {US.text(late_s, '.0f')}, "
-            f"{UM.text(off_m, '.0f')} at their speed, except for a constant delay, which identify estimates from lines there and back"
+            f"  each point uses {max(row['window_s'] for row in good):.2f} s of samples; its time is known to {US.text(late_s, '.0f')} "
+            f"({UM.text(off_m, '.0f')} at this speed); a constant delay remains, which identify estimates from lines driven there and back"
         )
     yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
     shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
@@ -314,6 +315,11 @@ def _explained(reason: str, planned: bool) -> str:
 
 def _number(value: float | None, form: str, scale: Scale = ONE) -> str:
     return "-" if value is None else format(scale.of(value), form)
+
+
+def _spread(spread_ns: float | None, form: str) -> str:
+    """Return how far neighbouring windows of a clock fit disagree; empty if there is one window."""
+    return "" if spread_ns is None else f"; neighbouring windows differ by {_of_ns(spread_ns, form)} µs (RMS)"
 
 
 def _of_ns(time_ns: float | None, form: str) -> str:

@@ -29,7 +29,8 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
         )
     if sigma.size < error.size:
         text.append(
-            f"In {counted(error.size - sigma.size, 'cell')} it is unknown: unidentifiable combinations of parameters move the end."
+            f"Error with calibration: unknown in {counted(error.size - sigma.size, 'cell')}, because unidentifiable combinations of "
+            "parameters move the end there."
         )
     if outside := _outside(found):
         text.append(

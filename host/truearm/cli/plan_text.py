@@ -42,7 +42,7 @@ def approach_lines(document: Mapping[str, Any]) -> list[str]:
     """Return what ``plan characterize`` planned."""
     return [
         f"{counted(document['poses'], 'pose')} of bar {document['bar']} from {document['chuck']} to {document['sphere']}, "
-        f"{counted(document['via_points'], 'approach point')}, {document['minutes']:.0f} minutes",
+        f"{counted(document['via_points'], 'approach point')}, {counted(round(document['minutes']), 'minute')}",
         *_written(document),
     ]
 
@@ -56,7 +56,7 @@ def visit_lines(document: Mapping[str, Any]) -> list[str]:
     if "lines" not in document:
         return [
             f"{counted(document['poses'], 'pose')}, {counted(document['via_points'], 'via point')}, {counted(document['mounts'], 'mount')} of the bar: "
-            f"{document['minutes']:.0f} minutes",
+            f"{counted(round(document['minutes']), 'minute')}",
             *_against_drift(document),
             *_pairing_lines(document),
         ]
@@ -67,7 +67,7 @@ def visit_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{place['line']:<8} {ends} mm, rotation_rad = [{turn}]; expected error {place['a_priori_mm']:.1f} mm"
         )
-    return [*lines, f"{counted(len(document['lines']), 'line')}: {document['minutes']:.0f} minutes"]
+    return [*lines, f"{counted(len(document['lines']), 'line')}: {counted(round(document['minutes']), 'minute')}"]
 
 
 def _pairing_lines(document: Mapping[str, Any]) -> list[str]:

@@ -11,7 +11,7 @@ from truearm.cli.options import JsonOption
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
-from truearm.text import counted, page
+from truearm.text import counted, outcome, page
 
 if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState
@@ -52,7 +52,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
         held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
-        yield f"          {os.path.relpath(result.path)}, {result.status}{held}"
+        yield f"          {os.path.relpath(result.path)}, {outcome(result.status)}{held}"
     command, why = _next(state)
     yield f"next      {command} ({why})"
 
@@ -78,7 +78,7 @@ def _next(state: ProjectState) -> tuple[str, str]:
         case Step.INSPECT:
             return (
                 f"truearm inspect {os.path.relpath(state.sessions[-1].path)}",
-                f"the fit ended with: {state.results[-1].status}",
+                "the last fit did not converge",
             )
         case Step.CORRECT:
             result = os.path.relpath(state.results[-1].path)

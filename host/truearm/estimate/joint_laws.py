@@ -58,7 +58,7 @@ LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
 JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
 NULL_ROUNDING = 1e-11  # of the largest eigenvalue of the information on the unknowns
-ERRORS_EXPLAIN = "the systematic errors that were found explain what the geometry leaves better than laws: correct or allow them first"
+ERRORS_EXPLAIN = "systematic errors, named above, explain the remaining residuals better than joint laws do; correct or allow them first"
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
 

@@ -112,7 +112,7 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
         known = [cause for cause in causes if cause.name == effect.what]
         if not known:
             names = ", ".join(cause.name for cause in causes)
-            raise ProblemError(f"{effect.what!r} cannot have an error here; these can: {names}")
+            raise ProblemError(f"no systematic error of {effect.what!r} can be estimated here; name one of {names}")
         # The moment at which a drifting item was correct is unknown, so it also has an offset.
         for part in (effect, Effect(effect.what)) if effect.drifts_with else (effect,):
             out += [Modelled(part, number, profile(part, rows)) for number in known[0].numbers]

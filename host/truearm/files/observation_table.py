@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.errors import TableError
+from truearm.errors import Argument, TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
@@ -197,7 +197,10 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
         for identifier, source in zip(table.column(column), table.source, strict=True):
             if identifier and identifier not in known:
                 has = f"it has {', '.join(sorted(known))}" if known else f"it has no {column}"
-                raise TableError(f"{source} column {column}: {quoted(str(identifier))} is not in the rig ({has})")
+                raise TableError(
+                    f"{source} column {column}: {quoted(str(identifier))} is not in the rig ({has}); give a rig that has it as ",
+                    Argument("rig"),
+                )
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table.column(kind.point) == "")) if len(points) > 1 else np.zeros(0, int)

@@ -105,7 +105,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
     fitted = [name for name in BAR_MOUNTED if cells[name]]
     if move == Move.LINE:
         if pose == 0:
-            raise PlanError(f"{where}: a line starts at the row before it, and there is none")
+            raise PlanError(f"{where}: a line starts at the pose of the row before it; add that row")
         if fitted:
             raise PlanError(f"{where} column {fitted[0]}: no bar is mounted on a line; leave it empty")
         _speed(cells["speed_mm_s"], where)

@@ -75,7 +75,9 @@ def parse_result(text: str, name: str) -> StoredResult:
     if version is None:
         raise InputError(f"{name}: has no format_version, so it is incomplete; identify again")
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= FORMAT_VERSION:
-        raise InputError(f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}")
+        raise InputError(
+            f"{name}: has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}; update truearm"
+        )
     with raising(InputError, name):
         stored = stored_result(document)
         if version >= SINCE_CHECKSUM or CHECKSUM in document:

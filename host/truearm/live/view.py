@@ -218,7 +218,9 @@ class _Watch:
             messages.append("warning: the robot sends more than can be stored; its readings come late")
         if status.counters.robot_unstored_bytes and not self._robot_junk:
             self._robot_junk = True
-            messages.append("warning: the robot sends much that is not a joint reading; no more of it is stored")
+            messages.append(
+                "warning: the robot sends much data other than joint readings; only joint readings are stored from here on"
+            )
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             messages.append(

@@ -211,7 +211,9 @@ class _TransformValue(ReadOnly):
         keys = (Key("motion", MOTION), Key("name", NAME, optional=True), _amount("amount", _unit(kind)))
         transform = Table(keys, _Transform).parse(table)
         if (transform.amount.constant is None) != bool(transform.name):
-            raise SchemaError("a parameter needs a name and a table of values, a constant neither")
+            raise SchemaError(
+                "a constant has an amount and no name; a parameter needs both a name and an amount that is a table of values"
+            )
         return transform
 
 

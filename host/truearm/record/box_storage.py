@@ -236,7 +236,7 @@ def _check_same(before: Ident, now: Ident) -> None:
     if uids[0] != uids[1]:
         raise ProtocolError(
             f"another box answers ({uids[1] or 'without a uid'}; the recording began with {uids[0] or 'one without'}); "
-            "plug that box in again and resume the session"
+            "plug in the box of the recording and resume the session"
         )
 
 

@@ -72,12 +72,14 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
     """Return the fitted rows that disagree with all others, the farthest first."""
     rows = np.flatnonzero(e.suspect)
     if not rows.size:
-        return "<p>No fitted row is an outlier (a clean row is one with a probability of one in a million).</p>"
+        return (
+            "<p>No fitted row is an outlier. By chance, one in a million rows without a fault would count as one.</p>"
+        )
     rows = rows[np.argsort(-e.distance[rows], kind="stable")]
     left_out = int(np.sum(e.weight[rows] == 0.0))
     units = Figures.by_unit(e.residual, rows)
-    verb = "disagrees" if rows.size == 1 else "disagree"
-    words = f"{counted(rows.size, 'row')} {verb} with all others more than one clean row in a million does"
+    verb = "is an outlier" if rows.size == 1 else "are outliers"
+    words = f"{counted(rows.size, 'fitted row')} {verb} (by chance, one in a million rows without a fault would count as one)"
     words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
     cells = [
         [
@@ -104,7 +106,7 @@ def observability_table(e: Estimate) -> str:
     rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
     length, angle, gain = tolerances("weak")
     text = (
-        f"How well the observations alone determine {counted(len(names), 'parameter')} that they distinguish. A step is {length}, "
+        f"How well the observations alone determine the largest set of parameters that they can distinguish ({len(names)}). A step is {length}, "
         f"{angle} or {gain}. Larger is better. Compare sets of poses of the same robot only."
     )
     table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")

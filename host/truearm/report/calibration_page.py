@@ -169,7 +169,7 @@ def caveats(page: CalibrationPage) -> list[str]:
     e, judged = page.estimate, page.judged
     found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]
     if e.status != "converged" and not e.unusable:
-        found.append(f"The solver stopped early ({e.status}): {e.message}.")
+        found.append(f"The fit did not converge: {e.message}.")
     if judged is None:
         found.append("Nothing was held out: the error after is not an independent judgement.")
     elif (worst := _held_out_ratio(e, judged)) > HELD_OUT_DOUBTFUL:

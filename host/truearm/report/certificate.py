@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import size
-from truearm.text import counted
+from truearm.text import counted, outcome
 from truearm.types import Estimate, HeldOut, PredictedError
 from truearm.units import DEGC, US
 
@@ -152,10 +152,10 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
     pairs = []
     for si, after in e.rms_after.items():
         parts = e.parts.get(si)
-        pairs.append(("RMS before, with base and tool placed", size(e.rms_before[si], si)))
+        pairs.append(("RMS before, with base and tool fitted", size(e.rms_before[si], si)))
         pairs.append(("RMS after", size(after, si)))
         if parts is not None:
-            pairs.append(("of it unexplained by the declared noise", size(parts.unexplained, si)))
+            pairs.append(("part of it that the declared noise does not explain", size(parts.unexplained, si)))
         if judged and si in judged.figures:
             error = judged.figures[si]
             pairs.append(
@@ -163,16 +163,19 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
             )
     if predicted and not e.unexplained:
         pairs.append(
-            (f"error of the tool by the parameters, k = {K:g}", f"{size(K * predicted.rms, 'm')} where measured")
+            (
+                f"expanded uncertainty of the tool, from the parameters (k = {K:g})",
+                f"{size(K * predicted.rms, 'm')} where measured",
+            )
         )
     else:
         pairs.append(
             (
-                f"error of the tool, k = {K:g}",
+                f"expanded uncertainty of the tool (k = {K:g})",
                 "does not follow from the parameters: see the error on rows that were not fitted",
             )
         )
-    pairs.append(("fit", e.status if e.status == "converged" else f"NOT USABLE: {e.status}"))
+    pairs.append(("fit", "converged" if e.status == "converged" else f"NOT USABLE: {outcome(e.status)}"))
     return pairs
 
 

@@ -105,7 +105,7 @@ def _targets(page: CorrectionPage) -> str:
 
 _TARGETS = (
     "Positions are those of the file. Shift: how far the command moved. Expected: the expanded uncertainty (k = 2, about 95 %) of the tool after the correction. "
-    "Singular value: the smallest of the Jacobian, metres in units of 0.5 m."
+    "Singular value: the smallest one of the Jacobian (lengths in units of 0.5 m); near 0 the robot is near a singularity."
 )
 
 

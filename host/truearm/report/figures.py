@@ -16,7 +16,7 @@ from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import Rows, law_of
-from truearm.text import counted
+from truearm.text import counted, outcome
 from truearm.types import Estimate, Floats, rms
 from truearm.units import shown, symbol, title
 
@@ -317,7 +317,7 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
         svg.line(plot, steps, history, "fit line"),
         svg.scatter(plot, steps, history, "fit", tips, 4),
     ]
-    caption = f"RMS of the fitting rows; {estimate.status} after {counted(estimate.iterations, 'iteration')}."
+    caption = f"RMS of the fitting rows; {outcome(estimate.status, estimate.iterations)}."
     return drawn(plot, "Convergence", caption, parts)
 
 

@@ -22,7 +22,7 @@ from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.report.parameter_cells import parameter_cells
-from truearm.text import counted
+from truearm.text import counted, outcome
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
@@ -89,9 +89,7 @@ class Calibration:
             " ".join([row[0].ljust(wide[0]), *(cell.rjust(w) for cell, w in zip(row[1:5], wide[1:5])), row[5]])
             for row in rows
         ]
-        head = (
-            f"{self.chain.name}: {self.stored.status}, rank {self.document['rank']} of {self.document['n_free']} free"
-        )
+        head = f"{self.chain.name}: {outcome(self.stored.status)}, rank {self.document['rank']} of {self.document['n_free']} free"
         return "\n".join([head, *(line.rstrip() for line in table)])
 
     @property
@@ -271,8 +269,8 @@ def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:
 def six_text(pose: Floats) -> str:
     """Format a pose in mm and deg."""
     x, y, z, alpha, beta, gamma = six_of(pose)
-    place = ", ".join(f"{MM.of(v):.3f}" for v in (x, y, z))
-    turns = ", ".join(f"{DEG.of(v):.4f}" for v in (alpha, beta, gamma))
+    place = ", ".join(f"{round(MM.of(v), 3) + 0.0:.3f}" for v in (x, y, z))
+    turns = ", ".join(f"{round(DEG.of(v), 4) + 0.0:.4f}" for v in (alpha, beta, gamma))
     return f"x, y, z {place} mm; Rz, Ry, Rx {turns} deg"
 
 
@@ -280,8 +278,8 @@ def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[st
     """Format the mountings with the names of the frames between which they lie."""
     found = mountings(chain, nominal, identified)
     return [
-        f"robot's base in {chain.base_frame}: {six_text(found.base)}",
-        f"{chain.end_frame} beyond the nominal one, in its axes: {six_text(found.tool)}",
+        f"robot's base in frame {chain.base_frame}: {six_text(found.base)}",
+        f"frame {chain.end_frame} relative to the nominal one: {six_text(found.tool)}",
     ]
 
 

@@ -23,7 +23,6 @@ from truearm.model.poses import inverted, pose_of
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
-from truearm.text import one_line
 from truearm.types import Floats
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import (
@@ -255,7 +254,9 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
     """Return caveats about the calibration for readers of the errors."""
     caveats = []
     if calibration.stored.status != "converged":
-        caveats.append(f"The fit of this result stopped early ({one_line(calibration.stored.status)[:40]}).")
+        caveats.append(
+            "The fit of this result did not converge: check the result with truearm report before you use the corrected targets."
+        )
     if calibration.doubt_of_payload:
         caveats.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))

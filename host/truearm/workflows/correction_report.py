@@ -28,7 +28,7 @@ def page_of(
     of, units = found.targets, calibration.joint_units
     given, written, result = map(one_line, names)
     of_position, of_rotation = MM.text(found.unexplained[0], ".3f"), MRAD.text(found.unexplained[1], ".3f")
-    relative = " Without a motion of all targets as one body: the calibration does not determine the pose of the base."
+    relative = " A common shift and rotation of all targets is not included, because the calibration does not determine the pose of the base."
     facts = (
         ("targets", counted(len(of.places), "target")),
         ("robot", f"{calibration.chain.name}, {calibration.chain.end_frame} in {calibration.chain.base_frame}"),

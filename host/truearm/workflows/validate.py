@@ -373,10 +373,10 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
     p = forward(calibration.chain, calibration.identified, table.q)[:, :3, 3]
     reach = np.hypot(p[:, 0], p[:, 1])
     far, high = reach > np.median(reach), p[:, 2] > np.median(p[:, 2])
-    split = f"{MM.text(np.median(reach), '.0f')} out", f"{MM.text(np.median(p[:, 2]), '.0f')} up"
+    split = MM.text(np.median(reach), ".0f"), MM.text(np.median(p[:, 2]), ".0f")
     return [
         (
-            f"{'beyond' if is_far else 'within'} {split[0]}, {'above' if is_high else 'below'} {split[1]}",
+            f"radius {'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}",
             (far == is_far) & (high == is_high),
         )
         for is_far in (False, True)

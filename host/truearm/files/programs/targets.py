@@ -208,7 +208,7 @@ def _assigned(
                 if taken is not None:
                     line = program.source.line
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
-                    why = f"it needs other numbers in the target of line {shared} than line {other} does"
+                    why = f"it shares the target of line {shared} with the move of line {other}, but needs different numbers there"
                     if motions[taken] is motion:
                         why = f"its tool, frame or offset differs between its calls, which need different numbers in the target of line {shared}"
                 refuse(motion, why, "" if own is None else "split")
