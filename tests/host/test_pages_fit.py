@@ -89,7 +89,7 @@ def map_():
     u, v = np.arange(0.0, 900.0, 25.0), np.arange(0.0, 300.0, 25.0)
     error = np.hypot(*np.meshgrid(u, v)) / 1e3
     cells = Cells(u, v, error, np.full_like(error, 0.1), error > 0.8)
-    return map_picture(cells, "Error of ur5e as described", (100.0, 400.0, 50.0, 250.0))
+    return map_picture(cells, "Error of ur5e without calibration", (100.0, 400.0, 50.0, 250.0))
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
         "<b>A.</b>",
         digest,
         "map, linear loss",
-        "held out: 0.2",
+        f"{document['held_out']['n']} held out (0.2)",
         "k = 2",
         "converged",
     ):

@@ -227,15 +227,15 @@ def _certificate(
     before, low, high = _before(places, channel), _references(places).min(), _references(places).max()
     what = (
         ("sensor", f"{of.channel}, serial {of.serial}" if of.serial else of.channel),
-        ("operator", of.operator or "not said"),
+        ("operator", of.operator or "not given"),
         ("date", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"),
         ("box", f"{of.uid or 'without a uid'}, firmware {of.firmware or 'not known'}"),
         ("software", f"truearm {__version__}"),
         ("temperature of the box", "unknown" if degc is None else f"{degc / 1000:.1f} °C"),
     )
     reference = (
-        ("reference instrument", of.instrument or "not said"),
-        ("its uncertainty (k = 2)", "not said" if of.uncertainty is None else UM.text(of.uncertainty, ".2f")),
+        ("reference instrument", of.instrument or "not given"),
+        ("its uncertainty (k = 2)", "not given" if of.uncertainty is None else UM.text(of.uncertainty, ".2f")),
         ("places", f"{len(places)}, from {MM.text(low, '.4f')} to {MM.text(high, '.4f')}"),
     )
     spread = UM.text(2.0 * result.sigma, ".2f")
@@ -243,8 +243,8 @@ def _certificate(
     if of.uncertainty is not None:
         whole = UM.text(math.hypot(2.0 * result.sigma, of.uncertainty), ".2f")
     outcome = (
-        ("of a place about the calibration (k = 2)", spread),
-        ("of a calibrated length, with the reference (k = 2)", whole),
+        ("of one place, from the scatter about the calibration (k = 2)", spread),
+        ("of a calibrated length, including the reference (k = 2)", whole),
         ("largest residual", UM.text(_largest(result), ".2f")),
         (
             "the previous calibration",
@@ -254,9 +254,9 @@ def _certificate(
     curve = [
         ("order", str(result.order)),
         ("coefficients", ", ".join(f"{c:.6g}" for c in result.poly)),
-        ("standard deviations of these", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
+        ("standard deviations of the coefficients", ", ".join(f"{s:.2g}" for s in np.sqrt(np.diag(result.covariance)))),
     ]
     if of.channel == HEAD:
         pair = new[HEAD]["us_per_inch"]
-        curve.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs an inch, delay {new[HEAD]['delay_ns']} ns"))
+        curve.append(("velocity", f"{pair[0] * 10.0 ** pair[1]:.6f} µs per inch, delay {new[HEAD]['delay_ns']} ns"))
     return ("What", what), ("Reference", reference), ("Uncertainty", outcome), ("The curve", tuple(curve))

@@ -93,7 +93,7 @@ def certificate_section(
     what = [
         ("calibrated", certificate.name or robot),
         *([("robot", robot)] if certificate.name else []),
-        ("operator", certificate.operator or "not said"),
+        ("operator", certificate.operator or "not given"),
         ("recorded", _recorded(certificate.recordings)),
         ("software", certificate.software),
     ]

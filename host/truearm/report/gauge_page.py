@@ -56,7 +56,7 @@ def render(page: GaugePage) -> str:
 
 
 _RESIDUAL_CAPTION = (
-    "Reference less calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
+    "Reference minus calibrated reading. Points scatter about zero without a pattern if the order is right; the dashed lines "
     "are two standard deviations. A difference between there and back indicates play or friction in the stage."
 )
 _ORDER_CAPTION = (
@@ -97,7 +97,7 @@ def _orders(page: GaugePage) -> Figure:
         svg.scatter(plot, page.orders, error, "fit", tips),
     ]
     parts.append(svg.scatter(plot, [page.order], [error[taken]], "val", [tips[taken]], 4.5))
-    parts.append(svg.legend(plot, [("fit line", "left-out RMS"), ("val", "taken")]))
+    parts.append(svg.legend(plot, [("fit line", "cross-validation RMS"), ("val", "chosen")]))
     return drawn(plot, "Cross-validation error", _ORDER_CAPTION, parts)
 
 

@@ -65,7 +65,7 @@ def map_picture(
             )
         )
     if (outside & ~np.isnan(error_mm)).any():
-        parts.append(label(plot.width - 128.0, 18, "pale: not covered"))
+        parts.append(label(plot.width - 128.0, 18, "pale: not calibrated"))
     if task_mm is not None:
         (x0, x1), (y1, y0) = plot.px(task_mm[:2]), plot.py(task_mm[2:])
         parts.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best region for the task"))

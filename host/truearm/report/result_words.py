@@ -69,9 +69,9 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
     )
     if not parts:
         return ""
-    chance = "no more than chance" if loss == Loss.LINEAR else f"in rows that the {loss} loss weights down, or chance"
-    rest = f"the other {left} is {chance}" if by_chance else f"{left} is unexplained"
-    return f"Declared noise explains {declared} of the RMS after; {rest}."
+    chance = "within chance" if loss == Loss.LINEAR else f"chance, or in rows that the {loss} loss weights down"
+    rest = chance if by_chance else "unexplained"
+    return f"Of the RMS after, declared noise explains {declared}, and {left} is {rest} (squares add up)."
 
 
 def pose_error_words(error: PoseError) -> str:

@@ -82,11 +82,12 @@ def report_files(files: ReportFiles) -> Identification:
 
 def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:
     e = found.estimate
-    held_out = ", ".join(found.document.get("held_out_by", ())) or "nothing"
+    by, n = found.document.get("held_out_by", ()), sum(kind["held_out"] for kind in found.document["observations"])
+    held_out = f"{n} held out ({', '.join(by)})" if by else "none held out"
     return (
         ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
         ("parameters", f"{found.document['n_free']} of the robot identified, rank {e.rank}"),
-        ("observations", f"{e.n_observations} fitted; held out: {held_out}"),
+        ("observations", f"{e.n_observations} fitted, {held_out}"),
     )
 
 
