@@ -64,6 +64,7 @@ def test_goswami_numbers(made):
     numbers, _ = made["goswami"]
     ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters identifiable with")]
     assert ranks == [30, 32, 33, 32, 34, 35, 33, 35, 36]
+    assert named(numbers, "the same without encoder factors")["ours"] == 4 * 6 + 6
     assert named(numbers, "subsets whose rank")["ours"] == 511
     assert named(numbers, "sets of six pairings")["ours"] == 78
     assert [named(numbers, s)["ours"] for s in ("fewest pairings", "three chucks and one sphere")] == [3, 30]
@@ -88,7 +89,7 @@ def test_renders_numbers(made):
     unseen = [
         c["ours"]
         for c in claims(numbers)
-        if c["what"].startswith(("parameters that lines cannot", "of these", "left when"))
+        if c["what"].startswith(("parameters that lines cannot", "unidentifiable after"))
     ]
     assert unseen == [4, 0, 7, 3]
     assert named(numbers, "batch (12)")["ours"] < 1e-7

@@ -84,18 +84,24 @@ def _points(points: Mapping[str, Point], names: NDArray[np.str_]) -> Floats:
 
 
 class Ranks:
-    """The ranks of subsets of the pairings, from one triangle per pairing, all parameters free, at ``params`` (p,)."""
+    """The ranks of subsets of the pairings, from one triangle per pairing, at ``params`` (p,).
 
-    def __init__(self, made: Bench, params: Floats, rig: Rig | None = None) -> None:
+    ``free`` (p,): the free parameters; None: all.
+    """
+
+    def __init__(
+        self, made: Bench, params: Floats, rig: Rig | None = None, free: NDArray[np.bool_] | None = None
+    ) -> None:
         self.rig = rig or made.rig
         chain = made.chain
         self.pairs = tuple(itertools.product(self.rig.chucks, self.rig.spheres))
         start = np.asarray(params)
+        every = np.ones(start.size, dtype=bool)
         self.triangles = {}
         for chuck, sphere in self.pairs:
             rows = made.table.select((made.table.chuck == chuck) & (made.table.sphere == sphere))
             problem = build_problem(chain, self.rig, rows)
-            self.triangles[chuck, sphere] = observe(problem, start, np.ones(start.size, dtype=bool)).root
+            self.triangles[chuck, sphere] = observe(problem, start, every if free is None else free).root
 
     def rank(self, pairs: Iterable[tuple[str, str]]) -> tuple[int, float]:
         """Return the rank, and the ratio of the smallest kept to the largest dropped singular value."""

@@ -70,6 +70,15 @@ def _left_out() -> Chapter:
             "II-C: 1000 mm and 0.1 mm, 15 mm and 0.6 µm, 0.1 mm in each direction",
             "specifications of the device; the simulated noise has the covariance S_x of III-C",
         ),
+        (
+            "III-E: 12 points on each of 5 lines, 4 of them fitted; III-G: 10 points per line, 8 of them used; II-C: six unknowns per "
+            "line",
+            "settings of the experiments, not results; the simulated lines have them",
+        ),
+        (
+            "II-C: a few seconds to measure a line",
+            "depends on the device; the simulated robot drives at a speed of its own",
+        ),
         ("II-C: 1/4000 of full scale, 0.1 mm, 50 Hz", "specifications of devices that the paper does not use"),
         ("III-E: 90 % of the error comes from joint offsets", "quoted from other papers; no data"),
         (
@@ -106,7 +115,7 @@ def _frozen(chain: Chain, seed: int) -> Chapter:
             4,
             why="The paper freezes θ1, d1, α6 and d2; the rank confirms this.",
         ),
-        Claim("of these, left when θ1, d1, α6, d2 are frozen", "", 0, counted[0.05][1], 0),
+        Claim("unidentifiable after θ1, d1, α6 and d2 are frozen, a6 ≠ 0", "", 0, counted[0.05][1], 0),
         Claim(
             "parameters that lines cannot determine, a6 = 0 as in Table I",
             "",
@@ -116,7 +125,7 @@ def _frozen(chain: Chain, seed: int) -> Chapter:
             why="The flange's centre is on the axis of joint 6: θ6 has no effect, θ5 cannot be distinguished from a5, and α5 not from "
             "d5. The paper gives a σ of θ6 below its prior, so it may have measured a point off that axis; it does not say.",
         ),
-        Claim("left when θ1, d1, α6, d2 are frozen, a6 = 0", "", None, counted[0.0][1], 3),
+        Claim("unidentifiable after θ1, d1, α6 and d2 are frozen, a6 = 0", "", None, counted[0.0][1], 3),
         Claim(
             "batch (12) against recursive (18), (20): estimate",
             "1",
@@ -218,7 +227,7 @@ def _case_claims(
                 float(histories[key][-1]),
                 None,
                 None,
-                f"One fixed prior; {runs_needed:.0f} runs, {figures(float(histories[key][3]))} mm after the third."
+                f"map is truearm's solver: maximum a posteriori with one fixed prior. {runs_needed:.0f} runs, {figures(float(histories[key][3]))} mm after the third."
                 if key == "map"
                 else "Gear errors represent what the paper calls nongeometrical errors; their amplitude is an assumption.",
             )
