@@ -79,7 +79,7 @@ class FrameOrder:
     @property
     def undecided(self) -> bool:
         """Return whether frames are held that cannot be classified yet."""
-        return bool(self._suspects)
+        return bool(self._suspects) or self._restarting
 
     def follows(self, seq: int, stamp: tuple[int, int], t_host_ns: int, payload: bytes) -> bool:
         """Take a frame that is simply the next one, like almost all, and is due at once; return False for any other."""

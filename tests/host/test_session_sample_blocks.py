@@ -266,6 +266,27 @@ def test_frames_lost_at_the_beginning_of_a_boot_are_known():
     assert account(box.messages) == {"restarts": 1, "frames_lost": pages + 1, "loss_events": 1, "samples_lost": 13}
 
 
+@pytest.mark.parametrize("messages_a_batch", [10_000, 25])
+def test_exchanges_after_a_boot_whose_first_frames_are_lost_are_of_the_new_boot(messages_a_batch):
+    """The frames wait for the missing ones; the exchanges meanwhile must not enter the old clock's fit."""
+    box = box_with()
+    box.reboot(2 * 10**9)
+    box.ident(2 * 10**9)
+    boot = [m for m in box.messages if m.t_host_ns >= 2 * 10**9]
+    for k in range(600):  # more than frames that wait
+        box.data(2 * 10**9 + (k + 1) * BLOCK_NS, COUNTS)
+        if k % 50 == 0:
+            box.heartbeat(2 * 10**9 + (k + 1) * BLOCK_NS)
+            box.sync(2 * 10**9 + (k + 1) * BLOCK_NS, 1e5, 1e5)
+    box.messages.remove(boot[0])
+    reader = BoxReader()
+    for begin in range(0, len(box.messages), messages_a_batch):
+        reader.feed(columns_of(box.messages[begin : begin + messages_a_batch]))
+    reader.finish()
+    assert [segment.boot_id for segment in reader.segments] == [7, 8]
+    assert [len(segment.exchanges) for segment in reader.segments] == [1, 12]
+
+
 def test_frames_of_an_earlier_boot_are_no_doubles_of_this_ones():
     """A reply has no time in it: the same bytes at the same seq in both boots."""
     box = Box()

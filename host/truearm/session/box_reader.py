@@ -226,7 +226,7 @@ class BoxReader:
         """Account for frames in their order: usual frames together later, others now."""
         if placed.restarts:
             self._account()
-            self._restart(placed.at, arriving)
+            self._restart(placed.at, None if placed.waited else arriving)
         self._count["frames"] += len(placed.run)
         self._count["frames_lost"] += placed.lost
         self._count["loss_events"] += placed.lost > 0

@@ -101,13 +101,15 @@ _HALF = CIRCLE // 2
 class Placed(NamedTuple):
     """Frames in order. ``lost``: frames missing before the first; ``restarts``: the first frame begins a new count.
 
-    ``at``: row of the newest batch that released the frames, unless the frames themselves arrived later.
+    ``at``: row of the newest batch that released the frames, unless the frames themselves arrived later. ``waited``: the
+    first frames of the new count were missing, so the restart was certain before these frames were released.
     """
 
     run: Run
     lost: int
     restarts: bool
     at: int
+    waited: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,13 +152,14 @@ class FrameOrder:
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames already returned
     _boot_id: int | None = None
     _restarting: bool = False  # the next frame returned is the first of a count
+    _waiting_restart: bool = False  # and it is held, because frames before it are missing
     _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
 
     @property
     def undecided(self) -> bool:
-        """Whether frames are held that are not classified yet."""
-        return bool(self._suspects)
+        """Whether frames are held that are not classified yet, or that begin a new count."""
+        return bool(self._suspects) or self._waiting_restart
 
     def parts(self, run: Run) -> Iterator[Run]:
         """Yield a run in parts that can each be taken at once. Take each part before requesting the next."""
@@ -266,10 +269,11 @@ class FrameOrder:
         count, run = held.count, held.run
         lost = max(0, count - max(self._next, self._uncounted)) if count > self._next else 0
         restarts, self._restarting = self._restarting, False
+        waited, self._waiting_restart = self._waiting_restart, False
         self._next = count + len(run)
         for kind, _, _, t_us in run.times():
             self._placed_times[kind] = t_us
-        return Placed(run, lost, restarts, at)
+        return Placed(run, lost, restarts, at, waited)
 
     def _remember(self, run: Run) -> None:
         self._remembered.append((run.seq, len(run), run))
@@ -324,6 +328,7 @@ class FrameOrder:
         # A box counts from 0. A count that lies too far ahead gives no information about losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_, at)
+        self._waiting_restart = self._restarting
         for run in runs[1:]:
             yield from self._take(run, at)
 
