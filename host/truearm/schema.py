@@ -38,6 +38,7 @@ from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 if TYPE_CHECKING:
     from truearm.types import Matrix  # which needs numpy
 
+MOST_LISTED = 150  # characters of a list of names in a message
 MAX_SHOWN = 40  # characters of an external text in a message
 MAX_SIZE = 64  # of a list or a matrix, by the number of joints
 MAX_ENTRIES = 10_000
@@ -503,7 +504,10 @@ def check_known(table: Mapping[str, Any], known: Sequence[str]) -> None:
 def hint(name: str, known: Sequence[str]) -> str:
     """Return which of the known names was probably meant, otherwise a list of them."""
     close = difflib.get_close_matches(name[:MAX_SHOWN], known, n=1)
-    return (f"did you mean {close[0]}?" if close else f"known are {', '.join(known)}")[:150]
+    if close:
+        return f"did you mean {close[0]}?"
+    listed = ", ".join(known)
+    return f"known are {listed if len(listed) <= MOST_LISTED else listed[:MOST_LISTED].rpartition(',')[0] + ', …'}"
 
 
 @contextmanager

@@ -14,19 +14,20 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """The lines to print; every figure with its interval of 95 %."""
     of, settling, noise = document["repeatability"], document["settling"], document["noise"]
     yield (
-        f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses from {document['sides']} different sides, "
+        f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses from {document['sides']} approach directions, "
         f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""
     yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
-    yield f"  without joint scatter    {_range(of['unexplained_m'], MM)}"
+    yield f"  without scatter of joints {_range(of['unexplained_m'], MM)}"
     yield ""
-    yield f"{'joint':16} {'backlash/mrad':>24} {'difference/mrad':>24} {'scatter/mrad':>22} {'noise S_q/mrad':>20}"
+    yield f"{'joint':16} {'backlash/mrad':>24} {'difference/mrad':>24} {'scatter/mrad':>22} {'sigma to use/mrad':>20}"
     columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
     for j, joint in enumerate(document["joints"]):
         cells = [_range(of[column][j], MRAD, False) for column in columns]
         cells.append(_range(noise["joint_sigma_si"][j], MRAD, False))
         yield f"{joint:16} {cells[0]:>24} {cells[1]:>24} {cells[2]:>22} {cells[3]:>20}"
+    yield "difference: mean reading when the joint comes from below minus from above; scatter: sigma of the readings from one side"
     if not of["backlash_explains"]:
         yield (
             f"one backlash per joint does not explain the differences between sides (probability {of['misfit_probability']:.1e}): it "
@@ -44,7 +45,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
-    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f}; noise S_q as above"
+    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f} mm; of the joints the last column above"
 
 
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:
@@ -60,8 +61,9 @@ def _noise(document: Mapping[str, Any]) -> Iterator[str]:
     sensor, readings = document["sensor"], document["readings"]
     worst = max(readings, key=lambda one: one["reading_si"]["value"])
     yield (
-        f"joint readings: noise {_range(worst['reading_si'], MRAD)}, step {MRAD.text(worst['step_si'], '.3g')} at the noisiest joint; "
-        f"of a dwell's mean {_range(worst['mean_si'], MRAD)} and {MRAD.text(worst['rounding_si'], '.2g')} by the step"
+        f"joint readings: noise {_range(worst['reading_si'], MRAD)}, resolution {MRAD.text(worst['step_si'], '.3g')} at the noisiest joint; "
+        f"sigma of a dwell's mean {_range(worst['mean_si'], MRAD)} from the noise, {round(MRAD.of(worst['rounding_si']), 6):.2g} mrad from "
+        "the resolution"
     )
     yield (
         f"sensor: a sample {_range(sensor['sample_m'], UM)} every {MS.text(sensor['period_s'], '.3g')}, independent after "

@@ -41,6 +41,7 @@ from truearm.cli.truth_options import (
     WornOption,
     truth_of,
 )
+from truearm.text import counted
 
 MARK = ".truearm-demo"  # marks a folder that the demo created and may overwrite
 RATE_HZ = 500.0  # the robot stands still in a dwell; 1000 Hz takes ten seconds longer and gives the same
@@ -160,7 +161,7 @@ def demo(
     plan = world.controller.plan
     box = SimulatedBox(world, interpreter, seed=seed)
     try:
-        name = f"record {visits_in_words(plan)}, {world.duration / 60:.0f} minutes of robot time"
+        name = f"record {visits_in_words(plan)}, {counted(round(world.duration / 60), 'minute')} of robot time"
         with steps.step(name):
             record_virtually(out, plan, world, box, osr, seed)
         with steps.step("sync: clocks, dwells, observations"):

@@ -63,7 +63,7 @@ def line_lines(found: LineCalibration) -> list[str]:
     estimate, other, table = found.estimate, found.other, found.table
     text = [
         f"robot's delay   {delay_words(estimate)}",
-        f"parameters      {int(estimate.free.sum())} free with the rig's, rank {estimate.rank}, {outcome(estimate.status)}",
+        f"parameters      {int(estimate.free.sum())} free (rig included), rank {estimate.rank}, {outcome(estimate.status)}",
     ]
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))

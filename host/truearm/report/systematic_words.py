@@ -40,7 +40,9 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
 def _sentence(entry: Mapping[str, Any]) -> str:
     first, last = entry["rows"]
     places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
-    rows = f"rows {_about(first, entry['first_within'])} to {_about(last, entry['last_within'])} ({places})"
+    rows = (
+        f"rows {_about(first, entry['first_within'])} to {_about(last, entry['last_within'])} (in the files: {places})"
+    )
     freedom = counted(entry["freedom"], "degree of freedom", "degrees of freedom")
     gain = f"χ² falls by {entry['chi2_drop']:.4g} with {freedom}"
     match ErrorForm(entry["form"]):

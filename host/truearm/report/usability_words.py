@@ -37,7 +37,7 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
     for i, one in enumerate(explanations):
         lead = "This explains the observations" if i == 0 else "This explains them too"
         text = one_line(one["text"])
-        fits = f"RMS {_sizes(one, 'rms')} in a quick fit, {_sizes(one, 'rms_given')} as given"
+        fits = f"in a quick fit: RMS {_sizes(one, 'rms')} with this change, {_sizes(one, 'rms_given')} as given"
         apply = "".join(
             f"; {argument(name)} {value} (rows numbered from 1 over all inputs)"
             for name, value in (one["apply"] or {}).items()

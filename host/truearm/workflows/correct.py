@@ -136,7 +136,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
-    check_writable(files.out, files.force, inputs=read, ours=None if program else looks_like_targets)
+    check_writable(files.out, program or files.force, inputs=read, ours=None if program else looks_like_targets)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; give a new name, a corrected program never replaces a file")
     request = _request(calibration, options)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from truearm.errors import LinkError
 from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
+from truearm.text import counted
 from truearm.units import NS, US
 from truearm.workflows.session_observations import Say
 from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simulated_robot, with_repeatability
@@ -132,7 +133,7 @@ def record_virtually(
     lab = Lab(world, box, seed, STEP_NS if step_ns is None else step_ns)
     writer = SessionWriter(out / "session.mcap", lab.clock, overwrite=True)
     # An exception in the middle of a grant would leave the box's process waiting for its counterpart.
-    name = f"recording {world.duration / 60:.0f} minutes in virtual time"
+    name = f"recording {counted(round(world.duration / 60), 'minute')} in virtual time"
     with asked_to_stop() as interrupted, step(name) as advance:
         summary = record(
             lab.box_link,
@@ -179,7 +180,10 @@ def clock_truth(result: SyncResult, box: SimulatedBox) -> ClockTruth:
 def visits_in_words(plan: Plan) -> str:
     """Describe the number of dwells and drives in a plan."""
     dwells, drives = int(plan.dwells.sum()), int(plan.lines.sum())
-    return " and ".join([f"{dwells} dwells"] * (dwells > 0) + [f"{drives} drives along lines"] * (drives > 0))
+    return " and ".join(
+        [counted(dwells, "dwell")] * (dwells > 0)
+        + [counted(drives, "drive along a line", "drives along lines")] * (drives > 0)
+    )
 
 
 def recording_facts(result: SyncResult, truth: ClockTruth) -> tuple[tuple[str, str], ...]:

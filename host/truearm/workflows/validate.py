@@ -464,7 +464,7 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append('"Without" is the nominal robot, with base and tool as described.')
     if document["chi2_reduced"] is not None:
         lines.append(
-            f"χ² per degree of freedom {document['chi2_reduced']:.3g}; consistent up to {document['chi2_limit']:.3g} (99 %)."
+            f"χ² per degree of freedom {document['chi2_reduced']:.3g}; declared noise alone leaves it below {document['chi2_limit']:.3g} (99 %)."
         )
     lines += systematic_sentences(document)
     if document["settled"]:
