@@ -88,7 +88,7 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     [
         (["config", "set", "osr=2047"], 2, "osr: must be one of"),
         (["config", "set", "gone.toml"], 2, "gone.toml: no such file"),
-        (["config", "set", "osr"], 2, "osr: no such file"),
+        (["config", "set", "osr"], 2, "'osr' is neither KEY=VALUE, such as osr=2048, nor a file"),
         (["gauge", "nothing"], 2, "no channel 'nothing'; it has lvdt"),
         (["gauge", "magnetostrictive"], 2, "its stream is off"),
         (["gauge", "lvdt", "--unit", "parsec"], 2, "--unit 'parsec' is not one of mm, um, in"),

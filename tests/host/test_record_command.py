@@ -76,7 +76,7 @@ def test_a_recording_ended_by_the_robot(tmp_path, capsys):
         assert main(["record", "--box", device, "--address", serve_robot(0.5), "--out", out]) == 0
     lines = list(open_session(out).messages({"/robot/joints"}))
     assert [json.loads(m.data)["seq"] for m in lines] == list(range(len(lines)))
-    assert f"{len(lines)} robot lines; ended: robot closed" in capsys.readouterr().out
+    assert f"{len(lines)} robot messages; ended: robot closed" in capsys.readouterr().out
 
 
 def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):

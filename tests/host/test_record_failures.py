@@ -237,7 +237,7 @@ class TestTheRobotIsNone:
         with box_on_a_socket() as (_, device), server(robot) as address:
             arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 0
-        assert "50 robot lines, 50 malformed" in capsys.readouterr().out
+        assert "50 robot messages, 50 malformed" in capsys.readouterr().out
         assert main(["inspect", str(out), "--json"]) == 0
         robot_said = json.loads(capsys.readouterr().out)["robot"]
         assert (robot_said["readings"], robot_said["malformed"], robot_said["joints"]) == (50, 50, 6)

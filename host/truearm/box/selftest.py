@@ -52,7 +52,7 @@ _ITEMS = {
         (0x2400, 0x24FF), shown_as="#x",
     ),
     "excitation": _Item(
-        "current of the LVDT's primary",
+        "current of the LVDT's primary, as a voltage",
         f"check the LVDT's plug, primary and supply ({_HARDWARE}); "
         "without an LVDT, remove the key 'over' (the channel to divide by) from all channels of the configuration",
         (60_000, 1_100_000), "mV", 1000, ".1f",

@@ -96,6 +96,8 @@ def _read(changes: list[str]) -> list[tuple[str, str | None]]:
     found: list[tuple[str, str | None]] = []
     for change in changes:
         is_value = "=" in change and not Path(change).is_file()
+        if "=" not in change and not change.endswith(".toml") and not Path(change).exists():
+            raise ConfigError(f"{change[:60]!r} is neither KEY=VALUE, such as osr=2048, nor a file")
         found.append((change, None if is_value else read_text(Path(change), MAX_BYTES, ConfigError)))
     return found
 

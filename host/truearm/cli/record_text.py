@@ -30,7 +30,7 @@ def _totals(summary: RecordSummary) -> str:
         f"{counted(counters.lost_frames, 'frame')} lost",
     ]
     if counters.robot_lines or counters.robot_console_bytes:
-        parts.append(f"{counters.robot_lines} robot lines")
+        parts.append(f"{counters.robot_lines} robot messages")
     if counters.robot_other_joints:
         parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
     if counters.restarts:

@@ -271,7 +271,7 @@ _HINTS = {
     errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
     errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
     errno.ENETUNREACH: "cannot be reached; is the address right, and the network up?",
-    errno.ECONNREFUSED: "nothing listens there; is the box or the simulator running?",
+    errno.ECONNREFUSED: "nothing listens there; is the address right, and the box, the robot or the simulator running?",
 }
 
 
