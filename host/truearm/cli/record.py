@@ -109,6 +109,6 @@ def record(
             typer.echo("interrupted before the box had started; nothing was recorded", err=True)
         raise typer.Exit(ExitCode.INTERRUPTED)
     if recorded.missing:
-        where = f"; what came is in {recorded.out}" if recorded.kept else "; nothing was recorded"
+        where = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing
         raise IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")

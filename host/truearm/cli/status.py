@@ -68,7 +68,7 @@ def _next(state: ProjectState) -> tuple[str, str]:
             return "truearm plan ballbar --minutes 30", "there is no plan yet"
         case Step.RECORD:
             if state.sessions:
-                return "q in truearm record", "the recording is under way"
+                return "type q and Enter in truearm record", "the recording is under way"
             return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
         case Step.RECOVER:
             cut = next(one.path for one in state.sessions if not one.complete)

@@ -186,7 +186,7 @@ def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, plac
     if device.xyz is not None:
         values = [*device.xyz, 0.0, 0.0, 0.0]
     elif 0.0 in sigmas:
-        raise ProblemError(f"{name} has sigma 0 (exactly known) but no xyz position")
+        raise ProblemError(f"{name} has sigma 0 (exactly known) but no position; give xyz_mm, or a sigma above 0")
     else:
         p, rot = placed(xyz, p_base, device)
         values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]

@@ -119,7 +119,7 @@ def check(table: ObservationTable, rig: Rig) -> None:
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
             raise TableError(
                 f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
-                f"the seats are in sockets {sockets}, and no place has both; remove it from the rig"
+                f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has both; remove it from the rig"
             )
 
 

@@ -226,7 +226,7 @@ class Flow:
     def set(self, name: str, values: Values, scope: str = "") -> None:
         """Assign to a name. If a routine assigns to an outer name undeclared, either variable may be meant."""
         if any(isinstance(one, Listed | Fields) and one.depth > MAX_NESTED for one in values):
-            values = (Unknown(f"{name} has lists within each other, too many to trace", 0),)
+            values = (Unknown(f"{name} has too many nested lists to trace", 0),)
         own = (self.stack[-1].scope, name)
         if self.loose:
             values = joined(self.get(name), values)
