@@ -98,8 +98,25 @@ def test_what_is_lost_in_rounding_is_the_minimum():
     found = minimise(linearised(residual, lambda x: np.ones((3, 1))), np.array([0.1]), 100)
     assert found.status == "converged"
     assert abs(found.x[0] - y.mean()) < 1e-7  # some steps
+    assert found.iterations <= 3
     wrong = minimise(linearised(residual, lambda x: -np.ones((3, 1))), np.array([0.1]), 100)  # uphill, 0.17 σ away
     assert wrong.status == "stalled"
+
+
+def test_a_gain_below_the_rounding_of_chi2_is_the_minimum():
+    """A residual of metres over micrometres: χ² = 100 is uncertain by 1e-7, the gain of the last 3e-4 σ."""
+    calls = []
+
+    def at(x):
+        calls.append(x[0])
+        here = linearised(lambda x: np.array([x[0] - 1.0, 10.0]), lambda x: np.array([[-1.0], [0.0]]))(x)
+        return here._replace(
+            chi2=here.chi2 + 1e-7 * (x[0] != 1.0 + 2e-4)
+        )  # where the iteration starts, χ² is rounded down
+
+    found = minimise(at, np.array([1.0 + 2e-4]), 50)
+    assert found.status == "converged"
+    assert len(calls) < 40  # one a refusal: λ from 1e-4 to 1e10 in factors of 4 is 24
 
 
 def test_steps_are_reported_in_order_and_descend():

@@ -360,7 +360,8 @@ def chi2_notes(document: Document) -> list[str]:
         both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
         if None not in both:
             parts[unit.si] = ResidualParts(*(from_shown(value, unit.si) for value in both))
-    lines += filter(None, [parts_words(parts, by_chance, document["loss"])])
+    if not few_freedom(document["chi2_freedom"], document["rank"]):
+        lines += filter(None, [parts_words(parts, by_chance, document["loss"])])
     shared = document["pose_error"]
     if shared is not None:
         lines.append(pose_error_words(PoseError(MM.to_si(shared["sigma_mm"]), shared["row_variance"], shared["n"])))

@@ -145,7 +145,8 @@ def learned(
     """Return the variances after ``steps`` fixed-point steps, or once no relevant one changes by over ``tolerance``.
 
     The fixed point is approached slowly, so every two steps are extrapolated (SQUAREM: Varadhan and Roland 2008,
-    Scandinavian Journal of Statistics 35(2)) in the standard deviations. If that lowers the evidence, it is undone.
+    Scandinavian Journal of Statistics 35(2)) in the standard deviations. If the evidence is then lower than at the point
+    before the last step, the extrapolation is undone. It is also undone if there is no step left to check it with.
     """
     here = [np.array(variance) for variance in variances]
     undo: list[Floats] | None = None

@@ -11,7 +11,7 @@ redundant parameters (54 of which 36 are identifiable) converges like one withou
 λI, with λ in units of s_max², which makes it independent of the unit of the noise but not of the units of the parameters.
 
 λ is divided by 1000 after a step that the linearised problem predicted to within 10 % and that was not rejected before
-at a smaller λ. Otherwise it follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05),
+at a smaller λ; a step that went back to the valley (below) counts with its full reduction. Otherwise it follows Nielsen's rule (1999, Damping Parameter in Marquardt's Method, IMM-REP-1999-05),
 λ · max(1/3, 1 − (2ρ − 1)³), where ρ is the ratio of the actual to the predicted gain. In a curved valley it thus settles
 at the largest worthwhile step (docs/decisions/0019-damping.md has a comparison). λ is multiplied by 4 after a step that
 did not reduce χ².
@@ -23,8 +23,9 @@ be as short as the deviation of the arcs from their tangents permits, thousands 
 
 The iteration ends when the reduction still predicted by the linearised problem, ‖Uᵀz‖, is below 1e-6 of ‖f‖ (x is then
 within about 1e-5 σ of the minimum) or below 1e-10 per residual (data without noise), or when the step is at rounding
-level. If no step reduces χ² any more although x is within 1e-5 σ of the minimum, the gain is lost in the rounding of χ²:
-this is the minimum, too.
+level. If no step reduces χ² any more although x is within 1e-3 σ of the minimum, the gain is lost in the rounding of χ²:
+this is the minimum, too. A residual of metres over micrometres is rounded at 1e-9 σ (ten operations of 1e-16 each), and
+χ² by up to 2√n times the norm of all such errors, 2e-7 for n = 100 residuals of 1 σ, which is the gain of 4e-4 σ.
 
 Where weights depend on x (joint noise, information.py), x and x + Δ are compared under the weights of x. If each had its
 own weights, the minimum of χ² would not coincide with the point where the gradient Jᵀ C f vanishes, and no step would
@@ -52,9 +53,7 @@ CORRECTORS = 3  # full steps from a point that is no better, before it is given 
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
-ROUNDING_END = (
-    1e-5  # σ; far below the precision of any estimate, far above χ²'s rounding for residuals of metres over micrometres
-)
+ROUNDING_END = 1e-3  # σ; far below the precision of any estimate, above what the rounding of χ² can hide
 
 
 class Minimum(NamedTuple):
@@ -104,14 +103,14 @@ def minimise(
             parts = _unscaled(here.root)
             promised = promise(parts, here.rhs)
         unit = parts.singular[0] ** 2 if plain else 1.0
-        refused = False
+        refused, rounding = False, promised @ promised <= ROUNDING_END**2
         while True:
             delta, predicted = step(parts, promised, damping * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 goal = move(x, delta)
                 there = linearise(goal)
                 chi2 = there.chi2 if cost is None else cost(goal, x)
-                for _ in range(CORRECTORS):  # χ² may be NaN after a diverging step
+                for _ in range(0 if rounding else CORRECTORS):  # χ² may be NaN after a diverging step
                     if chi2 < here.chi2 or not _finite(there):
                         break
                     back = spectrum(there.root)
@@ -123,7 +122,7 @@ def minimise(
             refused = True
             damping = after_refusal(damping)
             if damping > DAMPING_MAX:
-                if promised @ promised <= ROUNDING_END**2:
+                if rounding:
                     return Minimum(x, "converged", "the predicted reduction is below rounding", iteration, here)
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / predicted

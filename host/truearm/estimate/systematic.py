@@ -251,9 +251,11 @@ class _Test(NamedTuple):
 def systematic_errors(
     problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted, goodness: FitChi2, how: Measured
 ) -> SystematicErrors | None:
-    """Return the errors beyond chance in a fit of the problem's ``columns`` that ended at x (P,), the most certain first.
+    """Return the errors beyond chance in a fit of the problem's ``columns`` that ended at x (P,).
 
-    The module docstring describes the tests. None if nothing is found, and for a fit without degrees of freedom or with
+    They are in the order of the search, each the most probable one given those before it. If the joint test drops one,
+    the whole search is repeated without its family, from the findings that are left. The module docstring describes the
+    tests. None if nothing is found, and for a fit without degrees of freedom or with
     residuals that are not finite.
     """
     rows = _whitened(problem, x, columns, fit)

@@ -210,7 +210,7 @@ def _pictures(page: CalibrationPage) -> str:
     shown += [picture(of, symbol(si) if several else "") for si, of in zip(e.rms_history, convergences(e), strict=True)]
     words = [
         chi2_words(e),
-        parts_words(e.parts, e.chi2_reduced <= e.chi2_band[1], e.loss),
+        "" if few_freedom(e.chi2_freedom, e.rank) else parts_words(e.parts, e.chi2_reduced <= e.chi2_band[1], e.loss),
         pose_error_words(e.pose_error) if e.pose_error else "",
         predicted_words(page.predicted) if page.predicted else "",
     ]
