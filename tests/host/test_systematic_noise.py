@@ -90,3 +90,33 @@ def test_a_bar_that_is_off_is_named_in_spite_of_noise_that_rows_share():
         noise = SIGMA * drawn(np.random.default_rng(seed), len(some) // 3, 0.6)
         (found,) = worlds.identified(replace(rows, value=rows.value + 0.5e-3 + noise)).systematic.found
         assert str(found.effect) == "bar.bar46.zero"
+
+
+def gradual(found):
+    return any(name.startswith("a gradual change of ") for name in found.rivals)
+
+
+def test_a_wander_is_not_named_as_a_step_alone():
+    """An autoregressive zero, ρ = 0.98 from row to row and as large as the noise: of steps found, at most one in five is only a step."""
+    plan, steps = worlds.plan(), []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        wander = rng.normal(size=len(plan))
+        for i in range(1, len(plan)):
+            wander[i] = 0.98 * wander[i - 1] + np.sqrt(1.0 - 0.98**2) * wander[i]
+        noise = SIGMA * (wander + rng.normal(size=len(plan)))
+        of = worlds.identified(worlds.table(plan, worlds.lengths(plan) + noise)).systematic
+        steps += [one for one in (of.found if of else ()) if one.effect and not one.effect.drifts_with]
+    assert len(steps) >= 5
+    assert sum(not gradual(one) for one in steps) <= len(steps) / 5
+
+
+def test_a_step_is_named_as_a_step():
+    plan = worlds.plan()
+    off = 0.2e-3 * (np.arange(len(plan)) >= 150)
+    for seed in range(4):
+        noise = SIGMA * np.random.default_rng(seed).normal(size=len(plan))
+        (found,) = worlds.identified(worlds.table(plan, worlds.lengths(plan) + off + noise)).systematic.found
+        assert found.effect.what == "bar.bar46.zero"
+        assert abs(found.rows[0] - 150) <= 15
+        assert not gradual(found)

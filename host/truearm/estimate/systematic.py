@@ -33,6 +33,10 @@ row of a step is equally probable, so the logarithm of the evidence is ½ drop �
 the eigenvalues of V in units of that prior (Kass and Raftery 1995). Candidates at least a hundredth as probable are
 reported with it.
 
+**Steps and gradual changes.** A zero that wanders for an hour looks like a step at some row, and as certain. With each
+step, the evidence of a random walk of the same item, and of each that can drift, is therefore compared. One that is not
+less probable is among the other explanations.
+
 **Several errors.** The columns of the best finding are added to Q and the rest is searched again, until nothing beyond
 chance is left. Then each finding is tested again with all others as parameters. If one is not beyond chance any more,
 because another one explains the same residuals, the least probable is dropped and the search continues without its
@@ -87,6 +91,8 @@ LEVEL = 1e-3  # probability that a clean data set gives any finding
 MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection
 WINDOW_KNOTS = 36
+WANDER_KNOTS = 12
+WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
 GROSS = 30.0  # σ of the noise: to first order, a fit this distorted shows only which rows distort it
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
 LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
@@ -298,10 +304,47 @@ def _searched(found: Sequence[_Best], every: Sequence[_Family], test: _Test) -> 
         rivals = tuple(
             _label(_in_fewer_rows(of, now), test.how) for of in near if of.evidence > best.evidence - AS_LIKELY
         )
-        best = _in_fewer_rows(best._replace(rivals=rivals), now)
+        best = _in_fewer_rows(best._replace(rivals=(*_wanders(best, every, now), *rivals)), now)
         out.append(best)
         now = now.given([best])
     return out
+
+
+def _wanders(best: _Best, every: Sequence[_Family], test: _Test) -> tuple[str, ...]:
+    """Return the items whose gradual change explains the data at least as well as an error that begins or ends at a row."""
+    if best.family.cause is None or best.family.drift or (best.first, best.last) == (0, test.how.row.size):
+        return ()
+    causes = {of.cause.name: of.cause for of in every if of.cause and (of.drift or of.cause is best.family.cause)}
+    wander = {name: _wander_evidence(cause, test) for name, cause in causes.items()}
+    return tuple(f"a gradual change of {name}" for name, of in wander.items() if of > best.evidence)
+
+
+def _wander_evidence(cause: Cause, test: _Test) -> float:
+    """Return the logarithm of the evidence of a random walk of an item, in WANDER_KNOTS steps of the most probable size."""
+    rows, state = test.rows, test.state
+    by = _columns(cause, test.errors, rows)
+    edges = np.linspace(0, test.how.row.size, WANDER_KNOTS + 1)[:-1].round().astype(np.intp)
+    cuts = [*np.searchsorted(rows.row, edges), int(np.searchsorted(rows.row, test.how.row.size))]
+    d, r = by.shape[1], rows.basis.shape[1] + rows.added.shape[1]
+    sums = np.zeros((WANDER_KNOTS, d, d + r + 1))  # over the rows from each step on
+    for i, (a, b) in enumerate(pairwise(cuts)):
+        across = by[a:b].T
+        sums[: i + 1] += np.concatenate(
+            [across @ by[a:b], across @ rows.of(slice(a, b)), (across @ rows.residual[a:b])[:, None]], axis=1
+        )
+    later = np.maximum.outer(np.arange(WANDER_KNOTS), np.arange(WANDER_KNOTS))
+    square = sums[later, :, :d].transpose(0, 2, 1, 3).reshape(WANDER_KNOTS * d, -1)
+    by_basis = sums[:, :, d:-1].reshape(WANDER_KNOTS * d, r)
+    values, vectors = np.linalg.eigh(square - by_basis @ by_basis.T)
+    values, along = np.maximum(values, 0.0), vectors.T @ sums[:, :, -1].ravel()
+    variance = 1.0 if state.explained else state.chi2 / state.freedom
+    felt = np.square(WANDER_SIGMA)[:, None] / variance
+    gain = (felt * along**2 / (1.0 + felt * values)).sum(axis=1)
+    half = gain / 2.0
+    if not state.explained:
+        half = np.log(state.chi2 / np.maximum(state.chi2 - gain, 1e-9 * state.chi2)) * state.freedom / 2.0
+    evidence = half - np.log1p(felt * values).sum(axis=1) / 2.0 - math.log(len(WANDER_SIGMA))
+    return float(evidence.max())
 
 
 def _in_fewer_rows(best: _Best, test: _Test) -> _Best:
