@@ -38,7 +38,7 @@ def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeyp
     recorded(path, plan, right(plan))
     monkeypatch.setattr(inputs, "borne_out_rows", lambda robot, rig, result: np.zeros(len(result.table), dtype=bool))
     error = identified(path, capsys)
-    assert "no observation from 40 dwells (40 doubtful); " in error
+    assert "no observation from 40 dwells (40 doubtful); check that robot and rig are those that were measured" in error
     assert f"truearm relabel {path}" in error
 
 
@@ -67,6 +67,14 @@ def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeyp
 def test_reasons_and_commands(dwells, passes, planned, said):
     rejected = Rejected(Counter(dwells), Counter(passes), planned)
     assert nothing_observed(Path("s.mcap"), rejected) == f"s.mcap: no observation {said}"
+
+
+def test_the_session_of_another_robot(tmp_path, plan, capsys):
+    """Every reading contradicts its label, so the robot is named as the cause before the labels are."""
+    path = tmp_path / "s.mcap"
+    recorded(path, plan, right(plan))
+    assert main(["identify", str(path), "--model", "irb120", "--out", str(tmp_path / "r.json")]) == 2
+    assert "(40 doubtful); check that robot and rig are those that were measured; if so, decide" in capsys.readouterr().err
 
 
 def test_nothing_at_all():

@@ -72,11 +72,15 @@ def reasons_text(rejected: Mapping[str, int]) -> str:
 
 def nothing_observed(path: Path, rejected: Rejected) -> str:
     """Return a sentence: a session gave no observation, why not, and which command helps."""
+    from truearm.session.dwells import DOUBTFUL
+
     kinds = (("dwell", "dwells", rejected.dwells), ("motion along a line", "motions along a line", rejected.passes))
     parts = [f"{counted(count.total(), one, many)} ({reasons_text(count)})" for one, many, count in kinds if count]
     if not parts:
         return f"{path}: no dwell and no motion along a line was found; see truearm inspect {shlex.quote(one_line(str(path)))}"
-    return f"{path}: no observation from {' and '.join(parts)}; {what_helps(path, rejected)}"
+    # One wrong label is a slip of the operator. If no reading fits its label, the prediction is wrong.
+    wrong = "check that robot and rig are those that were measured; if so, " * (set(rejected.dwells) == {DOUBTFUL})
+    return f"{path}: no observation from {' and '.join(parts)}; {wrong}{what_helps(path, rejected)}"
 
 
 def what_helps(path: Path, rejected: Rejected) -> str:
