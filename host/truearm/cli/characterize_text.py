@@ -19,7 +19,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     )
     yield ""
     yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
-    yield f"  without scatter of joints {_range(of['unexplained_m'], MM)}"
+    yield f"  without joints' scatter  {_range(of['unexplained_m'], MM)}"
     yield ""
     yield f"{'joint':16} {'backlash/mrad':>24} {'difference/mrad':>24} {'scatter/mrad':>22} {'sigma to use/mrad':>20}"
     columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
