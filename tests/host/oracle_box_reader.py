@@ -166,6 +166,7 @@ class BoxReader:
         self._order = FrameOrder()
         self._aside: list[bytes] = []  # exchanges that arrived while it was undecided whether the box had restarted
         self._streams: dict[int, StreamTrack] = {}
+        self._described: dict[int, Stream] = {}
         self._layout: dict[int, tuple[int, StreamTrack]] = {}  # channels and track by the current ident
         self._pages = Pages()
         self._heartbeats = Heartbeats()
@@ -207,12 +208,7 @@ class BoxReader:
 
     def streams(self) -> tuple[StreamReport, ...]:
         """Return the current streams."""
-        return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
-
-    def _described(self, stream_id: int) -> Stream:
-        """Return a stream's description: only described streams are counted, but the last boot may have sent no ident."""
-        idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
-        return idents[-1].streams[stream_id]
+        return tuple(stream.report(k, self._described[k]) for k, stream in sorted(self._streams.items()))
 
     # ------------------------------------------------------------------------------------------------ frames
 
@@ -311,6 +307,7 @@ class BoxReader:
         if described is None:
             return 0, None
         found = len(described.channels), self._streams.setdefault(stream_id, StreamTrack())
+        self._described[stream_id] = described
         self._layout[stream_id] = found
         return found
 

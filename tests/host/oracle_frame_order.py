@@ -3,16 +3,19 @@
 Every frame from the box counts in one ``seq`` (SPEC §4). A link or a damaged file may deliver frames late, twice or
 never, and a box that restarts begins a new count. A frame is classified in this order:
 
-1. The bytes of a frame that is remembered under its seq: **doubled**. It changes nothing.
-2. The first page of the ident that a box sends unasked at boot: a **restart**.
-3. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device
+1. One of the count before the restart, by the host time at which its boot began (``_is_of_old``): **late**, or
+  **doubled** if its bytes are remembered.
+2. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device
   time that does not run backward: it belongs to the count. It waits until those before it have arrived, or until a
   frame REACH further on has; frames that are missing then are **lost**. A frame that arrives late within that reach
   takes its place.
-4. All others are **suspects**. They begin a new count if a heartbeat among them has another boot id, if BEHIND_RUN of
-  them follow each other without a frame of the old count in between, or FAR_RUN if they are too far ahead. As soon as
-  the old count continues they are dismissed: as frames that arrived **too late**, or that are **malformed** because no
-  count can have reached them yet.
+3. The bytes of a frame that is remembered under its seq, or those of the first page of a boot: **doubled**.
+4. The first page of the ident that a box sends unasked at boot: a **restart**.
+5. All others are **suspects**, and so is a frame after a hole that arrived DELAYED_NS later than its device time says.
+  The boot id of the next heartbeat decides: that of the count dismisses them, another begins a new count with them. As
+  soon as the old count continues they are dismissed too. A dismissed frame takes its place if it is still awaited;
+  otherwise it is **late**, **doubled**, or **malformed** if no count can have reached it yet. Without a heartbeat a
+  number of suspects is a restart.
 
 So neither a late frame nor a doubled one is a restart: the boot id decides.
 """
@@ -27,9 +30,11 @@ from typing import Any, NamedTuple
 from truearm.session.box_frames import too_many
 
 REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
-BEHIND_RUN = 64  # one in 80 to 350 frames is a heartbeat, which is almost never lost
+DELAYED_NS = 2_000_000_000
+CONTRADICTED_RUN = 64
 FAR_RUN = 2
 BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
+HOLES = 1000
 CIRCLE = 2**32
 
 
@@ -43,6 +48,11 @@ class Frame(NamedTuple):
     t_host_ns: int
     payload: bytes
     content: Any  # the decoded content
+
+    @property
+    def born_ns(self) -> int | None:
+        """Host time at which the device time was 0."""
+        return None if self.stamp is None else self.t_host_ns - 1000 * self.stamp[1]
 
 
 class Placed(NamedTuple):
@@ -66,6 +76,7 @@ class FrameOrder:
     _next: int = -1  # the next count to return, unwrapped; -1: no frame yet
     _newest: int = 0  # the highest count so far
     _newest_host_ns: int = 0
+    _born_ns: int | None = None
     _uncounted: int = 0  # missing frames below this were sent before the session began
     _waiting: dict[int, Frame] = field(default_factory=dict)
     _remembered: OrderedDict[int, bytes] = field(default_factory=OrderedDict)  # payloads by seq
@@ -75,6 +86,11 @@ class FrameOrder:
     _restarting: bool = False  # the next returned frame is the first of a count
     _suspects: list[Frame] = field(default_factory=list)
     _far: bool = False  # the suspects are too far ahead
+    _contradicted: bool = False  # a suspect's seq is remembered with other bytes
+    _boot_pages: set[bytes] = field(default_factory=set)
+    _holes: list[range] = field(default_factory=list)  # what was given up
+    _old: tuple[int, int | None, OrderedDict[int, bytes]] | None = None  # newest seq, born_ns, payloads by seq
+    _old_until: int = 0
 
     @property
     def undecided(self) -> bool:
@@ -84,32 +100,42 @@ class FrameOrder:
     def follows(self, seq: int, stamp: tuple[int, int], t_host_ns: int, payload: bytes) -> bool:
         """Take a frame that is simply the next one, like almost all, and is due at once; return False for any other."""
         kind, time = stamp
-        if self._waiting or self._suspects or self._next < 0 or seq != self._next % CIRCLE or self._restarting:
+        if (
+            self._old is not None
+            or self._waiting
+            or self._suspects
+            or self._next < 0
+            or seq != self._next % CIRCLE
+            or self._restarting
+        ):
             return False
         if time < self._times.get(kind, 0):
             return False
         self._newest, self._newest_host_ns, self._next = self._next, t_host_ns, self._next + 1
         self._times[kind] = self._placed_times[kind] = time
+        self._born_ns = t_host_ns - 1000 * time
         self._remember(seq, payload)
         return True
 
     def take(self, frame: Frame) -> Iterator[Placed]:
         """Take one frame; return those that are due, in order."""
-        if self._remembered.get(frame.seq) == frame.payload:
+        if self._belongs(frame):
+            yield from self._accept(frame)
+        elif self._is_doubled(frame):
             self.doubled += 1
+        elif self._is_of_old(frame):
+            self.late += 1
         elif self._next < 0:
             yield from self._begin(frame, max(0, frame.seq - BEFORE_FIRST), frame.seq)
-        elif self._belongs(frame):
-            yield from self._accept(frame)
         elif frame.is_boot:
-            self._dismiss()
+            yield from self._dismiss()
             yield from self._restart([frame])
         else:
             yield from self._suspect(frame)
 
     def finish(self) -> Iterator[Placed]:
         """Return the frames still held, at the end of the session."""
-        self._dismiss()
+        yield from self._dismiss()
         yield from self._given_up(everything=True)
 
     def new_boot(self, boot_id: int) -> None:
@@ -129,11 +155,16 @@ class FrameOrder:
         return self._newest + (seq - self._newest + half) % CIRCLE - half
 
     def _belongs(self, frame: Frame) -> bool:
-        """Return whether a frame belongs to this count and is still expected (rule 3)."""
-        count = self._unwrapped(frame.seq)
-        if count < self._next or count in self._waiting:
+        """Return whether a frame belongs to this count and is still expected."""
+        if self._next < 0 or self._is_of_old(frame) or self._is_delayed(frame):
             return False
         if self._boot_id is not None and frame.boot_id not in (None, self._boot_id):
+            return False
+        return self._awaited(frame)
+
+    def _awaited(self, frame: Frame) -> bool:
+        count = self._unwrapped(frame.seq)
+        if count < self._next or count in self._waiting:
             return False
         if frame.is_boot and self._times:  # the frames of a boot are sent before everything with a time
             return False
@@ -144,6 +175,31 @@ class FrameOrder:
             return False
         return kind is None or time >= self._times.get(kind, 0)
 
+    def _is_delayed(self, frame: Frame) -> bool:
+        """Return whether a frame after a hole was held up, or is of a later boot."""
+        count = self._unwrapped(frame.seq)
+        doubtful = count > self._newest + 1 or (count > self._newest and self._suspects)
+        if not doubtful or None in (self._boot_id, self._born_ns, frame.born_ns):
+            return False
+        return frame.born_ns - self._born_ns > DELAYED_NS
+
+    def _is_of_old(self, frame: Frame) -> bool:
+        """Return whether a frame is of the count before the restart."""
+        if self._old is None or self._born_ns is None:
+            return False
+        newest_seq, old_born_ns, _ = self._old
+        if old_born_ns is None or self._born_ns - old_born_ns <= DELAYED_NS:
+            return False
+        if frame.born_ns is None:
+            return abs(apart(frame.seq, newest_seq)) <= REACH < abs(apart(frame.seq, self._newest))
+        return abs(frame.born_ns - old_born_ns) < abs(frame.born_ns - self._born_ns)
+
+    def _is_doubled(self, frame: Frame) -> bool:
+        if frame.is_boot and frame.payload in self._boot_pages:
+            return True
+        stores = [self._remembered] if self._old is None else [self._remembered, self._old[2]]
+        return any(store.get(frame.seq) == frame.payload for store in stores)
+
     def _is_far(self, frame: Frame) -> bool:
         """Return whether a frame is further ahead than frames can have arrived since the newest."""
         return too_many(self._unwrapped(frame.seq) - self._newest, frame.t_host_ns - self._newest_host_ns)
@@ -152,14 +208,21 @@ class FrameOrder:
         count = self._unwrapped(frame.seq)
         self._waiting[count] = frame
         self._remember(frame.seq, frame.payload)
-        if count > self._newest:
-            self._dismiss()  # the count continues
-            self._newest, self._newest_host_ns = count, frame.t_host_ns
+        if frame.is_boot:
+            self._boot_pages.add(frame.payload)
+        continues = count > self._newest
         if frame.stamp is not None:
             kind, time = frame.stamp
             self._times[kind] = max(time, self._times.get(kind, 0))
         if frame.boot_id is not None and self._boot_id is None:
             self._boot_id = frame.boot_id
+        if continues:
+            self._newest, self._newest_host_ns = count, frame.t_host_ns
+            if frame.born_ns is not None:
+                self._born_ns = frame.born_ns
+            if count >= self._old_until:
+                self._old = None
+            yield from self._dismiss()
         yield from self._given_up(everything=False)
 
     def _remember(self, seq: int, payload: bytes) -> None:
@@ -176,6 +239,7 @@ class FrameOrder:
                     return
                 there = min(self._waiting)
                 lost = max(0, there - max(self._next, self._uncounted))
+                self._holes = [*self._holes[-HOLES:], range(self._next, there)]
                 self._next = there
             frame, restarts = self._waiting.pop(self._next), self._restarting
             self._next, self._restarting = self._next + 1, False
@@ -186,32 +250,56 @@ class FrameOrder:
     # ------------------------------------------------------------------------------------------------ another count
 
     def _suspect(self, frame: Frame) -> Iterator[Placed]:
-        half = CIRCLE // 2
-        if self._suspects and abs((frame.seq - self._suspects[-1].seq + half) % CIRCLE - half) > REACH:
-            self._dismiss()
+        if self._suspects and abs(apart(frame.seq, self._suspects[-1].seq)) > REACH:
+            yield from self._dismiss()
         if not self._suspects:
             self._far = self._is_far(frame)
         self._suspects.append(frame)
-        another = self._boot_id is not None and frame.boot_id not in (None, self._boot_id)
-        if another or len(self._suspects) >= (FAR_RUN if self._far else BEHIND_RUN):
+        if frame.seq in self._remembered:
+            self._contradicted = True
+        if self._far:
+            enough = FAR_RUN
+        elif self._contradicted or self._boot_id is None:
+            enough = CONTRADICTED_RUN
+        else:
+            enough = 2 * REACH
+        stated = frame.boot_id is not None and self._boot_id is not None
+        if len(self._suspects) >= enough or (stated and frame.boot_id != self._boot_id):
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects)
+        elif stated and not self._far:
+            yield from self._dismiss()
 
     def _restart(self, frames: list[Frame]) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is finished."""
         yield from self._given_up(everything=True)
         first, far = frames[0], self._far
-        self._remembered, self._times, self._placed_times = OrderedDict(), {}, {}
-        self._boot_id, self._restarting, self._far = None, True, False
+        self._old, self._old_until = (self._newest % CIRCLE, self._born_ns, self._remembered), first.seq + REACH
+        born = [frame.born_ns for frame in frames if frame.born_ns is not None]
+        self._born_ns = first.t_host_ns if first.is_boot else born[0] if born else None
+        self._remembered, self._holes, self._times, self._placed_times = OrderedDict(), [], {}, {}
+        self._boot_id, self._restarting, self._far, self._contradicted = None, True, False, False
         # The count of a box begins at 0; one that is too far ahead gives no information on losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_)
         for frame in frames[1:]:
             yield from self.take(frame)
 
-    def _dismiss(self) -> None:
-        if self._far:
-            self.malformed += len(self._suspects)
-        else:
-            self.late += len(self._suspects)
-        self._suspects, self._far = [], False
+    def _dismiss(self) -> Iterator[Placed]:
+        suspects, self._suspects = self._suspects, []
+        far, self._far, self._contradicted = self._far, False, False
+        for frame in suspects:
+            count = self._unwrapped(frame.seq)
+            if far:
+                self.malformed += 1
+            elif self._awaited(frame):
+                yield from self._accept(frame)
+            elif count >= self._next - 2 * REACH or any(count in hole for hole in self._holes):
+                self.late += 1
+            else:
+                self.doubled += 1
+
+
+def apart(seq: int, other: int) -> int:
+    """Return how far a seq is ahead of another one on the circle."""
+    return (seq - other + CIRCLE // 2) % CIRCLE - CIRCLE // 2

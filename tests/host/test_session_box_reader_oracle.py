@@ -178,6 +178,64 @@ def test_long_loss_and_late_seconds():
     assert_same(messages, described(), [500, 1000, 1003])
 
 
+def test_a_boot_id_that_becomes_known_within_a_run():
+    """The pages of a boot wait for frames before them; a run that releases them has a heartbeat of another boot."""
+    box = Box(seq=2**32 - 700)
+    box.ident(0)
+    box.seq = 85
+    box.data(10**9, COUNTS)
+    box.boot_id = 8
+    box.heartbeat(10**9 + 10**6)
+    assert_same(box.messages, described(), [])
+
+
+def moved(rng, frames):
+    """Return a recording with a restart and pieces of it lost, doubled, flipped or moved, often near the restart."""
+    seq = int(rng.choice([0, 0, 2**32 - 700]))
+    at = int(rng.integers(20, frames))
+    received = recording(rng, frames, seq, (at,) if rng.random() < 0.8 else ())
+    boot = next((k for k, m in enumerate(received) if k and m.topic == "/box/ident"), 0)
+    if rng.random() < 0.3:
+        received = [m for m in received if m.topic != "/box/ident" or rng.random() < 0.5]
+    for _ in range(int(rng.integers(1, 8))):
+        if len(received) < 2:
+            break
+        near = int(rng.integers(-5, 5)) + boot
+        begin = int(np.clip(near if rng.random() < 0.5 else rng.integers(len(received)), 0, len(received) - 1))
+        n = int(rng.choice([1, 2, 3, 30, 64, 65, 90]))
+        piece, later = received[begin : begin + n], int(rng.choice([1, 2, 100, 511, 512, 513, 1023, 1025, 1100]))
+        fate = rng.random()
+        if fate < 0.3 or 0.5 < fate < 0.75:
+            del received[begin : begin + n]
+        if fate < 0.5:
+            place = min(len(received), begin + later)
+            received[place:place] = piece
+        elif fate > 0.75 and piece[0].data:
+            data = bytearray(piece[0].data)
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            received[begin] = piece[0]._replace(data=bytes(data))
+    return received or [Message("/box/adc", 0, b"")]
+
+
+def assert_same_when_moved(seed, frames):
+    rng = np.random.default_rng(seed)
+    received = moved(rng, int(rng.choice(frames)))
+    some = int(rng.choice([0, 1, 5, 60]))
+    cuts = np.unique(rng.integers(0, len(received), some)) if rng.random() < 0.9 else np.arange(1, len(received))
+    assert_same(received, described() if rng.random() < 0.5 else None, cuts.tolist())
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pieces_moved_around_a_restart(seed):
+    assert_same_when_moved(seed, [40, 300])
+
+
+@pytest.mark.soak
+def test_pieces_moved_around_a_restart_in_many_worlds():
+    for seed in range(1000, 4000):
+        assert_same_when_moved(seed, [40, 300, 1500])
+
+
 FRAME = st.one_of(
     st.binary(max_size=260),
     st.tuples(st.sampled_from([16, 17, 18, 19, 33, 64, 99]), st.integers(0, 3), st.lists(

@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import Box
 
-from truearm.session.losses import REACH
+from truearm.session.losses import REACH, Silences
+from truearm.session.message_columns import columns_of
+from truearm.types import Message
 
 SECOND = 80  # frames of a box at 1 kHz
 
@@ -112,3 +114,100 @@ def test_a_clock_exchange_beside_a_restart_is_of_the_boot_that_answered():
     box.heartbeat(3 * 10**9)
     _, reader = read(box.messages)
     assert [len(segment.exchanges) for segment in reader.segments] == [1, 1]
+
+
+def restarted(before, after, down_s=2.0):
+    """A box that streams, is without power for a while and streams again; and the place of its second boot."""
+    box = long_box(before)
+    at = len(box.messages)
+    boot_ns = int((before + 1) * BLOCK_NS + 1e9 * down_s)
+    box.reboot(boot_ns)
+    box.ident(boot_ns)
+    for k in range(after):
+        box.data(boot_ns + (k + 1) * BLOCK_NS + 7_000, COUNTS - k - 1)
+        if k % SECOND == SECOND - 1:
+            box.heartbeat(boot_ns + (k + 1) * BLOCK_NS + 10**6)
+    return box.messages, at
+
+
+def restarts_and(messages):
+    """Return the number of segments, and the account without what a missing frame costs in samples."""
+    found = account(messages)
+    return len(read(messages)[1].segments), {k: n for k, n in found.items() if k not in ("samples_lost", "loss_events")}
+
+
+def test_the_first_page_of_a_boot_that_arrives_twice_is_no_restart():
+    """However much later: its bytes are kept as long as the session lasts."""
+    messages = long_box(5 * REACH).messages
+    messages.insert(4 * REACH, messages[0])
+    assert account(messages) == {"frames_duplicated": 1}
+
+
+@pytest.mark.parametrize("n", [1, SECOND, 5 * SECOND])
+def test_a_piece_that_arrives_twice_is_no_restart(n):
+    """Much later than bytes are remembered, and longer than a run of suspects without a boot id."""
+    messages = long_box(40 * SECOND).messages
+    messages[30 * SECOND : 30 * SECOND] = messages[SECOND : SECOND + n]
+    assert account(messages) == {"frames_duplicated": n}
+
+
+@pytest.mark.parametrize("n", [1, SECOND, 5 * SECOND])
+def test_a_piece_that_arrives_much_too_late_is_no_restart(n):
+    messages = long_box(40 * SECOND).messages
+    piece = messages[SECOND : SECOND + n]
+    del messages[SECOND : SECOND + n]
+    messages[30 * SECOND : 30 * SECOND] = piece
+    assert restarts_and(messages) == (1, {"frames_lost": n, "frames_late": n})
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 60])
+def test_pieces_exchanged_around_a_restart_are_one_restart(n):
+    """What the box sent before the restart and arrives after it is late, not the beginning of yet another count."""
+    messages, at = restarted(3000, 1000)
+    messages[at - n : at + n] = [*messages[at : at + n], *messages[at - n : at]]
+    segments, found = restarts_and(messages)
+    assert (segments, found) == (2, {"restarts": 1, "frames_late": n})
+
+
+def test_the_last_frames_before_a_restart_that_arrive_twice_are_doubled():
+    messages, at = restarted(3000, 1000)
+    messages[at + 5 : at + 5] = messages[at - 2 : at]
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_duplicated": 2})
+
+
+@pytest.mark.parametrize(("before", "gone", "down_s"), [(90, 120, 2.5), (90, 120, 60.0), (200, 300, 5.0)])
+def test_a_hole_over_a_restart_is_charged_to_the_new_boot_alone(before, gone, down_s):
+    """The first frames received of the new boot have higher numbers than the last of the old one, and later times."""
+    messages, at = restarted(before, 1000, down_s)
+    del messages[at : at + gone]
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": gone})
+
+
+@pytest.mark.parametrize("seconds", [3, 40])
+def test_frames_that_a_link_held_up_are_of_the_same_boot(seconds):
+    """Some were lost when the link's buffer was full; the others arrive all at once."""
+    messages = long_box(40 * SECOND).messages
+    at = 10 * SECOND
+    held = [m._replace(t_host_ns=m.t_host_ns + seconds * 10**9) for m in messages[at + 20 :]]
+    received = [*messages[:at], *held]
+    assert restarts_and(received) == (1, {"frames_lost": 20})
+
+
+def times_of_silence(times, batch, events=()):
+    silences, rows = Silences(), [Message("/box/adc", t, b"") for t in times]
+    rows += [Message("/events", t, b'{"kind":"link-lost"}') for t in events]
+    for at in range(0, len(rows), batch):
+        silences.take(columns_of(rows[at : at + batch]))
+    return silences.finish()
+
+
+@pytest.mark.parametrize("batch", [1, 3, 1000])
+def test_pieces_in_another_order_are_no_silence(batch):
+    times = [k * 10**8 for k in range(400)]
+    swapped = [*times[:100], *times[150:200], *times[100:150], *times[200:]]
+    assert times_of_silence(swapped, batch) == []
+    cut = [t for t in swapped if not 20.05e9 < t < 25.95e9]
+    assert times_of_silence(cut, batch) == [(20_000_000_000, 26_000_000_000)]
+    # 10 to 20 s arrive last; of them 13 to 16 s are missing
+    late = [*times[:100], *times[200:], *(t for t in times[100:200] if not 13.05e9 < t < 15.95e9)]
+    assert times_of_silence(late, batch) == [(13_000_000_000, 16_000_000_000)]

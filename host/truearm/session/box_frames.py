@@ -32,6 +32,7 @@ TAG_UINT16 = 69
 MAX_PAYLOAD = 250
 MAX_DEVICE_US = 2**53  # 285 years: a later time comes from a damaged or hostile file, and ns still fit 63 bits
 MAX_N0 = 2**62
+MAX_STREAM = 2**62
 _FRAMES_PER_NS = 20_000e-9  # fifty times what the fastest box sends
 _FRAMES_AT_ONCE = 1000  # on a link that delivers late
 
@@ -182,7 +183,7 @@ def device_time(frame: list[Any]) -> tuple[int, int] | None:
     if type(value) is not int or not 0 <= value < MAX_DEVICE_US:
         return None
     if kind == wire.DATA:
-        return (stream, value) if type(stream) is int and stream >= 0 else None
+        return (stream, value) if type(stream) is int and 0 <= stream < MAX_STREAM else None
     return -kind, value
 
 
@@ -336,6 +337,22 @@ class Run:
         return int(self.frames.t_host_ns[self.end - 1])
 
     @property
+    def born_ns(self) -> int | None:
+        """Host time of device time 0 [ns] if the frame did not take any time to arrive; None without a device time."""
+        return self._born_ns(self.begin)
+
+    @property
+    def last_born_ns(self) -> int | None:
+        """``born_ns`` of the last frame that has a device time."""
+        timed = (frame for frame in range(self.end - 1, self.begin - 1, -1) if self.frames.kind[frame] != NO_TIME)
+        return self._born_ns(next(timed, self.begin))
+
+    def _born_ns(self, frame: int) -> int | None:
+        if self.frames.kind[frame] == NO_TIME:
+            return None
+        return int(self.frames.t_host_ns[frame]) - 1000 * int(self.frames.t_us[frame])
+
+    @property
     def payload(self) -> bytes:
         """Payload bytes."""
         return self.frames.messages.payload(self.row)
@@ -400,11 +417,11 @@ def frames_of(messages: Messages) -> Frames:
             continue
         seq[i] = elements[1]
         stamp = device_time(elements)
-        if stamp is not None and stamp[0] < 2**62:
+        if stamp is not None:
             kind[i], t_us[i] = stamp
         data = data_of(elements) if elements[0] == wire.DATA else None
         values = heartbeat_values(elements) if elements[0] == wire.HEARTBEAT else None
-        if data is not None and max(data.stream, data.flags) < 2**62:
+        if data is not None and data.stream < MAX_STREAM and data.flags < 2**62:
             is_data[i] = True
             n0[i], period_ns[i], flags[i], samples_bytes[i] = data.n0, data.period_ns, data.flags, len(data.samples)
             samples_at[i] = begin[i] + payload.rfind(data.samples)

@@ -149,6 +149,7 @@ class BoxReader:
         self._aside: list[Ints] = []  # exchanges that arrived while it was undecided whether the box had restarted
         self._restarted_at: list[int] = []  # messages of the newest batch that begin segments
         self._streams: dict[int, StreamTrack] = {}
+        self._described: dict[int, Stream] = {}  # the same streams, by the ident of their newest block
         self._pages = Pages()
         self._heartbeats = Heartbeats()
         self._placed: list[
@@ -213,12 +214,7 @@ class BoxReader:
 
     def streams(self) -> tuple[StreamReport, ...]:
         """Return the streams so far."""
-        return tuple(stream.report(k, self._described(k)) for k, stream in sorted(self._streams.items()))
-
-    def _described(self, stream_id: int) -> Stream:
-        """A stream is counted only while an ident describes it, and the last boot may not have sent one."""
-        idents = [s.ident for s in self.segments if s.ident is not None and stream_id in s.ident.streams]
-        return idents[-1].streams[stream_id]
+        return tuple(track.report(k, self._described[k]) for k, track in sorted(self._streams.items()))
 
     # ------------------------------------------------------------------------------------------------ frames
 
@@ -330,6 +326,7 @@ class BoxReader:
             self._count["frames_malformed"] += int(np.count_nonzero(~whole))
             index, lost, at, n, period_ns = index[whole], lost[whole], at[whole], n[whole], period_ns[whole]
         track = self._streams.setdefault(stream.id, StreamTrack())
+        self._described[stream.id] = stream
         if not len(index):
             return
         n0, t0_us, flags = frames.n0[index], frames.t_us[index], frames.flags[index]

@@ -4,22 +4,27 @@
 share one ``seq`` counter (SPEC §4). A link or a damaged file may deliver frames late, twice or never, and a box that
 restarts begins a new count. Each frame is classified by the first rule that applies:
 
-1. Its bytes equal those of a frame remembered under its seq: **doubled**. It changes nothing.
-2. It is the first page of the ident that a box sends unprompted at boot: a **restart**.
-3. It is the next frame, or one ahead of it by no more than the link can have carried since (``too_many``), and its
+1. It is of the count before the last restart (``_is_of_old``): **late**, or **doubled** if its bytes are remembered.
+2. It is the next frame, or one ahead of it by no more than the link can have carried since (``too_many``), and its
    device time does not run backward: it belongs to the count. It waits until all earlier frames have arrived or until a
    frame REACH later has arrived; frames still missing then are **lost**. A late frame within that reach takes its
    place.
-4. Anything else is a **suspect**. Suspects begin a new count if a heartbeat among them has another boot id, or if
-   BEHIND_RUN of them (FAR_RUN if they lie too far ahead) follow each other without a frame of the old count in between.
-   As soon as the old count continues, they are dismissed. They are then frames that arrived **too late**, or
-   **malformed** frames because nothing can have counted that far. Frames of a type that only a host sends (echoes) are
-   malformed too.
+3. Its bytes equal those of a frame remembered under its seq, or of the first page that a box sent at a boot:
+   **doubled**. It changes nothing.
+4. It is the first page of the ident that a box sends unprompted at boot: a **restart**.
+5. Anything else is a **suspect**: late, or of a box that has restarted. So is a frame after a hole that arrived
+   DELAYED_NS later than its device time says. The boot id of the next heartbeat decides. Is it that of the count, the
+   suspects belong to the count if they are ahead; the others arrived **too late** or are doubled, and frames too far
+   ahead are **malformed**, because nothing can have counted that far. Another boot id begins a new count with the
+   suspects. If the count itself continues first, they are dismissed in the same way. Where no heartbeat arrives, a
+   number of them decides (``_enough``). Frames of a type that only a host sends (echoes) are malformed too.
 
-Neither a late frame nor a doubled one is therefore taken for a restart: the boot id decides. Frames arrive in runs
-(``box_frames``): seq increases by one, device times do not run backward, and all heartbeats have the same boot id. What
-holds for the first frame of a run therefore holds for as many frames as ``_belonging`` returns. A single frame is a run
-of one.
+Neither a late frame nor a doubled one is therefore taken for a restart, however late it is: the boot id decides. Only
+without any heartbeat in between, 2 · REACH frames of an earlier time in a row would be a restart.
+
+Frames arrive in runs (``box_frames``): seq increases by one, device times do not run backward, and all heartbeats have
+the same boot id. What holds for the first frame of a run therefore holds for as many frames as ``_belonging`` returns.
+A single frame is a run of one.
 
 **Samples** are counted by the ``n0`` of each stream (``StreamTrack``). If ``n0`` jumps and frames were lost since the
 stream's last block, the samples were lost with them; if no frames were lost, the box overran. If ``n0`` falls back
@@ -39,6 +44,7 @@ from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -92,9 +98,11 @@ class MissingNumbers:
 # --------------------------------------------------------------------------------------------------------------- frames
 
 REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
-BEHIND_RUN = 64  # a heartbeat arrives once in 80 to 350 frames and is hardly ever lost
-FAR_RUN = 2
+DELAYED_NS = 2_000_000_000  # longer than a block of samples lasts and than a link usually delays
+CONTRADICTED_RUN = 64  # suspects in a row, if their places are taken or the count has no boot id itself
+FAR_RUN = 2  # suspects in a row that lie too far ahead
 BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
+HOLES = 1000  # remembered, to tell late frames from doubled ones
 _HALF = CIRCLE // 2
 
 
@@ -127,6 +135,54 @@ class _Held:
 _COUNT = attrgetter("count")
 
 
+class _Remembered:
+    """The newest 2 · REACH frames of a count, by seq."""
+
+    def __init__(self) -> None:
+        self._parts: deque[tuple[int, int, Run]] = deque()  # in order of acceptance, each with its seq and length
+        self._n = 0
+        self._by_seq: dict[int, tuple[int, Run]] = {}  # of these: length and frames, by the first seq
+        self._long: set[int] = set()  # the first seq of those with more than one frame
+
+    def add(self, run: Run) -> None:
+        """Remember a run; the oldest frames are forgotten."""
+        self._parts.append((run.seq, len(run), run))
+        self._index(run.seq, len(run), run)
+        self._n += len(run)
+        while self._n > 2 * REACH:
+            seq, n, oldest = self._parts.popleft()
+            self._by_seq.pop(seq, None)
+            self._long.discard(seq)
+            forgotten = oldest.first(min(n, self._n - 2 * REACH))
+            self._n -= len(forgotten)
+            if len(forgotten) < n:
+                rest = oldest.after(forgotten)
+                self._parts.appendleft(((seq + len(forgotten)) % CIRCLE, len(rest), rest))
+                self._index(*self._parts[0])
+
+    def payload(self, asked: int) -> bytes | None:
+        """Return the bytes of the frame with this seq; None if it is not remembered."""
+        for seq in (asked, *self._long):
+            found = self._by_seq.get(seq)
+            if found is not None and (asked - seq) % CIRCLE < found[0]:
+                known = found[1]
+                return known.after(known.first((asked - seq) % CIRCLE)).payload
+        return None
+
+    def _index(self, seq: int, n: int, run: Run) -> None:
+        self._by_seq[seq] = n, run
+        if n > 1:
+            self._long.add(seq)
+
+
+class _Old(NamedTuple):
+    """The count before the last restart. ``born_ns``: host time of its device time 0 [ns]."""
+
+    newest_seq: int
+    born_ns: int | None
+    remembered: _Remembered
+
+
 @dataclass
 class FrameOrder:
     """Takes runs in order of arrival and returns them in the order of sending.
@@ -140,21 +196,22 @@ class FrameOrder:
     _next: int = -1  # the count to be returned next, unwrapped; -1: no frame yet
     _newest: int = 0  # the highest count so far
     _newest_host_ns: int = 0
+    _born_ns: int | None = None  # host time of device time 0, by the newest frame that has a time
     _uncounted: int = 0  # missing frames below this were sent before the session began
     _waiting: list[_Held] = field(default_factory=list)  # by ascending count
-    _remembered: deque[tuple[int, int, Run]] = field(
-        default_factory=deque
-    )  # in order of acceptance, each with its seq and length
-    _n_remembered: int = 0
-    _by_seq: dict[int, tuple[int, Run]] = field(default_factory=dict)  # of these: length and frames, by the first seq
-    _long: set[int] = field(default_factory=set)  # the first seq of those with more than one frame
+    _remembered: _Remembered = field(default_factory=_Remembered)
+    _boot_pages: set[bytes] = field(default_factory=set)  # the first pages of the session's boots
+    _holes: list[tuple[int, int]] = field(default_factory=list)  # the first lost count, and the first after it
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames already returned
     _boot_id: int | None = None
     _restarting: bool = False  # the next frame returned is the first of a count
     _waiting_restart: bool = False  # and it is held, because frames before it are missing
+    _old: _Old | None = None  # while its frames may still arrive
+    _old_until: int = 0  # the count at which that ends
     _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
+    _contradicted: bool = False  # other frames were received with the seq of a suspect
 
     @property
     def undecided(self) -> bool:
@@ -174,7 +231,7 @@ class FrameOrder:
 
     def finish(self, at: int) -> Iterator[Placed]:
         """Return the frames still held, at the end of the session."""
-        self._dismiss()
+        yield from self._dismiss(at)
         yield from self._all_waiting(at)
 
     def new_boot(self, boot_id: int) -> None:
@@ -187,10 +244,12 @@ class FrameOrder:
             yield from self._accept(run, at)
         elif self._is_doubled(run):
             self.doubled += 1
+        elif self._is_of_old(run):
+            self.late += 1
         elif self._next < 0:
             yield from self._begin(run, max(0, run.seq - BEFORE_FIRST), run.seq, at)
         elif run.is_boot:
-            self._dismiss()
+            yield from self._dismiss(at)
             yield from self._restart([run], at)
         else:
             yield from self._suspect(run, at)
@@ -204,12 +263,24 @@ class FrameOrder:
 
     def _unwrapped(self, seq: int) -> int:
         """Return the unwrapped count of a seq: the one nearest to the newest."""
-        return self._newest + (seq - self._newest + _HALF) % CIRCLE - _HALF
+        return self._newest + _apart(seq, self._newest)
 
     def _belonging(self, run: Run) -> int:
-        """Return how many of the first frames of a run belong to this count and are still awaited (rule 3)."""
+        """Return how many of the first frames of a run belong to this count and are still awaited."""
+        if self._next < 0 or self._is_of_old(run) or self._is_delayed(run):
+            return 0
+        n = self._awaited(run)
+        beat, boot_id = run.first_heartbeat()
+        if self._boot_id is not None and boot_id not in (None, self._boot_id):
+            n = min(n, beat - run.begin)
+        if self._waiting and beat > run.begin:  # waiting frames that this run releases may state the boot id
+            n = min(n, beat - run.begin)
+        return min(n, 1) if self._old is not None or self._suspects else n
+
+    def _awaited(self, run: Run) -> int:
+        """Return for how many of the first frames of a run this count has a place."""
         count, n = self._unwrapped(run.seq), len(run)
-        if count < max(self._next, 0) or self._next < 0:
+        if count < max(self._next, 0):
             return 0
         if count > self._newest:
             if self._is_far(run):
@@ -226,27 +297,57 @@ class FrameOrder:
         for kind, frame, t_us, _ in run.times():
             if t_us < times.get(kind, 0):
                 n = min(n, frame - run.begin)
-        beat, boot_id = run.first_heartbeat()
-        if self._boot_id is not None and boot_id not in (None, self._boot_id):
-            n = min(n, beat - run.begin)
         return n
 
     def _is_far(self, run: Run) -> bool:
         """Return whether a frame lies further ahead than frames can have arrived since the newest."""
         return too_many(self._unwrapped(run.seq) - self._newest, run.t_host_ns - self._newest_host_ns)
 
+    def _is_delayed(self, run: Run) -> bool:
+        """Return whether a frame after a hole or a suspect arrived much later than its device time says.
+
+        It was held up, or it is of a later boot.
+        """
+        if self._boot_id is None or self._born_ns is None:
+            return False
+        if self._unwrapped(run.seq) <= self._newest + (not self._suspects):
+            return False
+        born_ns = run.born_ns
+        return born_ns is not None and born_ns - self._born_ns > DELAYED_NS
+
+    def _is_of_old(self, run: Run) -> bool:
+        """Return whether a frame is of the count before the restart: by its device time, or by its seq if it has none.
+
+        A frame that arrives late seems to be of a later boot, never of an earlier one.
+        """
+        old = self._old
+        if old is None or old.born_ns is None or self._born_ns is None or self._born_ns - old.born_ns <= DELAYED_NS:
+            return False
+        born_ns = run.born_ns
+        if born_ns is None:
+            return abs(_apart(run.seq, old.newest_seq)) <= REACH < abs(_apart(run.seq, self._newest))
+        return 2 * born_ns < old.born_ns + self._born_ns
+
     def _accept(self, run: Run, at: int) -> Iterator[Placed]:
         held = _Held(self._unwrapped(run.seq), run)
+        continues = held.count > self._newest
         self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
-        self._remember(run)
-        if held.count > self._newest:
-            self._dismiss()  # the count continues
+        self._remembered.add(run)
+        if run.is_boot:
+            self._boot_pages.add(run.payload)
+        if continues:
             self._newest, self._newest_host_ns = held.end - 1, run.last_host_ns
+            born_ns = run.last_born_ns
+            self._born_ns = self._born_ns if born_ns is None else born_ns
+            if self._newest >= self._old_until:
+                self._old = None
         for kind, _, _, t_us in run.times():
             self._times[kind] = max(t_us, self._times.get(kind, 0))
         _, boot_id = run.first_heartbeat()
         if self._boot_id is None:
             self._boot_id = boot_id
+        if continues:
+            yield from self._dismiss(at)
         while self._waiting:
             hole = self._waiting[0].count > self._next
             if hole:
@@ -267,7 +368,10 @@ class FrameOrder:
         """Return the first waiting run."""
         held = self._waiting.pop(0)
         count, run = held.count, held.run
-        lost = max(0, count - max(self._next, self._uncounted)) if count > self._next else 0
+        lost = 0
+        if count > self._next:
+            lost = max(0, count - max(self._next, self._uncounted))
+            self._holes = [*self._holes[-HOLES:], (self._next, count)]
         restarts, self._restarting = self._restarting, False
         waited, self._waiting_restart = self._waiting_restart, False
         self._next = count + len(run)
@@ -275,56 +379,47 @@ class FrameOrder:
             self._placed_times[kind] = t_us
         return Placed(run, lost, restarts, at, waited)
 
-    def _remember(self, run: Run) -> None:
-        self._remembered.append((run.seq, len(run), run))
-        self._index(run.seq, len(run), run)
-        self._n_remembered += len(run)
-        while self._n_remembered > 2 * REACH:
-            seq, n, oldest = self._remembered.popleft()
-            self._by_seq.pop(seq, None)
-            self._long.discard(seq)
-            forgotten = oldest.first(min(n, self._n_remembered - 2 * REACH))
-            self._n_remembered -= len(forgotten)
-            if len(forgotten) < n:
-                rest = oldest.after(forgotten)
-                self._remembered.appendleft(((seq + len(forgotten)) % CIRCLE, len(rest), rest))
-                self._index(*self._remembered[0])
-
-    def _index(self, seq: int, n: int, run: Run) -> None:
-        self._by_seq[seq] = n, run
-        if n > 1:
-            self._long.add(seq)
-
     def _is_doubled(self, run: Run) -> bool:
-        """Return whether the bytes of a frame are remembered under its seq."""
-        asked = run.seq
-        for seq in (asked, *self._long):
-            n, known = self._by_seq.get(seq, (0, run))
-            if (asked - seq) % CIRCLE < n:
-                return run.payload == known.after(known.first((asked - seq) % CIRCLE)).payload
-        return False
+        """Return whether the bytes of a frame are remembered."""
+        old = None if self._old is None else self._old.remembered.payload(run.seq)
+        payload = run.payload
+        return payload in (self._remembered.payload(run.seq), old) or (run.is_boot and payload in self._boot_pages)
 
     # ------------------------------------------------------------------------------------------------ another count
 
     def _suspect(self, run: Run, at: int) -> Iterator[Placed]:
-        if self._suspects and abs((run.seq - self._suspects[-1].seq + _HALF) % CIRCLE - _HALF) > REACH:
-            self._dismiss()
+        if self._suspects and abs(_apart(run.seq, self._suspects[-1].seq)) > REACH:
+            yield from self._dismiss(at)
         if not self._suspects:
             self._far = self._is_far(run)
         self._suspects.append(run)
+        self._contradicted |= self._remembered.payload(run.seq) is not None
         _, boot_id = run.first_heartbeat()
-        another = self._boot_id is not None and boot_id not in (None, self._boot_id)
-        if another or len(self._suspects) >= (FAR_RUN if self._far else BEHIND_RUN):
+        known = None not in (boot_id, self._boot_id)
+        if (known and boot_id != self._boot_id) or self._enough():
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects, at)
+        elif known and not self._far:
+            yield from self._dismiss(at)
+
+    def _enough(self) -> bool:
+        """Return whether so many suspects in a row are another count although no boot id says so."""
+        if self._far:
+            return len(self._suspects) >= FAR_RUN
+        lonely = self._contradicted or self._boot_id is None
+        return len(self._suspects) >= (CONTRADICTED_RUN if lonely else 2 * REACH)
 
     def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is closed."""
         yield from self._all_waiting(at)
         first, far = runs[0], self._far
-        self._remembered, self._n_remembered, self._times, self._placed_times = deque(), 0, {}, {}
-        self._by_seq, self._long = {}, set()
-        self._boot_id, self._restarting, self._far = None, True, False
+        self._old = _Old(self._newest % CIRCLE, self._born_ns, self._remembered)
+        self._born_ns = next((run.born_ns for run in runs if run.born_ns is not None), None)
+        if first.is_boot:
+            self._born_ns = first.t_host_ns
+        self._remembered, self._holes, self._times, self._placed_times = _Remembered(), [], {}, {}
+        self._boot_id, self._restarting, self._far, self._contradicted = None, True, False, False
+        self._old_until = first.seq + REACH
         # A box counts from 0. A count that lies too far ahead gives no information about losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_, at)
@@ -332,12 +427,25 @@ class FrameOrder:
         for run in runs[1:]:
             yield from self._take(run, at)
 
-    def _dismiss(self) -> None:
-        if self._far:
-            self.malformed += len(self._suspects)
-        else:
-            self.late += len(self._suspects)
-        self._suspects, self._far = [], False
+    def _dismiss(self, at: int) -> Iterator[Placed]:
+        """Release the suspects: they are of this count, and each of them is late, doubled, malformed or still awaited."""
+        suspects, self._suspects = self._suspects, []
+        far, self._far, self._contradicted = self._far, False, False
+        for run in suspects:
+            count = self._unwrapped(run.seq)
+            if far:
+                self.malformed += 1
+            elif self._awaited(run):
+                yield from self._accept(run, at)
+            elif count >= self._next - 2 * REACH or any(begin <= count < end for begin, end in self._holes):
+                self.late += 1
+            else:
+                self.doubled += 1  # it arrived once already, longer ago than bytes are remembered
+
+
+def _apart(seq: int, other: int) -> int:
+    """Return how far a seq lies ahead of another, around the circle."""
+    return (seq - other + _HALF) % CIRCLE - _HALF
 
 
 # ----------------------------------------------------------------------------------------------- the box's own counters
@@ -468,18 +576,20 @@ class Silences:
         events = messages.rows(lambda topic: topic == "/events")
         gone = [row for row in events.tolist() if any(kind in messages.payload(row) for kind in _GONE)]
         t_ns = messages.t_host_ns[box]
-        silent = np.diff(t_ns, prepend=t_ns[:1]) > SILENT_NS
+        newest = np.maximum.accumulate(np.append(t_ns[:1] if self._box_ns is None else self._box_ns, t_ns))
+        silent = t_ns - newest[:-1] > SILENT_NS
         silent[:1] = True
         silent[[k for k in np.searchsorted(box, gone).tolist() if k < len(box)]] = True
         for k in np.flatnonzero(silent).tolist():  # no silence between the others
             if k:
-                self._box_ns = int(t_ns[k - 1])
+                self._box_ns = int(newest[k])
                 self._gone = any(box[k - 1] < row < box[k] for row in gone)
             else:
                 self._gone |= any(row < box[0] for row in gone)
             self._close(int(t_ns[k]))
         if len(box):
-            self._box_ns, self._gone = int(t_ns[-1]), any(row > box[-1] for row in gone)
+            self._box_ns, self._gone = int(newest[-1]), any(row > box[-1] for row in gone)
+            self._divide(t_ns[t_ns < newest[:-1]])
         else:
             self._gone |= bool(gone)
         self._last_ns = max(self._last_ns, int(messages.t_host_ns.max(initial=0)))
@@ -488,6 +598,15 @@ class Silences:
         """Return all gaps at the end of the session."""
         self._close(self._last_ns)
         return self.gaps
+
+    def _divide(self, late_ns: Ints) -> None:
+        """Divide the gaps at messages that stand later in the session than newer ones."""
+        found = []
+        for begin, end in self.gaps:
+            inside = np.unique(late_ns[(late_ns > begin) & (late_ns < end)])
+            parts = pairwise([begin, *inside.tolist(), end])
+            found += [(a, b) for a, b in parts if b - a > SILENT_NS or not len(inside)]
+        self.gaps = found
 
     def _close(self, now_ns: int) -> None:
         if self._box_ns is not None and now_ns - self._box_ns > (0 if self._gone else SILENT_NS):
