@@ -1,6 +1,7 @@
 """Whether the errors that `map` claims are true, and whether it detects a device with undeclared errors. Robots are drawn from the prior."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,15 +27,19 @@ from truearm_sim.world import Setup, World, standard_plan, standard_rig
 
 ROBOT = builtin_robot("puma560")
 CHAIN, FREE, SIGMA = ROBOT.chain, ROBOT.free, weak_prior(ROBOT.chain)
-PLAN = drawn_line_plan(4, seed=5)
 WORLDS = 50
+
+
+@cache
+def four_lines():
+    return drawn_line_plan(4, seed=5)
 
 
 def world_of(seed, **how):
     """Return a robot drawn from the weak prior, off by a few millimetres as in Renders, on four lines there and back."""
     drawn = np.random.default_rng([seed, 0xEE5]).standard_normal(SIGMA.size)
     truth = CHAIN.params_nominal + FREE * SIGMA * drawn
-    return World(seed, PLAN, line_rig(), params=truth, setup=Setup(robot_rate=125.0, **how))
+    return World(seed, four_lines(), line_rig(), params=truth, setup=Setup(robot_rate=125.0, **how))
 
 
 def shown(world, flaws=None):
@@ -92,7 +97,7 @@ def recorded(world, path):
             SessionWriter(path, lab.clock, overwrite=True),
             lab.clock,
             robot=lab.robot_link,
-            options=RecordOptions(plan=plan_rows(PLAN), rig_toml=format_rig(world.rig).encode(), osr=8192),
+            options=RecordOptions(plan=plan_rows(four_lines()), rig_toml=format_rig(world.rig).encode(), osr=8192),
         )
     finally:
         lab.box.close()
@@ -129,7 +134,7 @@ def test_a_clock_that_is_wrong_otherwise_after_a_restart_is_no_robots_error():
 
 def test_a_wrong_velocity_of_sound_is_noticed_beside_a_ball_bar():
     """Lines alone would make the arm smaller, which fits; a bar knows how long it is."""
-    plan = concatenate(standard_plan(45, 2), PLAN)
+    plan = concatenate(standard_plan(45, 2), four_lines())
     world = World(2, plan, line_rig(standard_rig()), params=world_of(2).params, setup=Setup(robot_rate=125.0))
     bars = measured_by_bars(world)
     for flaws, wrong in ((Flaws(), False), (Flaws(sound=5e-3), True)):
