@@ -10,13 +10,14 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 
 import truearm
 from truearm.errors import ProblemError
-from truearm.estimate import systematic
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
-from truearm.estimate.systematic import FOLDS, STRETCHES, FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic import systematic_errors
+from truearm.estimate.systematic_confirmation import FOLDS, STRETCHES, path_inflation
 from truearm.estimate.systematic_effects import error_columns, with_effects
+from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
 from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
@@ -211,13 +212,11 @@ def test_errors_that_are_alike_along_a_path_inflate_the_variance_of_their_sums(c
     error = rng.normal(size=(n, 3))
     for i in range(1, n):
         error[i] = correlation * error[i - 1] + np.sqrt(1.0 - correlation**2) * error[i]
-    rows = systematic._Whitened(
+    rows = WhitenedResiduals(
         np.repeat(np.arange(n), 3), np.zeros((3 * n, 0)), error.ravel(), np.zeros((3 * n, 0)), np.zeros((3 * n, 0))
     )
     table = random_table(n, rng)
-    assert systematic._inflation(rows, measured_order(table, np.ones(n, dtype=bool))) == pytest.approx(
-        expected, rel=0.1
-    )
+    assert path_inflation(rows, measured_order(table, np.ones(n, dtype=bool))) == pytest.approx(expected, rel=0.1)
 
 
 def test_a_slipped_chuck_is_named_with_its_row():

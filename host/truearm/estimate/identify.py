@@ -34,8 +34,9 @@ from truearm.estimate.problem import Problem, Rigs, build_problem, settled, with
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
-from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
+from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2

@@ -14,7 +14,8 @@ import scipy.linalg
 from truearm.estimate.information import observe
 from truearm.estimate.law_fit import LawProblem, Posterior
 from truearm.estimate.pose_noise import PoseNoise, with_pose_noise
-from truearm.estimate.systematic import FitChi2, Fitted, Measured, systematic_errors
+from truearm.estimate.systematic import systematic_errors
+from truearm.estimate.systematic_score import FitChi2, Fitted, Measured
 from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.linearised import Indices

@@ -7,8 +7,8 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.systematic import Measured
 from truearm.estimate.systematic_effects import Circumstances
+from truearm.estimate.systematic_score import Measured
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.types import ObservationTable

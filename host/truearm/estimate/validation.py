@@ -37,8 +37,9 @@ from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
-from truearm.estimate.systematic import FitChi2, Fitted, systematic_errors
+from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_effects import Circumstances, modelled_effects
+from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns

@@ -1,0 +1,260 @@
+"""The search of ``systematic``: every item in every form in which it can be off, and the most probable of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+import scipy.linalg
+
+from truearm.estimate.systematic_effects import Cause, Errors
+from truearm.estimate.systematic_score import (
+    SEEN,
+    Best,
+    Family,
+    Measured,
+    ScoreTest,
+    WhitenedResiduals,
+    effect_profile,
+    item_columns,
+    label,
+    log_chance,
+    span_in_table,
+    unfollowed,
+    with_offset,
+)
+from truearm.kinds.linearised import Indices
+from truearm.types import DriftWith, Floats
+
+MOST_FINDINGS = 6
+MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection
+WINDOW_KNOTS = 36
+WANDER_KNOTS = 12
+WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
+LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
+LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
+SPANS = 64  # tested at once
+MOST_BLOCK = 300  # rows: each of their residuals is a column
+LIKELY = 0.95  # that an error begins and ends within the rows named
+AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
+BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
+
+
+def families(causes: Sequence[Cause], errors: Errors, rows: WhitenedResiduals, how: Measured) -> Iterator[Family]:
+    """Return every item in every form in which it can be off."""
+    n = how.row.size
+    for cause in causes:
+        used = np.unique(rows.row[rows.errors[:, errors.indices(cause.numbers)].any(axis=1)])
+        if used.size < 2 * LEAST_ROWS:
+            continue
+        if cause.fault.constant:
+            yield Family(cause, np.array([0]), np.array([n]))
+        if cause.fault.step:
+            first = _even(used[LEAST_ROWS : 1 - LEAST_ROWS], MOST_STEPS)
+            yield Family(cause, first, np.full(first.size, n))
+        if cause.fault.window:
+            knots = np.append(_even(used, WINDOW_KNOTS), n)
+            first, last = (knots[of] for of in np.triu_indices(knots.size, 1))
+            enough = (np.searchsorted(used, last) - np.searchsorted(used, first) >= LEAST_ROWS) & (last - first < n)
+            yield Family(cause, first[enough], last[enough])
+        if cause.fault.drift:
+            for number in np.unique(how.session[used]):
+                mine = np.flatnonzero(how.session == number)
+                for drift in DriftWith:
+                    family = Family(cause, mine[:1], mine[-1:] + 1, drift)
+                    along = how.table.during(drift, *span_in_table(mine[0], mine[-1] + 1, how))
+                    if along is not None and (drift is DriftWith.TIME or np.ptp(along) >= LEAST_WARMING):
+                        yield family
+    yield from blocks_of_rows(how)
+
+
+def blocks_of_rows(how: Measured) -> Iterator[Family]:
+    """Return first and last parts of the runs, and complete runs, of at most half the rows."""
+    n = how.row.size
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [n]])
+    spans = set[tuple[int, int]]()
+    for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        for cut in _even(np.arange(a, b + 1), max(MOST_STEPS // (starts.size - 1), 8)).tolist():
+            spans |= {(a, cut), (cut, b)}
+    kept = sorted((a, b) for a, b in spans if LEAST_ROWS <= b - a <= min(n // 2, MOST_BLOCK))
+    if kept:
+        first, last = np.array(kept).T
+        yield Family(None, first, last)
+
+
+def _even(values: Indices, most: int) -> Indices:
+    """Return at most this many of the values, evenly spaced, including the first and the last."""
+    return values if values.size <= most else values[np.linspace(0, values.size - 1, most).astype(np.intp)]
+
+
+def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) -> list[Best]:
+    """Return the findings followed by all others beyond chance, one after the other, each given those before it."""
+    out = list(found)
+    now = test.given(out)
+    while len(out) < MOST_FINDINGS:
+        candidates = [_search(family, now) for family in every]
+        beyond_chance = [of for of in candidates if of is not None and not test.by_chance(of.log_p)]
+        if not beyond_chance:
+            break
+        best = max(beyond_chance, key=lambda of: of.evidence)
+        near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
+        rivals = tuple(
+            label(_in_fewer_rows(of, now), test.how) for of in near if of.evidence > best.evidence - AS_LIKELY
+        )
+        best = _in_fewer_rows(best._replace(rivals=(*_wanders(best, every, now), *rivals)), now)
+        out.append(best)
+        now = now.given([best])
+    return out
+
+
+def _search(family: Family, test: ScoreTest) -> Best | None:
+    """Return the family's best candidate, or None if the parameters can follow all of them."""
+    errors, rows, how, state = test.errors, test.rows, test.how, test.state
+    if family.cause is None:
+        drop, freedom, known = _block_drops(family, rows)
+    else:
+        by = item_columns(family.cause, errors, rows)
+        if family.drift:
+            by = with_offset(by, effect_profile(family.drift, family.first[0], family.last[0], how)[rows.row])
+        drop, freedom, known = _drops(by, family, rows)
+    if not freedom.any():
+        return None
+    half_drop, variance = drop / 2.0, np.ones(1)
+    if not state.explained:
+        left = np.maximum(state.chi2 - drop, 1e-9 * state.chi2)
+        half_drop, variance = np.log(state.chi2 / left) * state.freedom / 2.0, left / max(state.freedom, 1.0)
+    log_count = math.log((freedom > 0).sum())
+    evidence = half_drop - np.log1p(known / variance[:, None]).sum(axis=1) / 2.0 - log_count
+    evidence = np.where(freedom > 0, evidence, -np.inf)
+    at = int(np.argmax(evidence))
+    log_p = float(log_chance(drop[[at]] / test.inflation, freedom[[at]], state)[0]) + log_count
+    first, last = int(family.first[at]), int(family.last[at])
+    return Best(
+        family,
+        first,
+        last,
+        float(drop[at]),
+        int(freedom[at]),
+        log_count,
+        log_p,
+        float(evidence[at]),
+        _within(family, evidence),
+    )
+
+
+def _within(family: Family, evidence: Floats) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the ranges of ``first`` and ``last`` of the family's most probable candidates (w,), up to the next ones."""
+    order = np.argsort(-evidence, kind="stable")
+    share = np.cumsum(np.exp(evidence[order] - evidence[order[0]]))
+    likely = order[: int(np.searchsorted(share, LIKELY * share[-1])) + 1]
+
+    def span(values: Indices) -> tuple[int, int]:
+        every = np.unique(values)
+        low, high = np.searchsorted(every, [values[likely].min(), values[likely].max()])
+        before, after = every[max(low - 1, 0)], every[min(high + 1, every.size - 1)]
+        return int(before + 1 if low else before), int(after - 1 if high + 1 < every.size else after)
+
+    return span(family.first), span(family.last)
+
+
+def _drops(by: Floats, family: Family, rows: WhitenedResiduals) -> tuple[Floats, Indices, Floats]:
+    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans.
+
+    The effects are offsets along ``by`` (m, d).
+    """
+    edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
+    cuts = np.searchsorted(rows.row, edges)
+    w, d, r = family.first.size, by.shape[1], rows.basis.shape[1] + rows.added.shape[1]
+    sums = np.zeros((edges.size, d, d + r + 1))
+    for i, (a, b) in enumerate(pairwise(cuts)):
+        across = by[a:b].T
+        sums[i + 1, :, :d] = sums[i, :, :d] + across @ by[a:b]
+        sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.of(slice(a, b))
+        sums[i + 1, :, -1] = sums[i, :, -1] + across @ rows.residual[a:b]
+    parts = []
+    for some in np.array_split(np.arange(w), max(1, -(-w // SPANS))):
+        of = sums[at[w:][some]] - sums[at[:w][some]]
+        values, vectors, seen = unfollowed(of[:, :, :d], of[:, :, d:-1])
+        along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
+        drop = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        parts.append((drop, seen.sum(axis=1), np.where(seen, values, 0.0)))
+    drop, freedom, known = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return drop, freedom, known
+
+
+def _block_drops(family: Family, rows: WhitenedResiduals) -> tuple[Floats, Indices, Floats]:
+    """Return the same as ``_drops``, for leaving out each of the spans: eᵀ(I − Q Qᵀ)⁻¹e of its residuals.
+
+    This is the form in the module docstring by Woodbury's identity. Spans with a common start or end are parts of the
+    longest: with its I − Q Qᵀ = L Lᵀ they are sums of the squares of L⁻¹e.
+    """
+    cuts = np.searchsorted(rows.row, np.stack([family.first, family.last]))
+    drop = np.zeros(family.first.size)
+    begins, ends = (np.unique(side, return_inverse=True, return_counts=True) for side in cuts)
+    forwards = begins[2][begins[1]] >= ends[2][ends[1]]
+    for side, some in ((0, forwards), (1, ~forwards)):
+        for at in np.unique(cuts[side, some]):
+            mine = np.flatnonzero(some & (cuts[side] == at))
+            which = slice(int(cuts[0, mine].min()), int(cuts[1, mine].max()))
+            q, e = (part[:: -1 if side else 1] for part in (rows.of(which), rows.residual[which]))
+            if not e.size:
+                continue
+            lower = np.linalg.cholesky(np.eye(e.size) * (1.0 + SEEN) - q @ q.T)
+            squares = np.append(0.0, np.cumsum(scipy.linalg.solve_triangular(lower, e, lower=True) ** 2))
+            drop[mine] = squares[cuts[1, mine] - cuts[0, mine]]
+    freedom = cuts[1] - cuts[0]
+    known = np.where(np.arange(freedom.max()) < freedom[:, None], BLOCK_SIGMA**2, 0.0)
+    return drop, freedom, known
+
+
+def _wanders(best: Best, every: Sequence[Family], test: ScoreTest) -> tuple[str, ...]:
+    """Return the items whose gradual change explains the data at least as well as an error that begins or ends at a row."""
+    if best.family.cause is None or best.family.drift or (best.first, best.last) == (0, test.how.row.size):
+        return ()
+    causes = {of.cause.name: of.cause for of in every if of.cause and (of.drift or of.cause is best.family.cause)}
+    wander = {name: _wander_evidence(cause, test) for name, cause in causes.items()}
+    return tuple(f"a gradual change of {name}" for name, of in wander.items() if of > best.evidence)
+
+
+def _wander_evidence(cause: Cause, test: ScoreTest) -> float:
+    """Return the logarithm of the evidence of a random walk of an item, in WANDER_KNOTS steps of the most probable size."""
+    rows, state = test.rows, test.state
+    by = item_columns(cause, test.errors, rows)
+    edges = np.linspace(0, test.how.row.size, WANDER_KNOTS + 1)[:-1].round().astype(np.intp)
+    cuts = [*np.searchsorted(rows.row, edges), int(np.searchsorted(rows.row, test.how.row.size))]
+    d, r = by.shape[1], rows.basis.shape[1] + rows.added.shape[1]
+    sums = np.zeros((WANDER_KNOTS, d, d + r + 1))  # over the rows from each step on
+    for i, (a, b) in enumerate(pairwise(cuts)):
+        across = by[a:b].T
+        sums[: i + 1] += np.concatenate(
+            [across @ by[a:b], across @ rows.of(slice(a, b)), (across @ rows.residual[a:b])[:, None]], axis=1
+        )
+    later = np.maximum.outer(np.arange(WANDER_KNOTS), np.arange(WANDER_KNOTS))
+    square = sums[later, :, :d].transpose(0, 2, 1, 3).reshape(WANDER_KNOTS * d, -1)
+    by_basis = sums[:, :, d:-1].reshape(WANDER_KNOTS * d, r)
+    values, vectors = np.linalg.eigh(square - by_basis @ by_basis.T)
+    values, along = np.maximum(values, 0.0), vectors.T @ sums[:, :, -1].ravel()
+    variance = 1.0 if state.explained else state.chi2 / state.freedom
+    felt = np.square(WANDER_SIGMA)[:, None] / variance
+    gain = (felt * along**2 / (1.0 + felt * values)).sum(axis=1)
+    half = gain / 2.0
+    if not state.explained:
+        half = np.log(state.chi2 / np.maximum(state.chi2 - gain, 1e-9 * state.chi2)) * state.freedom / 2.0
+    evidence = half - np.log1p(felt * values).sum(axis=1) / 2.0 - math.log(len(WANDER_SIGMA))
+    return float(evidence.max())
+
+
+def _in_fewer_rows(best: Best, test: ScoreTest) -> Best:
+    """Return a step that is off before its row instead of from it on, if these are fewer rows and the data are the same.
+
+    They are the same if the parameters follow the item's error in all rows: where the base or a tracker stood is
+    unknown, only that it moved is known. The robot is then described as in most rows.
+    """
+    cause, n = best.family.cause, test.how.row.size
+    if cause is None or best.family.drift or not 0 < best.first < n - best.first or best.last < n:
+        return best
+    by = item_columns(cause, test.errors, test.rows)
+    followed = not unfollowed(by.T @ by, test.rows.along(by))[2].any()
+    return best._replace(first=0, last=best.first, within=((0, 0), best.within[0])) if followed else best
