@@ -1,5 +1,6 @@
 """``truearm record`` on a real terminal: the live view, typed lines, Ctrl-C in every state, and the choice of the box."""
 
+import codecs
 import fcntl
 import json
 import os
@@ -57,6 +58,7 @@ class OnTerminal:
         self._thread.start()
 
     def _read(self):
+        decoder = codecs.getincrementaldecoder("utf-8")("replace")  # a read may end inside a character
         while not self._closed.is_set():
             if not select.select([self.master], [], [], 0.05)[0]:
                 continue
@@ -64,7 +66,7 @@ class OnTerminal:
                 data = os.read(self.master, 65536)
             except OSError:
                 return
-            self.text += data.decode("utf-8", "replace")
+            self.text += decoder.decode(data)
 
     def close(self):
         """Close the window. No thread may be reading it: a read in progress would keep it open."""
@@ -115,12 +117,16 @@ class TestTyping:
             terminal.expect(r"> bar=b4")
             terminal.type("7\x7f6,chuck=c1\r")
             terminal.expect(r"mounted: bar b46, chuck c1")
-            terminal.type("note a draught from the door\r")
-            terminal.expect(r"noted: a draught")
+            terminal.type("note a draught from the d\x1b[Aoor\r")  # with an arrow key
+            terminal.expect(r"noted: a draught from the door")
+            for byte in "note μm\r".encode():  # a read may end inside a character
+                terminal.type(bytes([byte]))
+                time.sleep(0.05)
+            terminal.expect(r"noted: μm")
             terminal.type("q\r")
             assert terminal.end() == 0
         assert not box.streaming
-        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "mounted", "note", "stop"]
+        assert [kind for kind in events(out) if kind != "dwell"] == ["start", "mounted", "note", "note", "stop"]
         assert events(out, "mounted")[0]["bar"] == "b46"
         assert events(out, "stop")[0]["reason"] == "operator"
         assert "ended: operator" in terminal.text

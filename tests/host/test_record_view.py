@@ -58,6 +58,21 @@ class TestCommands:
         typed.push("\x15" + "y" * 1000)
         assert typed.text == "y" * LONGEST
 
+    @pytest.mark.parametrize("key", ["\x1b[A", "\x1b[1;5C", "\x1bOP", "\x1b[15~", "\x1b[3~"])
+    @pytest.mark.parametrize("at_once", [True, False])
+    def test_arrow_and_function_keys_leave_the_line_as_it_is(self, key, at_once):
+        typed = Typed()
+        lines = []
+        for part in [f"no{key}te\n"] if at_once else f"no{key}te\n":
+            lines += typed.push(part)
+        assert (lines, typed.text) == (["note"], "")
+
+    def test_escape_drops_the_line_at_once(self):
+        typed = Typed()
+        typed.push("chuck=c9\x1b")
+        assert typed.text == ""
+        assert typed.push("\x1bq\n") == ["q"]
+
 
 class TestTravel:
     def test_the_bar_is_drawn_and_warned_of_near_its_ends(self):

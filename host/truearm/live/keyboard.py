@@ -6,6 +6,7 @@ terminal.
 
 from __future__ import annotations
 
+import codecs
 import os
 import select
 import signal
@@ -18,6 +19,7 @@ from types import FrameType
 LONGEST = 500
 _POLL_S = 0.1
 _BACKSPACE, _ESCAPE, _CTRL_U = ("\x7f", "\b"), "\x1b", "\x15"
+_INTRODUCERS = "[O"  # after Escape: an arrow or function key, up to a character from "@" to "~" (ECMA-48)
 
 
 class Typed:
@@ -25,24 +27,41 @@ class Typed:
 
     def __init__(self) -> None:
         self.text = ""
+        self._key = ""  # what has come of an arrow or function key
+        self._dropped = ""  # by its Escape
 
     def push(self, characters: str) -> list[str]:
         """Return the lines completed by these characters.
 
-        Backspace, Ctrl-U and Escape are handled; other control characters are ignored.
+        Backspace, Ctrl-U and Escape are handled; other control characters, arrow and function keys are ignored.
         """
         lines = []
         for character in characters:
+            if self._belongs_to_key(character):
+                continue
             if character in "\r\n":
                 lines.append(self.text)
                 self.text = ""
             elif character in _BACKSPACE:
                 self.text = self.text[:-1]
-            elif character in (_ESCAPE, _CTRL_U):
+            elif character == _CTRL_U:
                 self.text = ""
             elif character.isprintable() and len(self.text) < LONGEST:
                 self.text += character
         return lines
+
+    def _belongs_to_key(self, character: str) -> bool:
+        """Return whether a character is Escape or continues it to the sequence of a key. Escape alone drops the line."""
+        before, self._key = self._key, ""
+        if character == _ESCAPE:
+            self._key, self._dropped, self.text = character, self.text, ""
+        elif before == _ESCAPE and character in _INTRODUCERS:
+            self._key, self.text = before + character, self._dropped
+        elif len(before) > 1:
+            self._key = "" if "@" <= character <= "~" else before
+        else:
+            return False
+        return True
 
 
 def may_ask() -> bool:
@@ -81,6 +100,7 @@ def typed_lines(take: Callable[[str], None], one_by_one: bool) -> Iterator[Typed
 
 
 def _read(fd: int, typed: Typed, take: Callable[[str], None], stop: threading.Event) -> None:
+    decoder = codecs.getincrementaldecoder("utf-8")("ignore")  # a read may end inside a character
     while not stop.is_set():
         try:
             ready, _, _ = select.select([fd], [], [], _POLL_S)
@@ -92,7 +112,7 @@ def _read(fd: int, typed: Typed, take: Callable[[str], None], stop: threading.Ev
             return
         if not data:  # end of file; the terminal may be gone
             return
-        for line in typed.push(data.decode("utf-8", "ignore")):
+        for line in typed.push(decoder.decode(data)):
             take(line)
 
 
