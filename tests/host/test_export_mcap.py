@@ -47,6 +47,8 @@ def read(out):
             assert schema is not None  # PlotJuggler looks up every channel's schema
             assert (channel.message_encoding, schema.encoding) == ("json", "jsonschema")
             said = channels.setdefault(channel.topic, (json.loads(schema.data), []))
+            assert schema.name
+            assert said[0]["type"] == "object"  # Foxglove plots the properties of a named object
             said[1].append((message.log_time, json.loads(message.data, parse_constant=pytest.fail)))
     return channels
 
