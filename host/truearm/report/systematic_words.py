@@ -86,5 +86,5 @@ def _what(entry: Mapping[str, Any]) -> str:
 def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
-        return "an amount that these rows do not determine"
+        return "an amount that cannot be determined"
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"
