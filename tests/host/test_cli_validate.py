@@ -167,6 +167,7 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     code, said, err = run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig)
     assert code == 0, err
     assert "prove little" in said
+    assert "identify from these rows too" not in said  # they were
     assert "unknowns of the rig were estimated" in said
 
 

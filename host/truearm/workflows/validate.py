@@ -389,13 +389,14 @@ def verdict(document: Mapping[str, Any]) -> str:
     units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
     helped = [suffix for suffix, better in document["better"].items() if better]
     told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
+    remedy = "identify from more varied poses" if document["identified_from"] else "identify from these rows too"
     if document["consistent"] and told:
         explained = " and ".join(of.text(of.rms) for of in told)
         words = f"The calibration holds: the errors are consistent with declared noise and its own uncertainty ({explained})."
         if unsure := [of for of in told if of.by_parameters > of.by_noise]:
             words = (
                 "The calibration holds, but its own uncertainty here is "
-                f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, identify from these rows too."
+                f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, {remedy}."
             )
     elif not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
@@ -413,13 +414,13 @@ def verdict(document: Mapping[str, Any]) -> str:
     if document["unseen"]:
         words += (
             f" {counted(document['unseen'], 'row depends', 'rows depend')} on combinations of parameters that the identification could not "
-            "determine, such as the pose of base or tool, or a joint that did not move: identify from these rows too."
+            f"determine, such as the pose of base or tool, or a joint that did not move: {remedy}."
         )
     worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
     if worse:
         words += f" Worse than without it: {'; '.join(worse)}."
     if document["identified_from"]:
-        words += " But the identification used these rows too, so they prove little."
+        words += " But the identification used these rows too, so they prove little: validate with other measurements."
     return words
 
 
