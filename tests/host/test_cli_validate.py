@@ -14,6 +14,7 @@ from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 from truearm.types import Device, Rig
+from truearm.workflows.validate import verdict
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 UNITS = ("rad",) * 6
@@ -167,7 +168,10 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     code, said, err = run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig)
     assert code == 0, err
     assert "prove little" in said
-    assert "identify from these rows too" not in said  # they were
+    document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--json")[1])
+    words = verdict({**document, "unseen": 5})
+    assert "identify from more varied poses" in words
+    assert "identify from these rows too" not in words  # they were
     assert "unknowns of the rig were estimated" in said
 
 
