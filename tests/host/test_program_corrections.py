@@ -252,7 +252,7 @@ def test_one_point_under_two_tools_is_split(tmp_path):
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
     assert [(one.line, one.remedy) for one in caught.value.refused] == [(5, "split")]
-    assert "than line 3 does" in caught.value.refused[0].why
+    assert "with the move of line 3" in caught.value.refused[0].why
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
