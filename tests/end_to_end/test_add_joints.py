@@ -105,7 +105,7 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
         "added afterwards from joints.csv; their arrival was not observed. Their time is utc; its error is unknown"
         in said
     )
-    assert "above the fastest on average" not in said  # what would be said of arrivals
+    assert "later than the fastest one" not in said  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]
     assert others == list(old.messages())
     assert all(json.loads(message.data)["arrival"] is False for message in new.messages({"/robot/joints"}))

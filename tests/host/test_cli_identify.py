@@ -274,7 +274,7 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     outcome = run("identify", str(few), "--model", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
     assert outcome.code == 0, outcome
     assert "the residuals say nothing about accuracy" in outcome.out
-    assert "Declared noise explains" not in outcome.out
+    assert "declared noise explains" not in outcome.out
 
 
 def test_an_error_of_the_tool_that_is_not_determined_is_no_number(run: Run, good: list[object]) -> None:

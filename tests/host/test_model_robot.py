@@ -265,11 +265,15 @@ def test_transforms_by_hand():
     [
         ('motion = "tz"', 'motion = "ta"', "transform: item 1: motion: 'ta' is not one of 'tx'"),
         ('motion = "tz"', "motion = []", "transform: item 1: motion: a list is not one of 'tx'"),
-        ('name = "column.height"\n', "", "transform: item 1: a parameter needs a name and a table of values"),
+        (
+            'name = "column.height"\n',
+            "",
+            "transform: item 1: a constant has an amount and no name; a parameter needs both a name",
+        ),
         (
             "amount_deg = -90.0",
             'name = "x"\namount_deg = -90.0',
-            "transform: item 2: a parameter needs a name and a table",
+            "transform: item 2: a constant has an amount and no name",
         ),
         ('name = "column.height"', 'name = "column height"', "transform: item 1: name: 'column height' is not a name"),
         (
