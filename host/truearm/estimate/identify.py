@@ -160,7 +160,9 @@ def identify(
     if loss is not Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
         tolerated = only(problem, ~beyond if beyond.mean() <= MOST else np.ones_like(beyond))
         fit_quality = goodness(*weighted_chi2(tolerated, x, loss), shares)
-    data = _data_root(problem, columns, found)
+    taken = only(problem, found.weight > 0.0)
+    still = settled(taken, x)
+    data = _data_root(still, columns, found)
     names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
     sight = identifiability(data.root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
@@ -172,12 +174,14 @@ def identify(
     known = dict(zip(problem.names, x, strict=True))
     how = measured_order(table, fitted)
     chi2, freedom = unweighted.reduced * unweighted.freedom, unweighted.freedom
-    taken = only(problem, found.weight > 0.0)
     wrong = None  # the tests are about a minimum of χ²
     if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
         with step("testing for systematic errors"):
+            # With the derivatives at the readings as they are: the test subtracts what the parameters follow of them.
+            alike = all(one is other for one, other in zip(still.groups, taken.groups, strict=True))
+            as_fitted = data if alike else _data_root(taken, columns, found)
             wrong = systematic_errors(
-                taken, x, columns, Fitted.of(data), FitChi2(chi2, freedom, unweighted.band[1]), how
+                taken, x, columns, Fitted.of(as_fitted), FitChi2(chi2, freedom, unweighted.band[1]), how
             )
     if wrong is not None:
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
@@ -330,12 +334,11 @@ def _before(
 
 
 def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Information:
-    """Return the information of the rows used and of the rig, without the robot's prior."""
+    """Return the information of rows and of the rig, without the robot's prior."""
     n_robot = int(columns[: problem.n_robot].sum())
     rig_prior = problem.prior_sigma[columns]
     rig_prior[:n_robot] = np.inf
-    used = settled(only(problem, found.weight > 0.0), found.x)
-    return with_prior(observe(used, found.x, columns), (problem.start - found.x)[columns], rig_prior)
+    return with_prior(observe(problem, found.x, columns), (problem.start - found.x)[columns], rig_prior)
 
 
 def judged(
