@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 def one_line(text: str) -> str:
     """Return ``text`` on one line, with control characters (for example in file names) escaped."""
+    if text.isascii() and text.isprintable():
+        return " ".join(text.split())
     # file names that the locale could not decode come as surrogates; most are UTF-8 anyway
     text = text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))

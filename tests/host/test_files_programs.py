@@ -530,6 +530,7 @@ def test_possibilities_do_not_multiply(program_of, monkeypatch):
 
 
 GROWING = {
+    "lists made of one item": ["x=make_list(1000,1)"] * 3000,
     "a text that doubles": ['x="movel"', *["x=str_cat(x,x)"] * 60],
     "ends of a loop that keep all names": ["while a:", *[f"a{k}={k}\nif a:\nbreak\nend" for k in range(3000)], "end"],
 }  # fmt: skip

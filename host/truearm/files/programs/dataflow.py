@@ -15,7 +15,7 @@ from itertools import chain, product
 from math import prod
 from typing import NamedTuple, Protocol, assert_never
 
-from truearm.files.programs.environment import GLOBAL, HERE, SEVERAL, Environment, Key, Trace, few
+from truearm.files.programs.environment import GLOBAL, HERE, Environment, Key, Trace, few
 from truearm.files.programs.motions import UNDECLARED, Motion, goal_of
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.syntax import (
@@ -66,14 +66,10 @@ from truearm.files.programs.values import (
     merged,
     most_choices,
 )
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import CALL, ELEMENT, GEOMETRY, GOAL, LETTERS, MOVE, SEVERAL, Work
 
 MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
-CALL = 20  # cost of a call, in parts of an expression
-GOAL = 5  # of a goal of a move
-GEOMETRY = 30  # of a function of poses
-LETTERS = 100  # that cost as much as one part of an expression
 
 TOOL = "tool in force"  # variable names contain no spaces
 _ANYWHERE: Values = (Unknown("the position in which the program starts is not known", 0),)
@@ -385,12 +381,13 @@ class Flow:
             case Number() | Text() | Truth():
                 return (expression,)
             case Items(items, pose):
+                self.work.spend(ELEMENT)
                 return (Listed(tuple(self.value(item) for item in items), pose),)
             case Element(of, at, start):
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found: list[Value] = []
                 for one, place in product(lists, places):
-                    self.work.spend(1 if isinstance(place, str | Number) else _size(one))
+                    self.work.spend(ELEMENT if isinstance(place, str | Number) else _size(one))
                     reached = self.language.item(one, place, start)
                     self.work.spend(len(reached) // SEVERAL)
                     found += reached
@@ -401,7 +398,7 @@ class Flow:
                     return self._either(expression)
                 given = [self.value(operand) for operand in operands]
                 self.work.spend(length_of_texts(given) // LETTERS)
-                self.work.spend(min(prod(map(len, given)), most_choices(given)) - 1)
+                self.work.spend(ELEMENT * min(prod(map(len, given)), most_choices(given)))
                 return combined(start, operator_of(sign, start), given)
             case _:
                 assert_never(expression)
@@ -664,7 +661,7 @@ class Flow:
         ``straight``: along a line from the robot's position.
         """
         motion = self.motion(call.function, call.start, call.end)
-        self.work.spend(GOAL * len(tools) * len(frames) * sum(len(values) for values, _ in targets))
+        self.work.spend(MOVE + GOAL * len(tools) * len(frames) * sum(len(values) for values, _ in targets))
         ends: dict[Value, None] = {}
         for tool in tools:
             for frame in frames:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from truearm.files.programs.values import Begin, Unknown, Value, Values, all_of
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import SEVERAL, Work
 
 Key = tuple[int, str]  # the scope, 0 for the program's own, and the name
 GLOBAL = 0
 HERE: Key = (GLOBAL, "where the robot is")  # variable names contain no spaces
-
-
-SEVERAL = 8  # possibilities that cost as much as one part of an expression
 
 
 class Trace:

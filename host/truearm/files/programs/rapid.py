@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from truearm.files.programs.rapid_expressions import CLOSING, ENDS, TOKENS, ExpressionReader
+from truearm.files.programs.rapid_expressions import CLOSING, ENDS, ExpressionReader
 from truearm.files.programs.reader import END
 from truearm.files.programs.syntax import (
     Assign,
@@ -55,7 +55,7 @@ class Module(NamedTuple):
 
 def read_rapid(work: Work) -> tuple[Module, ...]:
     """Return the modules of a program. Raises ProgramError with file and line."""
-    reader = _Reader(work, TOKENS)
+    reader = _Reader(work)
     found = [reader.module()]
     while reader.kind != END:
         found.append(reader.module())
@@ -109,7 +109,7 @@ class _Reader(ExpressionReader):
             raise self.unexpected("a declaration or a routine")
 
     def datum(self) -> Declared:
-        kind, start = self.step().lower(), self.last
+        kind, start = self.step(), self.last
         type_of, name = self.word("a type"), self.word("a name")
         if self.text == "{":
             self.step()
@@ -122,7 +122,7 @@ class _Reader(ExpressionReader):
         return Declared(name, kind, type_of, value, start)
 
     def routine(self) -> Routine:
-        kind, start = self.step().lower(), self.last
+        kind, start = self.step(), self.last
         if kind == "func":
             self.word("a type")
         name = self.word("a name")
@@ -156,7 +156,7 @@ class _Reader(ExpressionReader):
                 self.step()
             words = []
             while self.kind == "word":
-                words.append(self.step().lower())
+                words.append(self.step())
             if not words:
                 raise self.unexpected("a parameter")
             if self.text == "{":
@@ -182,7 +182,7 @@ class _Reader(ExpressionReader):
 
     def statement(self) -> list[Statement]:
         start = self.start
-        word = self.text.lower() if self.kind == "word" else ""
+        word = self.text if self.kind == "word" else ""
         if word in _STATEMENTS:
             return _STATEMENTS[word](self)
         if self.text == "%":
@@ -195,7 +195,7 @@ class _Reader(ExpressionReader):
             self.step()
             self.step()
             return [Jump(start)]
-        if self.text.lower() == "<smt>":  # where an editor has no statement yet
+        if self.text == "<smt>":  # where an editor has no statement yet
             self.step()
             return []
         return [self.simple()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from truearm.files.programs.reader import Reader
+from truearm.files.programs.reader import NO_MORE, Reader
 from truearm.files.programs.syntax import (
     NUMBER,
     Call,
@@ -19,6 +19,7 @@ from truearm.files.programs.syntax import (
     Text,
     Truth,
 )
+from truearm.files.programs.work import Work
 
 _N = rf"\s*[+-]?{NUMBER}\s*"
 
@@ -30,8 +31,8 @@ def _list(n: int) -> str:
 TOKENS = re.compile(
     rf"""(?:\s++|![^\r\n]*+|\xef\xbb\xbf|%%%[^%]*+%%%)*+
     (?:(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
-    |(?P<number>0[xX][0-9A-Fa-f]+|0[oO][0-7]+|0[bB][01]+|{NUMBER})|(?P<word>[A-Za-z\x80-\xff][\w\x80-\xff]*+)|(?P<string>"(?:[^"\r\n]|"")*")
-    |(?P<sign>(?i:<smt>)|:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|]))?""",
+    |(?P<number>0x[0-9a-f]+|0o[0-7]+|0b[01]+|{NUMBER})|(?P<word>[a-z\x80-\xff][\w\x80-\xff]*+)|(?P<string>"(?:[^"\r\n]|"")*")
+    |(?P<sign><smt>|:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|])|{NO_MORE})""",
     re.VERBOSE | re.ASCII,
 )
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
@@ -61,20 +62,27 @@ NO_NAMES = CLOSING | {
 
 
 class ExpressionReader(Reader):
-    """Expressions by recursive descent."""
+    """Expressions by recursive descent. ``text`` is in lower case."""
+
+    def __init__(self, work: Work) -> None:
+        super().__init__(work, TOKENS, work.source.text.lower())  # each of ISO 8859-1's letters becomes one letter
+
+    def written(self) -> str:
+        """Return the text of the token taken last, as it is in the source."""
+        return self.source.text[self.last : self.end]
 
     def is_word(self, *words: str) -> bool:
-        return self.kind == "word" and self.text.lower() in words
+        return self.kind == "word" and self.text in words
 
     def take(self, text: str) -> None:
-        if self.text.lower() != text:
+        if self.text != text:
             raise self.unexpected(text.upper() if text.isalpha() else quoted_sign(text))
         self.step()
 
     def word(self, wanted: str) -> str:
-        if self.kind != "word" or self.text.lower() in NO_NAMES:
+        if self.kind != "word" or self.text in NO_NAMES:
             raise self.unexpected(wanted)
-        return self.once(self.step().lower())
+        return self.once(self.step())
 
     def arguments(self, closing: str) -> tuple[tuple[Expression, ...], tuple[tuple[str, Expression], ...]]:
         r"""Return arguments in order, and those after a \\, up to a sign that is consumed. A switch is True."""
@@ -109,7 +117,7 @@ class ExpressionReader(Reader):
 
     def expression(self, least: int = 0) -> Expression:
         """Return an expression whose operators have at least this precedence."""
-        start, text = self.start, self.text.lower()
+        start, text = self.start, self.text
         if text == "not" or text in ("-", "+"):
             self.deeper()
             self.step()
@@ -122,10 +130,10 @@ class ExpressionReader(Reader):
         else:
             left = self.postfix()
         links = 0
-        while (binds := _BINDS.get(self.text.lower(), -1)) > least and self.kind in ("sign", "word"):
+        while (binds := _BINDS.get(self.text, -1)) > least and self.kind in ("sign", "word"):
             links += 1
             self.longer(links)
-            sign = self.step().lower()
+            sign = self.step()
             left = Operation(sign, (left, self.expression(binds)), start, self.end)
         return left
 
@@ -147,7 +155,7 @@ class ExpressionReader(Reader):
     def atom(self) -> Expression:
         kind, text, start = self.kind, self.text, self.start
         if kind == "word":
-            word = self.once(text.lower())
+            word = self.once(text)
             if word in ("true", "false"):
                 self.step()
                 return Truth(word == "true")
@@ -160,17 +168,17 @@ class ExpressionReader(Reader):
                 return Name(word, start)
         elif kind == "number":
             self.step()
-            plain = not text.lower().startswith(("0x", "0o", "0b"))
+            plain = not text.startswith(("0x", "0o", "0b"))
             return Number(float(text) if plain else float(int(text, 0)))
         elif kind == "robtarget":
             self.step()
-            return Taught(Form.ROBTARGET, text, start)
+            return Taught(Form.ROBTARGET, self.written(), start)
         elif kind == "jointtarget":
             self.step()
-            return Taught(Form.JOINTTARGET, text, start)
+            return Taught(Form.JOINTTARGET, self.written(), start)
         elif kind == "string":
             self.step()
-            return Text(text[1:-1])
+            return Text(self.written()[1:-1])
         elif text == "[":
             self.step()
             return Items(self.bracketed("]"), False, start, self.end)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from truearm.files.programs.dataflow import LETTERS, Flow, length_of_texts
+from truearm.files.programs.dataflow import Flow, length_of_texts
 from truearm.files.programs.environment import Key
 from truearm.files.programs.rapid import LATE_BOUND, Module
 from truearm.files.programs.rapid_expressions import PASSED
@@ -47,7 +47,7 @@ from truearm.files.programs.values import (
     counts,
     joined,
 )
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import LETTERS, Work
 
 DISPLACED = "program displacement"
 LOCKED = "axis 4 locked"

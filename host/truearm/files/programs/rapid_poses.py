@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from scipy.spatial.transform import Rotation
-
 from truearm.files.programs.motions import UNDECLARED
+from truearm.files.programs.rotations import of_quaternion, quaternion_of_angles, quaternion_of_tool_angles
 from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
 from truearm.files.programs.values import (
     Listed,
@@ -125,7 +124,8 @@ def offset_along_tool(given: Sequence[Value], at: int) -> Value:
             (one for one in given[1:] if isinstance(one, Unknown)),
             Unknown("the arguments of RelTool are not known", at),
         )
-    turn = Rotation.from_euler("XYZ", numbers[3:], degrees=True)
+    x, y, z = map(math.radians, numbers[3:])
+    turn = of_quaternion(*quaternion_of_tool_angles(x, y, z))
     return times(target, shifted([float(MM.to_si(value)) for value in numbers[:3]]), turned(turn))
 
 
@@ -134,8 +134,8 @@ def oriented(given: Sequence[Value], at: int) -> Value:
     numbers = _numbers(given)
     if numbers is None:
         return first_unknown(given) or Unknown("the angles of OrientZYX are not known", at)
-    x, y, z, w = Rotation.from_euler("ZYX", numbers, degrees=True).as_quat().tolist()
-    return Listed(tuple((Number(value),) for value in (w, x, y, z)))
+    z, y, x = map(math.radians, numbers)
+    return Listed(tuple((Number(value),) for value in quaternion_of_angles(z, y, x)))
 
 
 def items_of(of: Value) -> tuple[Values, ...] | None:

@@ -4,53 +4,51 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import chain, islice, repeat
 
 from truearm.errors import ProgramError
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import TOKEN, Work
 from truearm.schema import quoted
 
 MAX_DEPTH = 60  # nesting depth of brackets and blocks
 MAX_LINKS = 1_000  # of a chain of fields, indexes or operators
-END = "end of the file"
+BATCH = 1_000  # tokens that are found at a time
+END, BAD = "end", "bad"  # kinds of the last token, and of a character that begins no token
+NO_MORE = rf"(?P<{BAD}>(?s:.))|(?P<{END}>\Z)"  # the last choices of each language's pattern
 Token = tuple[str, str, int]  # kind, the name of the group in the language's pattern; text; place
 
 
-def tokens_of(work: Work, pattern: re.Pattern[str]) -> Iterator[Token]:
+def tokens_of(work: Work, pattern: re.Pattern[str], text: str) -> Iterator[Token]:
     """Yield the tokens of a text, by a pattern whose named groups are the kinds.
 
-    The pattern begins with what is skipped, and matches nothing else if there is no token. The last tokens have kind
-    END. Raises ProgramError with the line for text that is not a token, and where nothing is left of ``work``.
+    The pattern begins with what is skipped, and ends with ``NO_MORE``. The last tokens have kind END. Raises
+    ProgramError with the line where nothing is left of ``work``.
     """
-    source = work.source
-    at, text = 0, source.text
-    for match in pattern.finditer(text):
-        kind = match.lastgroup
-        if kind is None:
-            at = match.end()
-            break
-        start, end = match.span(kind)
-        work.left -= 1
+    return chain(chain.from_iterable(_batches(work, pattern, text)), repeat((END, "", len(text))))
+
+
+def _batches(work: Work, pattern: re.Pattern[str], text: str) -> Iterator[list[Token]]:
+    found = pattern.finditer(text)
+    while batch := [(m.lastgroup or END, m[m.lastindex or 0], m.start(m.lastindex or 0)) for m in islice(found, BATCH)]:
+        work.left -= TOKEN * len(batch)
         if work.left < 0:
-            raise work.spent(start)
-        yield kind, text[start:end], start
-    if at != len(text):
-        raise source.wrong(at, f"{quoted(text[at : at + 12])} is not known in this language")
-    while True:
-        yield END, "", at
+            raise work.spent(batch[0][2])
+        yield batch
 
 
 class Reader:
     """Tokens taken one after the other, by a language's grammar.
 
     ``kind``, ``text`` and ``start`` belong to the next token, ``following`` is the text of the token after it. ``last``
-    is the place of the token taken last, ``end`` the place after that token.
+    is the place of the token taken last, ``end`` the place after that token. ``text`` is the source's, or the source's
+    in lower case.
     """
 
     __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text")
 
-    def __init__(self, work: Work, pattern: re.Pattern[str]) -> None:
+    def __init__(self, work: Work, pattern: re.Pattern[str], text: str) -> None:
         self.source, self.depth, self.last, self.end = work.source, 0, 0, 0
-        self._tokens = tokens_of(work, pattern)
+        self._tokens = tokens_of(work, pattern, text)
         self.kind, self.text, self.start = next(self._tokens)
         self._next = next(self._tokens)
         self.known: dict[str, str] = {}  # names, each stored once
@@ -80,7 +78,10 @@ class Reader:
         """Return an error: something else was expected here."""
         if self.kind == END:
             return self.wrong(f"the file ends where {wanted} is expected; it is truncated")
-        return self.wrong(f"expected {wanted}, found {quoted(self.text)}")
+        found = self.source.text[self.start : self.start + max(len(self.text), 12 * (self.kind == BAD))]
+        if self.kind == BAD:
+            return self.wrong(f"{quoted(found)} is not known in this language")
+        return self.wrong(f"expected {wanted}, found {quoted(found)}")
 
     def deeper(self) -> None:
         """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""

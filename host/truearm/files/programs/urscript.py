@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from truearm.files.programs.reader import END, Reader
+from truearm.files.programs.reader import END, NO_MORE, Reader
 from truearm.files.programs.syntax import (
     NUMBER,
     Assign,
@@ -39,7 +39,7 @@ _SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
 _TOKENS = re.compile(
     rf"""(?:[ \t\f]++|\#[^\r\n]*+|\$[^\r\n]*+|\xef\xbb\xbf)*+(?:(?P<newline>\r\n|\n|\r)|(?P<pose>p{_SIX})|(?P<joints>{_SIX})
     |(?P<number>{NUMBER})|(?P<word>[A-Za-z_]\w*)|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')
-    |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.]))?""",
+    |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.])|{NO_MORE})""",
     re.VERBOSE | re.ASCII,
 )
 _BINDS = {"or": 1, "xor": 1, "and": 2, "==": 4, "!=": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
@@ -67,7 +67,7 @@ class _Reader(Reader):
     __slots__ = ("open",)
 
     def __init__(self, work: Work) -> None:
-        super().__init__(work, _TOKENS)
+        super().__init__(work, _TOKENS, work.source.text)
         self.open = 0
 
     def block(self) -> Block:

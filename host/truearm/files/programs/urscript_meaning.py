@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from truearm.files.programs.dataflow import LETTERS, TOOL, Flow, length_of_texts
+from truearm.files.programs.dataflow import TOOL, Flow, length_of_texts
 from truearm.files.programs.sent_moves import text_of, why_sent
 from truearm.files.programs.syntax import (
     Block,
@@ -39,7 +39,7 @@ from truearm.files.programs.values import (
     numbers_of,
     taught_pose,
 )
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import LETTERS, Work
 
 _SENDERS = ("socket_send_line", "socket_send_string")
 _WHERE_IT_IS = frozenset({"get_actual_joint_positions", "get_target_joint_positions"})
@@ -98,7 +98,9 @@ class UrScript(NamedTuple):
         if name == "get_inverse_kin":
             return _solved(flow, call, arguments, named)
         if name == "make_list":
-            return list_made(arguments, named, at)
+            made = list_made(arguments, named, at)
+            flow.work.spend(sum(len(one.items) for one in made if isinstance(one, Listed)))
+            return made
         if name in PURE:
             values = [*arguments, *named.values()]
             return flow.posed(at, lambda *given: PURE[name](given, at), values) if values else None

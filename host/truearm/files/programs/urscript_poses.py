@@ -5,13 +5,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from truearm.files.programs.rotations import transposed
 from truearm.files.programs.syntax import Number, Taught
 from truearm.files.programs.values import (
+    Fixed,
     Listed,
     Pose,
     Solved,
@@ -21,7 +24,6 @@ from truearm.files.programs.values import (
     first_unknown,
     fixed_six,
     inverse,
-    matrices_of,
     numbers_of,
     shifted,
     times,
@@ -39,7 +41,7 @@ def as_pose(value: Value, at: int) -> Pose | Unknown:
     if isinstance(value, Solved):
         return value.pose
     numbers = numbers_of(value)
-    if numbers is not None and len(numbers) == SIX and np.isfinite(numbers).all():
+    if numbers is not None and len(numbers) == SIX and _finite(numbers):
         return fixed_six(numbers)
     return unknown_in(value) or Unknown("it is not a pose of six numbers", at)
 
@@ -99,15 +101,23 @@ def _sub(given: Sequence[Value], at: int) -> Value:
 
 
 def _moved(a: Pose, b: Pose, sense: int, at: int) -> Value:
-    numbers = b.factors[0].pose if len(b.factors) == 1 and not b.factors[0].inverse else None
-    if isinstance(numbers, Taught):
-        matrix = matrices_of([numbers])[0]
-    elif numbers is not None:
-        matrix = np.array(numbers.rows).reshape(4, 4)
-    else:
+    of = b.factors[0].pose if len(b.factors) == 1 and not b.factors[0].inverse else None
+    if isinstance(of, Taught):
+        if not _finite(of.values):
+            return Unknown("it is not a pose of six numbers", at)
+        numbers = fixed_six(of.values).factors[0].pose
+        assert isinstance(numbers, Fixed)
+        of = numbers
+    if of is None:
         return Unknown("the pose that is added is itself a product, which cannot be traced", at)
-    turn = Rotation.from_matrix(matrix[:3, :3])
-    return times(shifted(sense * matrix[:3, 3]), a, turned(turn if sense > 0 else turn.inv()))
+    a0, a1, a2, x, b0, b1, b2, y, c0, c1, c2, z, *_ = of.rows
+    turn = (a0, a1, a2, b0, b1, b2, c0, c1, c2)
+    return times(shifted((sense * x, sense * y, sense * z)), a, turned(turn if sense > 0 else transposed(turn)))
+
+
+def _finite(numbers: Sequence[float]) -> bool:
+    """Return whether the numbers of a pose are finite, and the angle of its rotation vector is."""
+    return math.isfinite(math.hypot(*numbers))
 
 
 def _inv(given: Sequence[Value], at: int) -> Value:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from truearm.files.programs.rotations import NO_TURN, Nine, of_quaternion, of_vector, rows_of
 from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
 from truearm.types import Floats
 from truearm.units import DEG, MM
@@ -221,14 +222,15 @@ def numbers_of(value: Value) -> tuple[float, ...] | None:
     return tuple(found) if len(found) == len(value.items) else None
 
 
-def fixed(matrix: Floats) -> Pose:
-    """Return a pose (4, 4) that is not in the text."""
-    return Pose((Factor(Fixed(tuple(np.asarray(matrix, dtype=float).ravel().tolist()))),))
+def fixed(xyz: Sequence[float], turn: Nine) -> Pose:
+    """Return a pose [m] that is not in the text."""
+    return Pose((Factor(Fixed(rows_of(xyz, turn))),))
 
 
 def fixed_six(six: Sequence[float]) -> Pose:
     """Return the pose at x, y, z [m] with a rotation vector [rad]."""
-    return fixed(_matrix(six[:3], Rotation.from_rotvec(six[3:])))
+    x, y, z = six[3:]
+    return fixed(six[:3], of_vector(x, y, z))
 
 
 def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
@@ -238,18 +240,17 @@ def fixed_mm(xyz: Sequence[float], quaternion: Sequence[float]) -> Pose | None:
     if not abs(math.hypot(*quaternion) - 1.0) <= UNIT_QUATERNION:
         return None
     w, x, y, z = quaternion
-    return fixed(_matrix([MM.to_si(value) for value in xyz], Rotation.from_quat([x, y, z, w])))
+    return fixed([MM.to_si(value) for value in xyz], of_quaternion(w, x, y, z))
 
 
 def shifted(xyz: Sequence[float]) -> Pose:
     """Return a translation [m]."""
-    x, y, z = map(float, xyz)
-    return Pose((Factor(Fixed((1.0, 0.0, 0.0, x, 0.0, 1.0, 0.0, y, 0.0, 0.0, 1.0, z, 0.0, 0.0, 0.0, 1.0))),))
+    return fixed(xyz, NO_TURN)
 
 
-def turned(turn: Rotation) -> Pose:
+def turned(turn: Nine) -> Pose:
     """Return a rotation about the origin."""
-    return fixed(_matrix((0.0, 0.0, 0.0), turn))
+    return fixed((0.0, 0.0, 0.0), turn)
 
 
 def times(*poses: Pose) -> Pose:
@@ -329,9 +330,3 @@ def readings_of(taught: Taught) -> tuple[float, ...]:
     """Return the joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
     values = taught.values[:6]
     return values if taught.form is not Form.JOINTTARGET else tuple(float(DEG.to_si(value)) for value in values)
-
-
-def _matrix(xyz: Sequence[float], turn: Rotation) -> Floats:
-    out = np.eye(4)
-    out[:3, 3], out[:3, :3] = xyz, turn.as_matrix()
-    return out

@@ -7,6 +7,15 @@ from truearm.files.programs.syntax import Source
 from truearm.files.programs.tree_walks import places_in
 
 WORK, WORK_EACH = 500_000, 0.25  # units for any program, and for each byte of it
+# what something costs, in units
+TOKEN = 1  # of the text
+MOVE, GOAL = 5, 5  # and each of its possible goals
+CALL = 20  # of a routine
+GEOMETRY = 10  # a function of poses
+ELEMENT = 1  # an operator, an element or a list
+# how many of them cost a unit
+SEVERAL = 8  # possibilities
+LETTERS = 100  # of texts
 
 
 class Work:
