@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tests.host import hostile_programs
 from tests.host.mutations import is_clear
 
 from truearm.errors import ProgramError
@@ -626,6 +627,24 @@ def test_mutated_programs_are_read_or_refused(text, language):
 @pytest.mark.parametrize(("text", "language"), BOTH)
 def test_three_thousand_mutations(text, language):
     assert check_mutations(text, language, 2, 3000) > 300
+
+
+@pytest.mark.parametrize(
+    ("kinds", "language"), [(hostile_programs.RAPID, "rapid"), (hostile_programs.URSCRIPT, "urscript")]
+)
+def test_hostile_programs_are_read_or_refused(kinds, language):
+    for kind in kinds.values():
+        with contextlib.suppress(ProgramError):
+            targets_of(parsed(kind.text(1_000), language), True, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "language"),
+    [("CAM moves", "rapid"), ("CAM moves", "urscript"), ("CAM moves near", "urscript"), ("movel each", "urscript")],
+)
+def test_a_megabyte_of_moves_is_read(name, language):
+    kinds = hostile_programs.RAPID if language == "rapid" else hostile_programs.URSCRIPT
+    assert len(parsed(kinds[name].text(), language).motions) > 6_000
 
 
 @pytest.mark.soak
