@@ -3,7 +3,7 @@
 import pytest
 
 from hardware import __main__ as commands
-from hardware import budget, lvdt_check, outputs, power_up, spice_check, stress
+from hardware import budget, lvdt_check, outputs, power_up, spice, spice_check, stress
 from hardware.box import sheets
 from hardware.netlist import Component, Netlist
 from hardware.sheet import netlist
@@ -78,6 +78,18 @@ def test_a_fuse_that_may_not_interrupt_30_v_is_found(tools):
 def test_an_lvdt_beyond_the_range_is_found(tools, lvdt, words):
     rows = lvdt_check.check(tools, Circuit(netlist(sheets())), lvdt)
     assert any(words in row.what for row in rows if not row.passed)
+
+
+def test_an_lvdt_with_the_parts_that_it_can_reach_is_as_with_the_whole_box(tools, monkeypatch):
+    """Every printed digit is the same. The triggers and the sensors' supply are left out, the converter's is not."""
+    circuit, lvdt = Circuit(netlist(sheets())), budget.LVDTS[0]
+    kept = spice.reached(circuit.lines(), lvdt_check.sensor(circuit, lvdt, 1.0, 40.0))
+    names = {element.split()[0] for element in kept}
+    assert {"VU1", "VU2", "XU4A", "XU5A", "DU310"} < names
+    assert names.isdisjoint({"XU9", "QQ1", "QQ3", "RF4"})
+    part = lvdt_check.signals(tools, circuit, lvdt, 1.0, 40.0)
+    monkeypatch.setattr(spice, "reached", lambda elements, bench: elements)
+    assert part == lvdt_check.signals(tools, circuit, lvdt, 1.0, 40.0)
 
 
 def test_a_filter_that_passes_the_harmonics_is_found(tools):
