@@ -111,20 +111,20 @@ def systematic_errors(
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
         return None
     gross = goodness.chi2 > GROSS**2 * goodness.freedom
-    every = list(blocks_of_rows(how) if gross else families(problem.causes, problem.errors, rows, how))
+    every = [] if gross else [of.summed(problem.errors, rows, how) for of in families(problem, rows, how)]
+    every += blocks_of_rows(how)
     test = ScoreTest(problem.errors, rows, how, goodness, math.log(max(len(every), 1)))
     found: list[Best] = []
     while True:
-        likely = searched(found, every, test)
-        found, inflation = confirmed(likely, test)
+        likely, together = searched(found, every, test)
+        found, after = confirmed(likely, test, together)
         dropped = [one.family for one in likely if all(one.family is not of.family for of in found)]
         if not dropped:
             break
         every = [family for family in every if all(family is not of for of in dropped)]
-        test = test._replace(inflation=inflation)
+        test = test._replace(inflation=after.inflation)
     if not found:
         return None
-    after = test.given(found)
     described, part = _described(found, test, after.state)
     shift = np.zeros(x.size)
     shift[columns] = -fit.root @ part

@@ -9,7 +9,8 @@ from itertools import pairwise
 import numpy as np
 import scipy.linalg
 
-from truearm.estimate.systematic_effects import Cause, Errors
+from truearm.estimate.problem import Problem
+from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.systematic_score import (
     SEEN,
     Best,
@@ -17,13 +18,11 @@ from truearm.estimate.systematic_score import (
     Measured,
     ScoreTest,
     WhitenedResiduals,
-    effect_profile,
     item_columns,
     label,
     log_chance,
     span_in_table,
     unfollowed,
-    with_offset,
 )
 from truearm.kinds.linearised import Indices
 from truearm.types import DriftWith, Floats
@@ -35,18 +34,18 @@ WANDER_KNOTS = 12
 WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
 LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
-SPANS = 64  # tested at once
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 LIKELY = 0.95  # that an error begins and ends within the rows named
 AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are all reported
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 
 
-def families(causes: Sequence[Cause], errors: Errors, rows: WhitenedResiduals, how: Measured) -> Iterator[Family]:
-    """Return every item in every form in which it can be off."""
+def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterator[Family]:
+    """Return every item in every form in which it can be off, without its sums."""
     n = how.row.size
-    for cause in causes:
-        used = np.unique(rows.row[rows.errors[:, errors.indices(cause.numbers)].any(axis=1)])
+    for cause in problem.causes:
+        off = rows.errors[:, problem.errors.indices(cause.numbers)].any(axis=1)
+        used = np.flatnonzero(np.bincount(rows.row[off]))
         if used.size < 2 * LEAST_ROWS:
             continue
         if cause.fault.constant:
@@ -67,7 +66,6 @@ def families(causes: Sequence[Cause], errors: Errors, rows: WhitenedResiduals, h
                     along = how.table.during(drift, *span_in_table(mine[0], mine[-1] + 1, how))
                     if along is not None and (drift is DriftWith.TIME or np.ptp(along) >= LEAST_WARMING):
                         yield family
-    yield from blocks_of_rows(how)
 
 
 def blocks_of_rows(how: Measured) -> Iterator[Family]:
@@ -75,7 +73,9 @@ def blocks_of_rows(how: Measured) -> Iterator[Family]:
     n = how.row.size
     starts = np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [n]])
     spans = set[tuple[int, int]]()
-    for a, b in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+    for a, b in pairwise(starts.tolist()):
+        if b - a < LEAST_ROWS:
+            continue
         for cut in _even(np.arange(a, b + 1), max(MOST_STEPS // (starts.size - 1), 8)).tolist():
             spans |= {(a, cut), (cut, b)}
     kept = sorted((a, b) for a, b in spans if LEAST_ROWS <= b - a <= min(n // 2, MOST_BLOCK))
@@ -89,8 +89,11 @@ def _even(values: Indices, most: int) -> Indices:
     return values if values.size <= most else values[np.linspace(0, values.size - 1, most).astype(np.intp)]
 
 
-def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) -> list[Best]:
-    """Return the findings followed by all others beyond chance, one after the other, each given those before it."""
+def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) -> tuple[list[Best], ScoreTest]:
+    """Return the findings followed by all others beyond chance, one after the other, each given those before it.
+
+    Also returns the test with all of them as parameters.
+    """
     out = list(found)
     now = test.given(out)
     while len(out) < MOST_FINDINGS:
@@ -106,19 +109,13 @@ def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) ->
         best = _in_fewer_rows(best._replace(rivals=(*_wanders(best, every, now), *rivals)), now)
         out.append(best)
         now = now.given([best])
-    return out
+    return out, now
 
 
 def _search(family: Family, test: ScoreTest) -> Best | None:
     """Return the family's best candidate, or None if the parameters can follow all of them."""
-    errors, rows, how, state = test.errors, test.rows, test.how, test.state
-    if family.cause is None:
-        drop, freedom, known = _block_drops(family, rows)
-    else:
-        by = item_columns(family.cause, errors, rows)
-        if family.drift:
-            by = with_offset(by, effect_profile(family.drift, family.first[0], family.last[0], how)[rows.row])
-        drop, freedom, known = _drops(by, family, rows)
+    state = test.state
+    drop, freedom, known = _block_drops(family, test.rows) if family.cause is None else _drops(family, test)
     if not freedom.any():
         return None
     half_drop, variance = drop / 2.0, np.ones(1)
@@ -159,28 +156,18 @@ def _within(family: Family, evidence: Floats) -> tuple[tuple[int, int], tuple[in
     return span(family.first), span(family.last)
 
 
-def _drops(by: Floats, family: Family, rows: WhitenedResiduals) -> tuple[Floats, Indices, Floats]:
-    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans.
-
-    The effects are offsets along ``by`` (m, d).
-    """
-    edges, at = np.unique(np.concatenate([family.first, family.last]), return_inverse=True)
-    cuts = np.searchsorted(rows.row, edges)
-    w, d, r = family.first.size, by.shape[1], rows.basis.shape[1] + rows.added.shape[1]
-    sums = np.zeros((edges.size, d, d + r + 1))
-    for i, (a, b) in enumerate(pairwise(cuts)):
-        across = by[a:b].T
-        sums[i + 1, :, :d] = sums[i, :, :d] + across @ by[a:b]
-        sums[i + 1, :, d:-1] = sums[i, :, d:-1] + across @ rows.of(slice(a, b))
-        sums[i + 1, :, -1] = sums[i, :, -1] + across @ rows.residual[a:b]
-    parts = []
-    for some in np.array_split(np.arange(w), max(1, -(-w // SPANS))):
-        of = sums[at[w:][some]] - sums[at[:w][some]]
-        values, vectors, seen = unfollowed(of[:, :, :d], of[:, :, d:-1])
-        along = np.einsum("wij,wi->wj", vectors, of[:, :, -1])
-        drop = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
-        parts.append((drop, seen.sum(axis=1), np.where(seen, values, 0.0)))
-    drop, freedom, known = (np.concatenate(part) for part in zip(*parts, strict=True))
+def _drops(family: Family, test: ScoreTest) -> tuple[Floats, Indices, Floats]:
+    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans."""
+    rows, (w, d, _) = test.rows, family.left.shape
+    drop, freedom, known = np.zeros(w), np.zeros(w, dtype=np.intp), np.zeros((w, d))
+    beside = np.concatenate([rows.added, rows.residual[:, None]], axis=1)
+    for some, sums in family.sums(family.columns(test.errors, rows, test.how), (beside,), rows):
+        by_added, score = sums[:, :, :-1], sums[:, :, -1]
+        values, vectors = np.linalg.eigh(family.left[some] - by_added @ by_added.swapaxes(1, 2))
+        seen = values > SEEN * family.size[some, None]
+        along = np.einsum("wij,wi->wj", vectors, score)
+        drop[some] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        freedom[some], known[some] = seen.sum(axis=1), np.where(seen, values, 0.0)
     return drop, freedom, known
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,51 +29,77 @@ SURE = 2.0  # standard errors, of the held-out reduction and of an autocorrelati
 LONGEST_LAG = 8  # of the poses, as a divisor, that autocorrelations are summed to
 
 
-def confirmed(found: Sequence[Best], test: ScoreTest) -> tuple[list[Best], float]:
+def confirmed(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tuple[list[Best], ScoreTest]:
     """Return the findings that hold with all others as parameters, with their figures of this joint test.
 
-    Also returns the inflation of drops of χ² by the errors that remain.
+    ``together`` is the ``test`` with all of them as parameters. Also returns it with those that hold, and the inflation
+    of drops of χ² by the errors that remain.
     """
     left = list(found)
     while True:
-        together = test.given(left)
         together = together._replace(
             inflation=1.0 if together.state.explained else path_inflation(together.rows, test.how)
         )
-        again = _jointly(left, test, together)
+        again, own = _jointly(left, test, together)
         worst = max(range(len(left)), key=lambda i: again[i].log_p, default=None)
         if worst is None or not test.by_chance(again[worst].log_p):
-            return again, together.inflation
+            return again, together
         del left[worst]
+        together = _given_up(own[worst], test, together)
 
 
-def _jointly(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> list[Best]:
+def _given_up(own: Floats, test: ScoreTest, together: ScoreTest) -> ScoreTest:
+    """Return ``together``, the ``test`` with D further directions, without those of one finding, ``own`` (D, d)."""
+    rows, before = together.rows, test.rows.added
+    along, rest = rows.added[:, before.shape[1] :], np.linalg.svd(own)[0][:, own.shape[1] :]
+    step = own.T @ (along.T @ test.rows.residual)
+    without = rows._replace(
+        added=np.concatenate([before, along @ rest], axis=1), residual=rows.residual + along @ (own @ step)
+    )
+    return together._replace(rows=without, state=together.state.more(float(step @ step), step.size))
+
+
+class _LeftOut(NamedTuple):
+    """Residuals by fits without their poses, squared residuals by fits without their folds, and rows that judge, (m,)."""
+
+    pose: Floats
+    fold: Floats  # (0,) where declared noise explains χ²
+    judging: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, test: ScoreTest, how: Measured) -> _LeftOut:
+        fold = np.zeros(0) if test.state.explained else held_out_squares(test.rows, how)
+        return cls(_left_out(test.rows, how), fold, judging_rows(test.rows, how))
+
+
+def _jointly(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tuple[list[Best], list[Floats]]:
     """Return the findings, each with its figures given all others; a probability of 1 if held-out rows do not confirm it.
 
-    ``together`` is the ``test`` with all of them as parameters, along ``along`` (m, D). The directions of one that are
-    not those of the others are found among these D.
+    ``together`` is the ``test`` with all of them as parameters, along ``along`` (m, D). The directions (D, d) of one
+    that are not those of the others are found among these D, and returned too.
     """
     along = together.rows.added[:, test.rows.added.shape[1] :]
     columns = [effect_columns(one, test.errors, test.rows, test.how) for one in found]
     ways, step = [along.T @ of for of in columns], along.T @ test.rows.residual
     explained = together.state.explained
-    by_poses, left_out = not explained or test.how.shared, None
-    again = []
+    by_poses, of_rows = not explained or test.how.shared, None
+    again, owns = [], []
     for i, (one, by) in enumerate(zip(found, columns, strict=True)):
         others = _span_of([of for k, of in enumerate(ways) if k != i], along.shape[1])
         left = ways[i] - others @ (others.T @ ways[i])
         values, vectors = np.linalg.eigh(left.T @ left)
         seen = values > SEEN * np.trace(by.T @ by)
         own = left @ vectors[:, seen] / np.sqrt(values[seen])
+        owns.append(own)
         drop, freedom = float(((own.T @ step) ** 2).sum()), own.shape[1]
         state = together.state if explained else together.state.more(drop, freedom)
         log_p = float(log_chance(np.array([drop / together.inflation]), np.array([freedom]), state)[0])
         noisier = one.family.cause is None and not test.state.explained  # without a block, χ² may be in its range
         if (by_poses or noisier) and not test.by_chance(log_p + one.log_count):
-            left_out = _left_out(together.rows, test.how) if left_out is None else left_out
-            log_p = max(log_p, _by_poses(one, own, test, together, left_out))
+            of_rows = _LeftOut.of(together, test.how) if of_rows is None else of_rows
+            log_p = max(log_p, _by_poses(one, own, test, together, of_rows))
         again.append(one._replace(drop=drop, freedom=freedom, log_p=min(log_p + one.log_count, 0.0)))
-    return again
+    return again, owns
 
 
 def _span_of(ways: Sequence[Floats], size: int) -> Floats:
@@ -82,31 +110,27 @@ def _span_of(ways: Sequence[Floats], size: int) -> Floats:
     return np.asarray(basis[:, weight > math.sqrt(SEEN) * weight.max(initial=0.0)])
 
 
-def _by_poses(one: Best, own: Floats, test: ScoreTest, together: ScoreTest, left_out: Floats) -> float:
+def _by_poses(one: Best, own: Floats, test: ScoreTest, together: ScoreTest, left_out: _LeftOut) -> float:
     """Return the log probability of a finding by chance without the assumption that residuals are independent.
 
     Where the noise is unknown it is 0 if held-out rows do not confirm the finding. ``together`` is the ``test`` with all
-    findings as parameters along D further directions, of which ``own`` (D, d) are this finding's, and ``left_out`` (m,)
-    are its residuals by fits without their poses.
+    findings as parameters along D further directions, of which ``own`` (D, d) are this finding's, and ``left_out`` belongs
+    to it.
     """
-    rows, how, before = together.rows, test.how, test.rows.added
-    along = rows.added[:, before.shape[1] :]
-    added = along @ own
+    rows, how = together.rows, test.how
+    added = rows.added[:, test.rows.added.shape[1] :] @ own
     found = added.T @ test.rows.residual
     if one.family.cause is None:
         log_p = _block_chance(one, test.state.explained, together.state, float(found @ found), how)
     else:
-        log_p = _cluster_chance(found, added, left_out, rows, together)
+        log_p = _cluster_chance(found, added, left_out.pose, rows, together)
     if together.state.explained or test.by_chance(log_p + one.log_count):
         return log_p
     mine = rows.row < how.row.size
-    rest = np.linalg.svd(own)[0][:, own.shape[1] :]
-    without = rows._replace(
-        added=np.concatenate([before, along @ rest], axis=1), residual=rows.residual + added @ found
-    )
-    gain, judging = held_out_squares(without, how) - held_out_squares(rows, how), judging_rows(rows, how)[mine]
-    pose = how.pose[rows.row[mine]]
-    of_pose = np.bincount(pose[judging], gain[mine][judging])[np.unique(pose[judging])]
+    gain = held_out_squares(_given_up(own, test, together).rows, how) - left_out.fold
+    judging = left_out.judging & mine
+    pose = how.pose[rows.row[judging]]
+    of_pose = np.bincount(pose, gain[judging])[np.bincount(pose) > 0]
     error = math.sqrt(of_pose.size * float(of_pose.var()) * together.inflation)
     return log_p if of_pose.sum() > SURE * error else 0.0
 
@@ -118,9 +142,11 @@ def _cluster_chance(found: Floats, added: Floats, left_out: Floats, rows: Whiten
     """
     mine, d = rows.row < test.how.row.size, found.size
     pose = test.how.pose[rows.row[mine]]
-    scores, weights = np.zeros((int(pose.max()) + 1, d)), np.zeros((int(pose.max()) + 1, d, d))
-    np.add.at(scores, pose, added[mine] * left_out[mine, None])
-    np.add.at(weights, pose, added[mine][:, :, None] * added[mine][:, None, :])
+    columns = added[mine].T.copy()
+    scores = np.stack([np.bincount(pose, of * left_out[mine]) for of in columns], axis=1)
+    weights = np.empty((len(scores), d, d))
+    for i, j in zip(*np.tril_indices(d), strict=True):
+        weights[:, i, j] = weights[:, j, i] = np.bincount(pose, columns[i] * columns[j])
     values, vectors = np.linalg.eigh(scores.T @ scores)
     if values[0] <= 0.0:
         return 0.0
@@ -183,15 +209,14 @@ def path_inflation(rows: WhitenedResiduals, how: Measured) -> float:
     place = np.arange(pose.size) - np.searchsorted(pose, pose)
     series = np.zeros((int(pose[-1]) + 1, int(place.max()) + 1))
     series[pose, place] = residual
-    variance, total = float((series**2).sum()), 1.0
-    if variance <= 0.0:
-        return total
-    for lag in range(1, len(series) // LONGEST_LAG):
-        correlation = float((series[:-lag] * series[lag:]).sum()) / variance
-        if correlation < SURE / math.sqrt(series.size):
-            break
-        total += 2.0 * correlation
-    return total
+    # Products at all lags at once: with as many zeros after the series, its cyclic correlation is the ordinary one.
+    waves = np.fft.rfft(series, 2 * len(series), axis=0)
+    products = np.fft.irfft((np.abs(waves) ** 2).sum(axis=1))[: max(len(series) // LONGEST_LAG, 1)]
+    if products[0] <= 0.0:
+        return 1.0
+    correlation = products[1:] / products[0]
+    chance = correlation < SURE / math.sqrt(series.size)
+    return 1.0 + 2.0 * float(correlation[: np.argmax(np.append(chance, True))].sum())
 
 
 def judging_rows(rows: WhitenedResiduals, how: Measured) -> NDArray[np.bool_]:
@@ -205,11 +230,16 @@ def held_out_squares(rows: WhitenedResiduals, how: Measured) -> Floats:
 
     A fold is every FOLDS-th of STRETCHES contiguous stretches of the order of measurement.
     """
-    stretch = (np.arange(how.row.size) * STRETCHES) // how.row.size
-    out, fold = np.zeros(rows.row.size), np.append(stretch % FOLDS, FOLDS)[rows.row]  # knowledge is never held out
+    begins = -(-np.arange(STRETCHES + 1) * how.row.size // STRETCHES)
+    stretches = [slice(a, b) for a, b in pairwise(np.searchsorted(rows.row, begins))]
+    out, size = np.zeros(rows.row.size), rows.basis.shape[1] + rows.added.shape[1]  # knowledge is never held out
     for number in range(FOLDS):
-        mine = fold == number
-        q, e = rows.of(mine), rows.residual[mine]
-        rest = np.eye(q.shape[1]) * (1.0 + SEEN) - q.T @ q
-        out[mine] = (e + q @ np.linalg.solve(rest, q.T @ e)) ** 2
+        rest, along = np.eye(size) * (1.0 + SEEN), np.zeros(size)
+        for mine in stretches[number::FOLDS]:
+            q = rows.of(mine)
+            rest -= q.T @ q
+            along += q.T @ rows.residual[mine]
+        by_basis, by_added = np.split(np.linalg.solve(rest, along), [rows.basis.shape[1]])
+        for mine in stretches[number::FOLDS]:
+            out[mine] = (rows.residual[mine] + rows.basis[mine] @ by_basis + rows.added[mine] @ by_added) ** 2
     return out

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from truearm.types import DriftWith, Effect, Floats
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # probability that a clean data set gives any finding
+SPANS = 64  # of a family, tested at once
 AT_ONCE = 100_000  # derivatives of each component, 0.8 MB: observations of so many are whitened at once
 SEEN = 1e-8  # share of a column's square that must remain after the parameters
 MOST_SHARED = 0.2  # check poses are fewer; where no other pose has several rows, their errors are part of the noise
@@ -110,12 +112,54 @@ class WhitenedResiduals(NamedTuple):
 
 
 class Family(NamedTuple):
-    """Candidates of one item and form: effects in the fitted rows from ``first`` up to but excluding ``last`` (w,)."""
+    """Candidates of one item and form: effects in the fitted rows from ``first`` up to but excluding ``last`` (w,).
 
-    cause: Cause | None  # None: blocks of rows
+    Findings change neither CᵀC nor what the parameters of the fit leave of it, so these are summed once.
+    """
+
+    cause: Cause | None  # None: blocks of rows, which have neither
     first: Indices
     last: Indices
     drift: DriftWith | None = None
+    size: Floats = np.zeros(0)  # (w,) trace of CᵀC
+    left: Floats = np.zeros((0, 0, 0))  # (w, d, d) V without findings
+
+    def columns(self, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Floats:
+        """Return C (m, d) with the item off in all rows; for a drift, with its offset (see ``with_offset``)."""
+        assert self.cause is not None
+        by = item_columns(self.cause, errors, rows)
+        if self.drift:
+            by = with_offset(by, effect_profile(self.drift, self.first[0], self.last[0], how)[rows.row])
+        return by
+
+    def summed(self, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Family:
+        """Return the family with its sums."""
+        by = self.columns(errors, rows, how)
+        d = by.shape[1]
+        size, left = np.zeros(self.first.size), np.zeros((self.first.size, d, d))
+        for some, sums in self.sums(by, (by, rows.basis), rows):
+            square, by_basis = sums[:, :, :d], sums[:, :, d:]
+            size[some] = np.trace(square, axis1=1, axis2=2)
+            left[some] = square - by_basis @ by_basis.swapaxes(1, 2)
+        return self._replace(size=size, left=left)
+
+    def sums(self, by: Floats, of: Sequence[Floats], rows: WhitenedResiduals) -> Iterator[tuple[slice, Floats]]:
+        """Return CᵀX (s, d, ·) for columns X (m, ·), the arrays ``of`` side by side, for SPANS candidates at a time.
+
+        ``by`` (m, d) are the ``columns``, which a candidate's C has in its rows.
+        """
+        edges, at = np.unique(np.concatenate([self.first, self.last]), return_inverse=True)
+        cuts = np.searchsorted(rows.row, edges)
+        ends = np.cumsum([0, *(part.shape[1] for part in of)])
+        upto = np.zeros((edges.size, by.shape[1], ends[-1]))
+        for i, (a, b) in enumerate(pairwise(cuts)):
+            for part, (left, right) in zip(of, pairwise(ends), strict=True):
+                upto[i + 1, :, left:right] = by[a:b].T @ part[a:b]
+        upto = np.cumsum(upto, axis=0, out=upto)
+        w = self.first.size
+        for k in range(0, w, SPANS):
+            some = slice(k, min(k + SPANS, w))
+            yield some, upto[at[w:][some]] - upto[at[:w][some]]
 
 
 class Best(NamedTuple):
