@@ -74,6 +74,7 @@ class Segment:
     ident: Ident | None = None
     exchanges: list[Exchange] = field(default_factory=list)
     output: list[tuple[int, bool]] = field(default_factory=list)  # edges of the trigger output: device time [µs], level
+    temperatures: dict[str, list[tuple[int, int]]] = field(default_factory=dict)  # device time [µs], m°C
 
 
 @dataclass
@@ -262,6 +263,8 @@ class BoxReader:
             self._heartbeat(frame.content)
         elif kind == wire.EVENT:
             self._event(frame.content)
+        elif kind == wire.TEMPERATURE:
+            self._temperature(frame.content)
         elif kind == wire.IDENT:
             self._ident_page(frame.content)
         elif kind not in wire.LAYOUT:
@@ -324,6 +327,14 @@ class BoxReader:
             self._count["frames_malformed"] += 1
         elif frame[2] == wire.OUTPUT_LINE and self._keep_exchanges:
             self.segment.output.append((frame[3], bool(frame[4])))
+
+    def _temperature(self, frame: list[Any]) -> None:
+        if len(frame) < 5 or any(type(v) is not int for v in frame[2:5]) or not 0 <= frame[2] < MAX_DEVICE_US:
+            self._count["frames_malformed"] += 1
+            return
+        names = () if self.segment.ident is None else self.segment.ident.thermometers
+        if self._keep_exchanges and 0 <= frame[3] < len(names):
+            self.segment.temperatures.setdefault(names[frame[3]], []).append((frame[2], frame[4]))
 
     def _ident_page(self, frame: list[Any]) -> None:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:

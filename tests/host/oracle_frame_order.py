@@ -1,23 +1,6 @@
 """Frames in the order in which the box sent them, however they arrived, and what is missing between them.
 
-Every frame from the box counts in one ``seq`` (SPEC §4). A link or a damaged file may deliver frames late, twice or
-never, and a box that restarts begins a new count. A frame is classified in this order:
-
-1. One of the count before the restart, by the host time at which its boot began (``_is_of_old``): **late**, or
-  **doubled** if its bytes are remembered.
-2. The next frame, or one ahead of it by no more than the link can have carried since (``too_many``) and with a device
-  time that does not run backward: it belongs to the count. It waits until those before it have arrived, or until a
-  frame REACH further on has; frames that are missing then are **lost**. A frame that arrives late within that reach
-  takes its place.
-3. The bytes of a frame that is remembered under its seq, or those of the first page of a boot: **doubled**.
-4. The first page of the ident that a box sends unasked at boot: a **restart**.
-5. All others are **suspects**, and so is a frame after a hole that arrived DELAYED_NS later than its device time says.
-  The boot id of the next heartbeat decides: that of the count dismisses them, another begins a new count with them. As
-  soon as the old count continues they are dismissed too. A dismissed frame takes its place if it is still awaited;
-  otherwise it is **late**, **doubled**, or **malformed** if no count can have reached it yet. Without a heartbeat a
-  number of suspects is a restart.
-
-So neither a late frame nor a doubled one is a restart: the boot id decides.
+The rules are those of ``truearm.session.losses``, each written for one frame.
 """
 
 from __future__ import annotations
@@ -31,8 +14,8 @@ from truearm.session.box_frames import too_many
 
 REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
 DELAYED_NS = 2_000_000_000
-CONTRADICTED_RUN = 64
-FAR_RUN = 2
+LONELY_RUN = 64
+FORMER = 100
 BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
 HOLES = 1000
 CIRCLE = 2**32
@@ -44,7 +27,7 @@ class Frame(NamedTuple):
     seq: int
     stamp: tuple[int, int] | None
     is_boot: bool  # first page of the ident that a box sends unasked at boot
-    boot_id: int | None  # of a heartbeat
+    boot_id: int | None  # that it states
     t_host_ns: int
     payload: bytes
     content: Any  # the decoded content
@@ -86,11 +69,11 @@ class FrameOrder:
     _restarting: bool = False  # the next returned frame is the first of a count
     _suspects: list[Frame] = field(default_factory=list)
     _far: bool = False  # the suspects are too far ahead
-    _contradicted: bool = False  # a suspect's seq is remembered with other bytes
-    _boot_pages: set[bytes] = field(default_factory=set)
     _holes: list[range] = field(default_factory=list)  # what was given up
-    _old: tuple[int, int | None, OrderedDict[int, bytes]] | None = None  # newest seq, born_ns, payloads by seq
+    # of each count before: newest seq, born_ns, payloads by seq, what was given up
+    _former: list[tuple[int, int | None, OrderedDict[int, bytes], list[range]]] = field(default_factory=list)
     _old_until: int = 0
+    _left: set[int] = field(default_factory=set)  # boot ids of earlier counts
 
     @property
     def undecided(self) -> bool:
@@ -101,7 +84,7 @@ class FrameOrder:
         """Take a frame that is simply the next one, like almost all, and is due at once; return False for any other."""
         kind, time = stamp
         if (
-            self._old is not None
+            self._is_young()
             or self._waiting
             or self._suspects
             or self._next < 0
@@ -124,9 +107,11 @@ class FrameOrder:
         elif self._is_doubled(frame):
             self.doubled += 1
         elif self._is_of_old(frame):
-            self.late += 1
+            self._count_unused(frame)
         elif self._next < 0:
             yield from self._begin(frame, max(0, frame.seq - BEFORE_FIRST), frame.seq)
+        elif frame.is_boot and self._is_known(frame):
+            self._count_unused(frame)
         elif frame.is_boot:
             yield from self._dismiss()
             yield from self._restart([frame])
@@ -140,7 +125,10 @@ class FrameOrder:
 
     def new_boot(self, boot_id: int) -> None:
         """Set the boot reported by the box; the count continues."""
+        if self._boot_id not in (None, boot_id):
+            self._left.add(self._boot_id)
         self._boot_id = boot_id
+        self._left.discard(boot_id)
 
     # ------------------------------------------------------------------------------------------------ the count
 
@@ -156,22 +144,45 @@ class FrameOrder:
 
     def _belongs(self, frame: Frame) -> bool:
         """Return whether a frame belongs to this count and is still expected."""
-        if self._next < 0 or self._is_of_old(frame) or self._is_delayed(frame):
+        if self._suspects and frame.seq == (self._suspects[-1].seq + 1) % CIRCLE:
+            return False
+        follows = frame.seq == (self._newest + 1) % CIRCLE and not self._is_young()
+        if self._next < 0 or (not follows and self._is_of_old(frame)) or self._is_delayed(frame):
             return False
         if self._boot_id is not None and frame.boot_id not in (None, self._boot_id):
             return False
         return self._awaited(frame)
 
-    def _awaited(self, frame: Frame) -> bool:
+    def _is_young(self) -> bool:
+        """Return whether frames of the count before may still arrive among those of this one."""
+        return bool(self._former) and self._newest < self._old_until
+
+    def _is_known(self, frame: Frame) -> bool:
+        """Return whether a frame states the boot id of this count or of an earlier one."""
+        return frame.boot_id is not None and (frame.boot_id == self._boot_id or frame.boot_id in self._left)
+
+    def _is_missing(self, frame: Frame) -> bool:
+        """Return whether this count, or the one before, has lost a frame of this seq."""
+        count = self._unwrapped(frame.seq)
+        if any(count in hole for hole in self._holes):
+            return True
+        for newest, _, _, holes in self._former:
+            if 0 < apart(frame.seq, newest) <= REACH:
+                return True
+            if any((frame.seq - hole.start) % CIRCLE < len(hole) for hole in holes):
+                return True
+        return False
+
+    def _awaited(self, frame: Frame, far: bool = False) -> bool:
         count = self._unwrapped(frame.seq)
         if count < self._next or count in self._waiting:
             return False
-        if frame.is_boot and self._times:  # the frames of a boot are sent before everything with a time
-            return False
+        if frame.is_boot and self._times and not self._is_known(frame):
+            return False  # the frames of a boot are sent before everything with a time
         kind, time = frame.stamp or (None, 0)
         if count <= self._newest:  # late: sent after all returned frames
             return kind is None or time >= self._placed_times.get(kind, 0)
-        if self._is_far(frame):
+        if self._is_far(frame) and not far:
             return False
         return kind is None or time >= self._times.get(kind, 0)
 
@@ -185,19 +196,18 @@ class FrameOrder:
 
     def _is_of_old(self, frame: Frame) -> bool:
         """Return whether a frame is of the count before the restart."""
-        if self._old is None or self._born_ns is None:
+        if not self._former or self._born_ns is None:
             return False
-        newest_seq, old_born_ns, _ = self._old
+        newest_seq, old_born_ns, _, _ = self._former[-1]
         if old_born_ns is None or self._born_ns - old_born_ns <= DELAYED_NS:
             return False
         if frame.born_ns is None:
-            return abs(apart(frame.seq, newest_seq)) <= REACH < abs(apart(frame.seq, self._newest))
+            near = abs(apart(frame.seq, newest_seq)) <= REACH < abs(apart(frame.seq, self._newest))
+            return near and self._is_young() and not frame.is_boot
         return abs(frame.born_ns - old_born_ns) < abs(frame.born_ns - self._born_ns)
 
     def _is_doubled(self, frame: Frame) -> bool:
-        if frame.is_boot and frame.payload in self._boot_pages:
-            return True
-        stores = [self._remembered] if self._old is None else [self._remembered, self._old[2]]
+        stores = [self._remembered, *(old[2] for old in self._former[-1:])]
         return any(store.get(frame.seq) == frame.payload for store in stores)
 
     def _is_far(self, frame: Frame) -> bool:
@@ -208,22 +218,23 @@ class FrameOrder:
         count = self._unwrapped(frame.seq)
         self._waiting[count] = frame
         self._remember(frame.seq, frame.payload)
-        if frame.is_boot:
-            self._boot_pages.add(frame.payload)
         continues = count > self._newest
         if frame.stamp is not None:
             kind, time = frame.stamp
             self._times[kind] = max(time, self._times.get(kind, 0))
         if frame.boot_id is not None and self._boot_id is None:
-            self._boot_id = frame.boot_id
+            self.new_boot(frame.boot_id)
         if continues:
             self._newest, self._newest_host_ns = count, frame.t_host_ns
             if frame.born_ns is not None:
                 self._born_ns = frame.born_ns
-            if count >= self._old_until:
-                self._old = None
+            if self._former and count >= self._old_until:
+                self._forget_bytes()
             yield from self._dismiss()
         yield from self._given_up(everything=False)
+
+    def _forget_bytes(self) -> None:
+        self._former = [(newest, born_ns, OrderedDict(), holes) for newest, born_ns, _, holes in self._former]
 
     def _remember(self, seq: int, payload: bytes) -> None:
         self._remembered[seq] = payload
@@ -255,49 +266,54 @@ class FrameOrder:
         if not self._suspects:
             self._far = self._is_far(frame)
         self._suspects.append(frame)
-        if frame.seq in self._remembered:
-            self._contradicted = True
-        if self._far:
-            enough = FAR_RUN
-        elif self._contradicted or self._boot_id is None:
-            enough = CONTRADICTED_RUN
-        else:
-            enough = 2 * REACH
+        enough = LONELY_RUN if self._boot_id is None else 2 * REACH
         stated = frame.boot_id is not None and self._boot_id is not None
-        if len(self._suspects) >= enough or (stated and frame.boot_id != self._boot_id):
+        new = stated and frame.boot_id != self._boot_id and frame.boot_id not in self._left
+        if new or len(self._suspects) >= enough:
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects)
-        elif stated and not self._far:
-            yield from self._dismiss()
+        elif stated and frame.boot_id == self._boot_id:
+            yield from self._dismiss(ours=True)
 
     def _restart(self, frames: list[Frame]) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is finished."""
         yield from self._given_up(everything=True)
         first, far = frames[0], self._far
-        self._old, self._old_until = (self._newest % CIRCLE, self._born_ns, self._remembered), first.seq + REACH
+        self._forget_bytes()
+        old = self._newest % CIRCLE, self._born_ns, self._remembered, self._holes
+        self._former, self._old_until = [*self._former[-FORMER:], old], first.seq + REACH
         born = [frame.born_ns for frame in frames if frame.born_ns is not None]
         self._born_ns = first.t_host_ns if first.is_boot else born[0] if born else None
         self._remembered, self._holes, self._times, self._placed_times = OrderedDict(), [], {}, {}
-        self._boot_id, self._restarting, self._far, self._contradicted = None, True, False, False
+        if self._boot_id is not None:
+            self._left.add(self._boot_id)
+        self._boot_id, self._restarting, self._far = None, True, False
         # The count of a box begins at 0; one that is too far ahead gives no information on losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_)
         for frame in frames[1:]:
             yield from self.take(frame)
 
-    def _dismiss(self) -> Iterator[Placed]:
+    def _dismiss(self, ours: bool = False) -> Iterator[Placed]:
+        """Release the suspects; ``ours``: the boot id says that they are of this count."""
         suspects, self._suspects = self._suspects, []
-        far, self._far, self._contradicted = self._far, False, False
+        self._far = False
         for frame in suspects:
-            count = self._unwrapped(frame.seq)
-            if far:
-                self.malformed += 1
-            elif self._awaited(frame):
+            if self._awaited(frame, far=ours):
                 yield from self._accept(frame)
-            elif count >= self._next - 2 * REACH or any(count in hole for hole in self._holes):
-                self.late += 1
             else:
-                self.doubled += 1
+                self._count_unused(frame)
+
+    def _count_unused(self, frame: Frame) -> None:
+        """Count a frame that arrived too late, twice, or with a seq that no count has reached."""
+        count = self._unwrapped(frame.seq)
+        reached = any(apart(frame.seq, old[0]) <= REACH for old in self._former)
+        if self._is_far(frame) and not reached:
+            self.malformed += 1
+        elif self._is_missing(frame) or count >= self._next - 2 * REACH:
+            self.late += 1
+        else:
+            self.doubled += 1
 
 
 def apart(seq: int, other: int) -> int:

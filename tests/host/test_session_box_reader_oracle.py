@@ -11,6 +11,7 @@ from blocks_bench import BLOCK_NS, COUNTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import CHANNELS, PERIOD_NS, Box, ident_document
+from session_worlds import world
 
 from truearm.session.box_ident import parse_ident
 from truearm.session.box_reader import BoxReader
@@ -39,6 +40,7 @@ def described():
     channel = {"name": "magnetostrictive", "unit": "s", "scale": [8, -9]}
     mag = {"id": 1, "name": "mag", "period_ns": PERIOD_NS, "osr": 0, "group_delay_ns": 0, "channels": [channel]}
     document["streams"].append(mag)
+    document["thermometers"] = [{"name": "bar"}]
     return parse_ident(document)
 
 
@@ -63,6 +65,8 @@ def recording(rng, frames, seq=0, reboots=()):
             box.sync(t, 1e5, 1e5)
         if rng.random() < 0.03:
             box.frame("event", t, wire.EVENT, int(rng.integers(0, 3)), box.device_us(t), 1)
+        if rng.random() < 0.03:
+            box.frame("temperature", t, wire.TEMPERATURE, box.device_us(t), int(rng.integers(0, 2)), 24_000)
         if rng.random() < 0.02:
             box.n0 = 0  # started again
     return box.messages
@@ -129,7 +133,7 @@ def in_batches(messages, ident, cuts):
 
 def summary(reader):
     segments = [
-        (s.booted, s.boot_id, s.ident, np.reshape(s.exchanges, (-1, 4)).tolist(), s.output)
+        (s.booted, s.boot_id, s.ident, np.reshape(s.exchanges, (-1, 4)).tolist(), s.output, s.temperatures)
         for s in reader.segments
     ]  # fmt: skip
     return asdict(reader.losses()), str(reader.streams()), segments
@@ -234,6 +238,31 @@ def test_pieces_moved_around_a_restart(seed):
 def test_pieces_moved_around_a_restart_in_many_worlds():
     for seed in range(1000, 4000):
         assert_same_when_moved(seed, [40, 300, 1500])
+
+
+def assert_same_in_a_world(seed):
+    rng = np.random.default_rng(seed)
+    received = world(rng)
+    ident = described() if rng.random() < 0.5 else None
+    expected = one_by_one(received, ident)
+    some = np.unique(rng.integers(0, len(received), int(rng.choice([1, 5, 60])))).tolist()
+    singly = [*range(1, len(received))]
+    for cuts in ([], some, singly) if seed % 10 == 0 else ([], some):
+        assert in_batches(received, ident, cuts) == expected
+    if len(received) < 80:
+        for cut in range(0, len(received), 1 if seed % 10 == 0 else 20):
+            assert in_batches(received, ident, [cut]) == expected
+
+
+def test_random_worlds():
+    for seed in range(30):
+        assert_same_in_a_world(seed)
+
+
+@pytest.mark.soak
+def test_many_random_worlds():
+    for seed in range(10_000, 14_000):
+        assert_same_in_a_world(seed)
 
 
 FRAME = st.one_of(

@@ -94,13 +94,14 @@ def test_a_restart_is_known_by_its_boot_id(gone):
     assert sum(block.segment for block in blocks) == sent
 
 
-def test_without_a_boot_id_a_run_of_frames_is_a_restart():
-    box = long_box(200)
+def test_without_a_heartbeat_a_run_of_frames_is_a_restart():
+    """The box sends a heartbeat every second. Only if all of them are lost does the number of frames decide."""
+    box = long_box(1200)
     at = len(box.messages)
-    box.reboot(300 * BLOCK_NS)
-    box.ident(300 * BLOCK_NS)
-    for k in range(100):
-        box.data((301 + k) * BLOCK_NS, COUNTS - k - 1)
+    box.reboot(1300 * BLOCK_NS)
+    box.ident(1300 * BLOCK_NS)
+    for k in range(2 * REACH):
+        box.data((1301 + k) * BLOCK_NS, COUNTS - k - 1)
     pages = next(k for k, m in enumerate(box.messages[at:]) if m.topic == "/box/adc")
     del box.messages[at : at + pages]
     assert account(box.messages) == {"restarts": 1, "frames_lost": pages, "loss_events": 1}
@@ -158,6 +159,43 @@ def test_a_piece_that_arrives_much_too_late_is_no_restart(n):
     del messages[SECOND : SECOND + n]
     messages[30 * SECOND : 30 * SECOND] = piece
     assert restarts_and(messages) == (1, {"frames_lost": n, "frames_late": n})
+
+
+def test_the_first_page_of_a_boot_that_arrives_late_is_no_restart():
+    """The heartbeats before it have stated the boot id that it contains."""
+    messages, at = restarted(2000, 1000)
+    page = messages.pop(at)
+    messages.insert(at + 3 * SECOND, page)
+    assert restarts_and(messages) == (2, {"restarts": 1})
+    messages.insert(at + 10 * SECOND, messages.pop(messages.index(page)))
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": 1, "frames_late": 1})
+
+
+@pytest.mark.parametrize("held_up_s", [0, 30])
+def test_a_piece_of_an_earlier_boot_is_no_restart(held_up_s):
+    """It has heartbeats; a boot id that the session has left does not come back."""
+    messages, at = restarted(3000, 3000)
+    piece = [m._replace(t_host_ns=m.t_host_ns + held_up_s * 10**9) for m in messages[10 * SECOND : 15 * SECOND]]
+    del messages[10 * SECOND : 15 * SECOND]
+    messages[at + 10 * SECOND : at + 10 * SECOND] = piece
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": 5 * SECOND, "frames_late": 5 * SECOND})
+
+
+def test_frames_of_a_new_boot_that_fit_behind_the_old_ones_belong_to_the_new_boot():
+    """The first of them are behind the old count, the others continue it: in number, and nearly in time."""
+    messages, at = restarted(60, 300, down_s=0.001)
+    first = len(long_box(60).messages) - 20
+    del messages[at : at + first]
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": first})
+
+
+def test_a_hole_too_large_for_the_link_is_a_hole_if_the_boot_id_says_so():
+    """A host that sleeps does not see the time in which the link lost the frames."""
+    messages = long_box(200 * SECOND).messages
+    at, gone = 20 * SECOND, 150 * SECOND
+    asleep_ns = messages[at + gone].t_host_ns - messages[at].t_host_ns
+    received = [*messages[:at], *(m._replace(t_host_ns=m.t_host_ns - asleep_ns) for m in messages[at + gone :])]
+    assert restarts_and(received) == (1, {"frames_lost": gone})
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 60])

@@ -12,6 +12,7 @@ them too. Files are untrusted: each function returns None if its input is invali
 from __future__ import annotations
 
 import json
+import re
 import struct
 from bisect import bisect_left
 from collections.abc import Iterator
@@ -118,6 +119,9 @@ def _is_array(value: object, tag: int) -> bool:
 
 MAX_HOST_NS = 2**62
 
+# The key "boot_id" and its unsigned integer in an ident, of which the first page has only a part.
+_BOOT_ID = re.compile(rb"\x67boot_id(?:([\x00-\x17])|\x18(.)|\x19(..)|\x1a(....))", re.DOTALL)
+
 _TIME_AT = {wire.DATA: 4, wire.HEARTBEAT: 3, wire.SYNC_REPLY: 3}  # index of the device time in a frame
 
 
@@ -193,8 +197,13 @@ def is_boot(frame: list[Any]) -> bool:
 
 
 def boot_id(frame: list[Any]) -> int | None:
-    """Return the boot id of a heartbeat; None for other frames."""
-    return frame[2] if frame[0] == wire.HEARTBEAT and len(frame) > 2 and type(frame[2]) is int else None
+    """Return the boot id that a heartbeat or the first page of an ident states; None for other frames."""
+    if frame[0] == wire.HEARTBEAT and len(frame) > 2:
+        return frame[2] if type(frame[2]) is int else None
+    if frame[0] == wire.IDENT and len(frame) > 5 and frame[3] == 0 and type(frame[5]) is bytes:
+        found = _BOOT_ID.search(frame[5])
+        return None if found is None else int.from_bytes(found[1] or found[2] or found[3] or found[4])
+    return None
 
 
 class Pages:

@@ -2,25 +2,28 @@
 
 **Frames** leave ``FrameOrder`` in the order in which the box sent them, regardless of the order of arrival. All frames
 share one ``seq`` counter (SPEC §4). A link or a damaged file may deliver frames late, twice or never, and a box that
-restarts begins a new count. Each frame is classified by the first rule that applies:
+restarts begins a new count. The boot id decides which of these it is. Heartbeats state it, one a second, and so does the
+first page of the ident that a box sends at boot. The first of these rules that applies classifies a frame:
 
-1. It is of the count before the last restart (``_is_of_old``): **late**, or **doubled** if its bytes are remembered.
-2. It is the next frame, or one ahead of it by no more than the link can have carried since (``too_many``), and its
-   device time does not run backward: it belongs to the count. It waits until all earlier frames have arrived or until a
-   frame REACH later has arrived; frames still missing then are **lost**. A late frame within that reach takes its
-   place.
-3. Its bytes equal those of a frame remembered under its seq, or of the first page that a box sent at a boot:
-   **doubled**. It changes nothing.
-4. It is the first page of the ident that a box sends unprompted at boot: a **restart**.
-5. Anything else is a **suspect**: late, or of a box that has restarted. So is a frame after a hole that arrived
-   DELAYED_NS later than its device time says. The boot id of the next heartbeat decides. Is it that of the count, the
-   suspects belong to the count if they are ahead; the others arrived **too late** or are doubled, and frames too far
-   ahead are **malformed**, because nothing can have counted that far. Another boot id begins a new count with the
-   suspects. If the count itself continues first, they are dismissed in the same way. Where no heartbeat arrives, a
-   number of them decides (``_enough``). Frames of a type that only a host sends (echoes) are malformed too.
+1. *The next frame, or one ahead of it*, belongs to the count: it is ahead by no more than the link can have carried
+   since (``too_many``), its device time does not run backward, and it states no other boot id. It waits until all
+   earlier frames have arrived or until a frame REACH later has arrived; frames still missing then are **lost**. A late
+   frame within that reach takes its place.
+2. *A frame that is remembered* under its seq with the same bytes is **doubled**.
+3. *A frame of an earlier boot*, by its device time (``_is_of_old``) or by the boot id of a first page, is **late** if
+   its seq is missing in that count and doubled otherwise.
+4. *A first page with a new boot id* begins a new count: a **restart**.
+5. *Any other frame is a suspect* until the next boot id: one behind, one far ahead, one that follows suspects, and one
+   after a hole that arrived DELAYED_NS later than its device time says. If the boot id is a new one, a new count begins
+   with the suspects. If it is that of the count, a suspect ahead follows a hole, however large; one behind is late or
+   doubled, however long ago it was sent. The same holds if the count itself continues first, but then a suspect too far
+   ahead is **malformed**. A boot id of an earlier count decides nothing.
 
-Neither a late frame nor a doubled one is therefore taken for a restart, however late it is: the boot id decides. Only
-without any heartbeat in between, 2 · REACH frames of an earlier time in a row would be a restart.
+**What cannot be decided** is decided by number: 2 · REACH suspects in a row without a new boot id are a restart, and
+LONELY_RUN of them if the count itself has no boot id. Fewer frames of a boot of which neither the first page nor a
+heartbeat arrived are counted as late or doubled, or as frames after a hole if their numbers are higher. So are the frames
+of a new boot that arrive before the last ones of the previous boot. Frames of an earlier boot that arrive late are not
+among its lost ones if they were sent after the last frame that arrived in time.
 
 Frames arrive in runs (``box_frames``): seq increases by one, device times do not run backward, and all heartbeats have
 the same boot id. What holds for the first frame of a run therefore holds for as many frames as ``_belonging`` returns.
@@ -99,8 +102,8 @@ class MissingNumbers:
 
 REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
 DELAYED_NS = 2_000_000_000  # longer than a block of samples lasts and than a link usually delays
-CONTRADICTED_RUN = 64  # suspects in a row, if their places are taken or the count has no boot id itself
-FAR_RUN = 2  # suspects in a row that lie too far ahead
+LONELY_RUN = 64  # suspects in a row that are another count, if this one has no boot id
+FORMER = 100  # counts before this one that are remembered
 BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
 HOLES = 1000  # remembered, to tell late frames from doubled ones
 _HALF = CIRCLE // 2
@@ -176,11 +179,12 @@ class _Remembered:
 
 
 class _Old(NamedTuple):
-    """The count before the last restart. ``born_ns``: host time of its device time 0 [ns]."""
+    """A count before a restart. ``born_ns``: host time of its device time 0 [ns]."""
 
     newest_seq: int
     born_ns: int | None
     remembered: _Remembered
+    holes: list[tuple[int, int]]
 
 
 @dataclass
@@ -200,18 +204,17 @@ class FrameOrder:
     _uncounted: int = 0  # missing frames below this were sent before the session began
     _waiting: list[_Held] = field(default_factory=list)  # by ascending count
     _remembered: _Remembered = field(default_factory=_Remembered)
-    _boot_pages: set[bytes] = field(default_factory=set)  # the first pages of the session's boots
     _holes: list[tuple[int, int]] = field(default_factory=list)  # the first lost count, and the first after it
     _times: dict[int, int] = field(default_factory=dict)  # newest device time of each kind
     _placed_times: dict[int, int] = field(default_factory=dict)  # of the frames already returned
     _boot_id: int | None = None
     _restarting: bool = False  # the next frame returned is the first of a count
     _waiting_restart: bool = False  # and it is held, because frames before it are missing
-    _old: _Old | None = None  # while its frames may still arrive
-    _old_until: int = 0  # the count at which that ends
+    _former: list[_Old] = field(default_factory=list)
+    _old_until: int = 0  # below this count, frames of the old count may arrive between those of this one
+    _left: set[int] = field(default_factory=set)  # the boot ids of earlier counts
     _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
-    _contradicted: bool = False  # other frames were received with the seq of a suspect
 
     @property
     def undecided(self) -> bool:
@@ -236,7 +239,10 @@ class FrameOrder:
 
     def new_boot(self, boot_id: int) -> None:
         """Note the boot id stated by the box; the current count continues."""
+        if self._boot_id not in (None, boot_id):
+            self._left.add(self._boot_id)
         self._boot_id = boot_id
+        self._left.discard(boot_id)
 
     def _take(self, run: Run, at: int) -> Iterator[Placed]:
         """Take frames that belong to the count, or a single frame for which this is not known."""
@@ -245,9 +251,11 @@ class FrameOrder:
         elif self._is_doubled(run):
             self.doubled += 1
         elif self._is_of_old(run):
-            self.late += 1
+            self._count_unused(run)
         elif self._next < 0:
             yield from self._begin(run, max(0, run.seq - BEFORE_FIRST), run.seq, at)
+        elif run.is_boot and self._is_known(run):
+            self._count_unused(run)
         elif run.is_boot:
             yield from self._dismiss(at)
             yield from self._restart([run], at)
@@ -267,7 +275,11 @@ class FrameOrder:
 
     def _belonging(self, run: Run) -> int:
         """Return how many of the first frames of a run belong to this count and are still awaited."""
-        if self._next < 0 or self._is_of_old(run) or self._is_delayed(run):
+        young = self._is_young()
+        follows = run.seq == (self._newest + 1) % CIRCLE and not young
+        if self._suspects and run.seq == (self._suspects[-1].seq + 1) % CIRCLE:
+            return 0
+        if self._next < 0 or (not follows and self._is_of_old(run)) or self._is_delayed(run):
             return 0
         n = self._awaited(run)
         beat, boot_id = run.first_heartbeat()
@@ -275,15 +287,35 @@ class FrameOrder:
             n = min(n, beat - run.begin)
         if self._waiting and beat > run.begin:  # waiting frames that this run releases may state the boot id
             n = min(n, beat - run.begin)
-        return min(n, 1) if self._old is not None or self._suspects else n
+        return min(n, 1) if young or self._suspects else n
 
-    def _awaited(self, run: Run) -> int:
-        """Return for how many of the first frames of a run this count has a place."""
+    def _is_young(self) -> bool:
+        """Return whether frames of the old count may arrive between those of this one."""
+        return bool(self._former) and self._newest < self._old_until
+
+    def _is_known(self, run: Run) -> bool:
+        """Return whether a frame states the boot id of this count or of an earlier one."""
+        _, boot_id = run.first_heartbeat()
+        return boot_id is not None and (boot_id == self._boot_id or boot_id in self._left)
+
+    def _is_missing(self, run: Run) -> bool:
+        """Return whether this count, or a former one, has lost a frame with this seq."""
+        count = self._unwrapped(run.seq)
+        if any(begin <= count < end for begin, end in self._holes):
+            return True
+        return any(
+            0 < _apart(run.seq, old.newest_seq) <= REACH
+            or any((run.seq - begin) % CIRCLE < end - begin for begin, end in old.holes)
+            for old in self._former
+        )
+
+    def _awaited(self, run: Run, far: bool = False) -> int:
+        """Return for how many of the first frames of a run this count has a place; ``far``: however far ahead."""
         count, n = self._unwrapped(run.seq), len(run)
         if count < max(self._next, 0):
             return 0
         if count > self._newest:
-            if self._is_far(run):
+            if self._is_far(run) and not far:
                 return 0
             times = self._times
         else:  # late: sent after all frames already returned
@@ -292,8 +324,8 @@ class FrameOrder:
                 return 0
             n = min(n, self._waiting[place].count - count)
             times = self._placed_times
-        if run.is_boot and self._times:  # a box sends its boot ident before any frame with a time
-            return 0
+        if run.is_boot and self._times and not self._is_known(run):
+            return 0  # a box sends its boot ident before any frame with a time
         for kind, frame, t_us, _ in run.times():
             if t_us < times.get(kind, 0):
                 n = min(n, frame - run.begin)
@@ -320,12 +352,13 @@ class FrameOrder:
 
         A frame that arrives late seems to be of a later boot, never of an earlier one.
         """
-        old = self._old
+        old = self._former[-1] if self._former else None
         if old is None or old.born_ns is None or self._born_ns is None or self._born_ns - old.born_ns <= DELAYED_NS:
             return False
         born_ns = run.born_ns
         if born_ns is None:
-            return abs(_apart(run.seq, old.newest_seq)) <= REACH < abs(_apart(run.seq, self._newest))
+            near = abs(_apart(run.seq, old.newest_seq)) <= REACH < abs(_apart(run.seq, self._newest))
+            return near and self._is_young() and not run.is_boot
         return 2 * born_ns < old.born_ns + self._born_ns
 
     def _accept(self, run: Run, at: int) -> Iterator[Placed]:
@@ -333,19 +366,17 @@ class FrameOrder:
         continues = held.count > self._newest
         self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
         self._remembered.add(run)
-        if run.is_boot:
-            self._boot_pages.add(run.payload)
         if continues:
             self._newest, self._newest_host_ns = held.end - 1, run.last_host_ns
             born_ns = run.last_born_ns
             self._born_ns = self._born_ns if born_ns is None else born_ns
-            if self._newest >= self._old_until:
-                self._old = None
+            if self._former and self._newest >= self._old_until:
+                self._former[-1] = self._former[-1]._replace(remembered=_Remembered())
         for kind, _, _, t_us in run.times():
             self._times[kind] = max(t_us, self._times.get(kind, 0))
         _, boot_id = run.first_heartbeat()
-        if self._boot_id is None:
-            self._boot_id = boot_id
+        if self._boot_id is None and boot_id is not None:
+            self.new_boot(boot_id)
         if continues:
             yield from self._dismiss(at)
         while self._waiting:
@@ -381,9 +412,9 @@ class FrameOrder:
 
     def _is_doubled(self, run: Run) -> bool:
         """Return whether the bytes of a frame are remembered."""
-        old = None if self._old is None else self._old.remembered.payload(run.seq)
+        stores = [self._remembered, *(old.remembered for old in self._former[-1:])]
         payload = run.payload
-        return payload in (self._remembered.payload(run.seq), old) or (run.is_boot and payload in self._boot_pages)
+        return any(store.payload(run.seq) == payload for store in stores)
 
     # ------------------------------------------------------------------------------------------------ another count
 
@@ -393,32 +424,31 @@ class FrameOrder:
         if not self._suspects:
             self._far = self._is_far(run)
         self._suspects.append(run)
-        self._contradicted |= self._remembered.payload(run.seq) is not None
         _, boot_id = run.first_heartbeat()
-        known = None not in (boot_id, self._boot_id)
-        if (known and boot_id != self._boot_id) or self._enough():
+        stated = None not in (boot_id, self._boot_id)
+        if (stated and boot_id != self._boot_id and boot_id not in self._left) or self._enough():
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects, at)
-        elif known and not self._far:
-            yield from self._dismiss(at)
+        elif stated and boot_id == self._boot_id:
+            yield from self._dismiss(at, ours=True)
 
     def _enough(self) -> bool:
         """Return whether so many suspects in a row are another count although no boot id says so."""
-        if self._far:
-            return len(self._suspects) >= FAR_RUN
-        lonely = self._contradicted or self._boot_id is None
-        return len(self._suspects) >= (CONTRADICTED_RUN if lonely else 2 * REACH)
+        return len(self._suspects) >= (LONELY_RUN if self._boot_id is None else 2 * REACH)
 
     def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is closed."""
         yield from self._all_waiting(at)
         first, far = runs[0], self._far
-        self._old = _Old(self._newest % CIRCLE, self._born_ns, self._remembered)
+        old = _Old(self._newest % CIRCLE, self._born_ns, self._remembered, self._holes)
+        self._former = [*(one._replace(remembered=_Remembered()) for one in self._former[-FORMER:]), old]
         self._born_ns = next((run.born_ns for run in runs if run.born_ns is not None), None)
         if first.is_boot:
             self._born_ns = first.t_host_ns
         self._remembered, self._holes, self._times, self._placed_times = _Remembered(), [], {}, {}
-        self._boot_id, self._restarting, self._far, self._contradicted = None, True, False, False
+        if self._boot_id is not None:
+            self._left.add(self._boot_id)
+        self._boot_id, self._restarting, self._far = None, True, False
         self._old_until = first.seq + REACH
         # A box counts from 0. A count that lies too far ahead gives no information about losses.
         from_ = first.seq if far else 0
@@ -427,20 +457,25 @@ class FrameOrder:
         for run in runs[1:]:
             yield from self._take(run, at)
 
-    def _dismiss(self, at: int) -> Iterator[Placed]:
-        """Release the suspects: they are of this count, and each of them is late, doubled, malformed or still awaited."""
+    def _dismiss(self, at: int, ours: bool = False) -> Iterator[Placed]:
+        """Release the suspects: no new count begins with them. ``ours``: the boot id says that they are of this count."""
         suspects, self._suspects = self._suspects, []
-        far, self._far, self._contradicted = self._far, False, False
+        self._far = False
         for run in suspects:
-            count = self._unwrapped(run.seq)
-            if far:
-                self.malformed += 1
-            elif self._awaited(run):
+            if self._awaited(run, far=ours):
                 yield from self._accept(run, at)
-            elif count >= self._next - 2 * REACH or any(begin <= count < end for begin, end in self._holes):
-                self.late += 1
             else:
-                self.doubled += 1  # it arrived once already, longer ago than bytes are remembered
+                self._count_unused(run)
+
+    def _count_unused(self, run: Run) -> None:
+        """Count a frame that arrived too late, twice, or with a seq that no count has reached."""
+        reached = any(_apart(run.seq, old.newest_seq) <= REACH for old in self._former)
+        if self._is_far(run) and not reached:
+            self.malformed += 1
+        elif self._is_missing(run) or self._unwrapped(run.seq) >= self._next - 2 * REACH:
+            self.late += 1
+        else:
+            self.doubled += 1  # it arrived once already, longer ago than bytes are remembered
 
 
 def _apart(seq: int, other: int) -> int:
