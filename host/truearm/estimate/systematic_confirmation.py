@@ -41,7 +41,7 @@ def confirmed(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tu
             inflation=1.0 if together.state.explained else path_inflation(together.rows, test.how)
         )
         again, own = _jointly(left, test, together)
-        worst = max(range(len(left)), key=lambda i: again[i].log_p, default=None)
+        worst = max(range(len(again)), key=lambda i: again[i].log_p, default=None)
         if worst is None or not test.by_chance(again[worst].log_p):
             return again, together
         del left[worst]
@@ -76,7 +76,8 @@ def _jointly(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tup
     """Return the findings, each with its figures given all others; a probability of 1 if held-out rows do not confirm it.
 
     ``together`` is the ``test`` with all of them as parameters, along ``along`` (m, D). The directions (D, d) of one
-    that are not those of the others are found among these D, and returned too.
+    that are not those of the others are found among these D, and returned too. Findings after one with a probability of
+    1 are not tested: none can be less certain.
     """
     along = together.rows.added[:, test.rows.added.shape[1] :]
     columns = [effect_columns(one, test.errors, test.rows, test.how) for one in found]
@@ -99,6 +100,8 @@ def _jointly(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tup
             of_rows = _LeftOut.of(together, test.how) if of_rows is None else of_rows
             log_p = max(log_p, _by_poses(one, own, test, together, of_rows))
         again.append(one._replace(drop=drop, freedom=freedom, log_p=min(log_p + one.log_count, 0.0)))
+        if again[-1].log_p >= 0.0:
+            break
     return again, owns
 
 

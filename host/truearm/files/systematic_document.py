@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+import os
 from typing import Any, assert_never
 
 import numpy as np
@@ -72,4 +72,4 @@ def _over(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
 
 def source_name(table: ObservationTable, row: int) -> str:
     """Return the source of a row, without the folder, as in ``input_of``."""
-    return Path(str(table.source[row])).name
+    return os.path.basename(str(table.source[row]))
