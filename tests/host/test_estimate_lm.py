@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from truearm.estimate.information import Information, covariance, fold, spectrum, with_prior
-from truearm.estimate.levenberg_marquardt import after_step, minimise
+from truearm.estimate.levenberg_marquardt import (
+    DAMPING_MAX,
+    DAMPING_START,
+    REFUSED,
+    Damping,
+    after_step,
+    minimise,
+)
 
 # NIST StRD, nonlinear regression, Misra1a (lower difficulty) and its certified values.
 MISRA_Y = [10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78]
@@ -52,6 +59,22 @@ def test_rosenbrock():
     assert found.status == "converged"
     np.testing.assert_allclose(found.x, [1.0, 1.0], atol=1e-9)
     assert len(calls) < 150
+
+
+@pytest.mark.parametrize(("correctors", "evaluations"), [(0, 1), (3, 4)])
+def test_a_refused_step_costs_no_more_than_its_correctors(correctors, evaluations):
+    """Uphill everywhere: λ grows until the end, and each of its values is tried once, with the full steps that follow it."""
+    calls = []
+
+    def residual(x):
+        calls.append(x)
+        return x + np.array([2.0])
+
+    at = linearised(residual, lambda x: np.ones((1, 1)))  # ∂predicted/∂x is −1
+    found = minimise(at, np.array([0.0]), 50, damping=Damping(correctors=correctors))
+    assert found.status == "stalled"
+    tried = np.ceil(np.log(DAMPING_MAX / DAMPING_START) / np.log(REFUSED))
+    assert len(calls) == 1 + evaluations * tried
 
 
 def test_scaling_of_the_unknowns_changes_nothing():

@@ -40,8 +40,7 @@ def fit(
                 part,
                 options.max_iterations,
                 _counted(iterations, options, advance),
-                damping=damping,
-                plain=options.plain,
+                damping=lm.Damping(damping, options.plain, options.correctors),
                 cost=cost,
                 move=stepper(problem, columns),
             )

@@ -49,11 +49,23 @@ DAMPING_MIN = 1e-14
 DAMPING_MAX = 1e10
 REFUSED = 4.0  # Rosenbrock's valley needs a quarter of the linearisations that it needs with 10, with the rule above
 STRAIGHT = 1e-3
-CORRECTORS = 3  # full steps from a point that is no better, before it is given up
+CORRECTORS = 3  # of Damping
 RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
 ROUNDING_END = 1e-3  # σ; far below the precision of any estimate, above what the rounding of χ² can hide
+
+
+class Damping(NamedTuple):
+    """How steps are damped: by λ, ``start`` at first (0: full Gauss–Newton steps), of scaled columns or, ``plain``, λI.
+
+    ``correctors`` is how many full steps a step that does not reduce χ² gets to return to a curved valley. Without them
+    a fit that only tells right from wrong inputs costs less; in such a valley it may end before the minimum.
+    """
+
+    start: float = DAMPING_START
+    plain: bool = False
+    correctors: int = CORRECTORS
 
 
 class Minimum(NamedTuple):
@@ -72,18 +84,17 @@ def minimise(
     max_iterations: int,
     on_step: Callable[[int, Information], None] | None = None,
     *,
-    damping: float = DAMPING_START,
-    plain: bool = False,
+    damping: Damping = Damping(),  # noqa: B008 (frozen)
     cost: Callable[[Floats, Floats], float] | None = None,
     move: Step = added,
 ) -> Minimum:
     """Minimise χ² = fᵀf from x (k,).
 
-    ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``damping`` 0 starts with
-    full Gauss–Newton steps; ``plain`` damps by λI instead of Marquardt's scaled columns. ``cost(there, here)`` is χ² at
-    ``there`` with what J takes as constant, such as weights, as at ``here``; needed only if it depends on x. ``move(x, Δ)`` is the point that a step
-    leads to. An iteration is an accepted step. Failure to converge is a status, not an exception.
+    ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``cost(there,
+    here)`` is χ² at ``there`` with what J takes as constant, such as weights, as at ``here``; needed only if it depends
+    on x. ``move(x, Δ)`` is the point that a step leads to. An iteration is an accepted step. Failure to converge is a status, not an exception.
     """
+    lam, plain, correctors = damping
     here = linearise(x)
     for iteration in range(max_iterations + 1):
         if not _finite(here):
@@ -105,12 +116,12 @@ def minimise(
         unit = parts.singular[0] ** 2 if plain else 1.0
         refused, rounding = False, promised @ promised <= ROUNDING_END**2
         while True:
-            delta, predicted = step(parts, promised, damping * unit)
+            delta, predicted = step(parts, promised, lam * unit)
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 goal = move(x, delta)
                 there = linearise(goal)
                 chi2 = there.chi2 if cost is None else cost(goal, x)
-                for _ in range(0 if rounding else CORRECTORS):  # χ² may be NaN after a diverging step
+                for _ in range(0 if rounding else correctors):  # χ² may be NaN after a diverging step
                     if chi2 < here.chi2 or not _finite(there):
                         break
                     back = spectrum(there.root)
@@ -120,13 +131,13 @@ def minimise(
             if chi2 < here.chi2:
                 break
             refused = True
-            damping = after_refusal(damping)
-            if damping > DAMPING_MAX:
+            lam = after_refusal(lam)
+            if lam > DAMPING_MAX:
                 if rounding:
                     return Minimum(x, "converged", "the predicted reduction is below rounding", iteration, here)
                 return Minimum(x, "stalled", "no step reduces the residuals", iteration, here)
         gain = (here.chi2 - chi2) / predicted
-        damping = after_step(damping, gain, refused)
+        lam = after_step(lam, gain, refused)
         x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
