@@ -183,7 +183,7 @@ def tracker(**fields):
             tracker(sigma=0.0),
             "position",
             {"tracker": "t", **POINT},
-            r"tracker\.t has sigma 0 \(exactly known\) but no xyz",
+            r"tracker\.t has sigma 0 \(exactly known\) but no position",
         ),
         (tracker(xyz=AT, sigma=-1.0), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is 1 ± -1"),
         (tracker(xyz=(np.nan, 0.0, 0.0)), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is nan"),
