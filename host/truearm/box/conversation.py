@@ -45,6 +45,27 @@ def conversation(device: str, stop: bool = False, retries: int = RETRIES) -> Ite
         link.close()
 
 
+@contextmanager
+def streaming(box: BoxControl) -> Iterator[None]:
+    """Start the box, and stop it at the end, also after Ctrl-C while it starts; not if it refuses to start.
+
+    A box that refuses streams for a recording already.
+    """
+    from truearm_wire.messages import START, STOP
+
+    refused = False
+    try:
+        try:
+            box.command(START)
+        except RefusedError:
+            refused = True
+            raise
+        yield
+    finally:
+        if not refused:
+            box.command(STOP)
+
+
 def ident_of(box: BoxControl) -> Ident:
     """Return the box's description of itself, from the beginning of the conversation or later."""
     return box.ident or box.identify()

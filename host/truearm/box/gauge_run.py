@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from truearm.box.configuration import change_lines, checked_config
-from truearm.box.conversation import conversation, ident_of
+from truearm.box.conversation import conversation, ident_of, streaming
 from truearm.box.gauge_places import GaugeRun, KeptPlaces, kept_path, read_kept
 from truearm.box.gauge_result import (
     HEAD,
@@ -342,17 +342,12 @@ def sample(box: BoxControl, stream: Stream, seconds: float) -> NDArray[np.int32]
     Raises LinkError if too few samples arrive.
     """
     from truearm.session.samples import with_ratios
-    from truearm_wire.messages import START, STOP
 
     skip, wanted = (max(1, round(NS.of(s) / stream.period_ns)) for s in (SETTLE_S, seconds))
-    box.command(START)
-    try:
-        with step(f"sampling {stream.name} for {seconds:g} s") as advance:
-            blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S, advance)
-    finally:
-        box.command(STOP)
-        for _ in box.sent(0.0):  # data in transit
-            continue
+    with streaming(box), step(f"sampling {stream.name} for {seconds:g} s") as advance:
+        blocks = _collect(box, stream, skip, max(wanted, FEWEST), SETTLE_S + seconds + PATIENCE_S, advance)
+    for _ in box.sent(0.0):  # data in transit
+        continue
     return with_ratios(np.concatenate(blocks), stream.channels)
 
 

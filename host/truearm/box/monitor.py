@@ -6,13 +6,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from truearm.box.conversation import conversation, ident_of, one_line_of
+from truearm.box.conversation import conversation, ident_of, one_line_of, streaming
 from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
@@ -122,15 +121,13 @@ def _watch(
     every_s: float,
     show: Callable[[Rows], None],
 ) -> Watch:
-    from truearm_wire.messages import START, STOP
+    from truearm_wire.messages import START
 
     watch = Watch(ident_of(box))
     begun = time.monotonic()
     next_probe = begun
     next_show = begun + every_s
-    with ExitStack() as stack:
-        stack.callback(box.command, STOP)
-        box.command(START)
+    with streaming(box):
         while not interrupted() and (duration is None or time.monotonic() < begun + duration):
             for sent in box.sent(0.05):
                 watch.take(sent)
