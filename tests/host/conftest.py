@@ -43,6 +43,12 @@ def good(files: Path) -> list[object]:
     return ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml"]
 
 
+@pytest.fixture
+def only_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the tests for systematic errors, which change no value and no covariance; for fits in great numbers."""
+    monkeypatch.setattr("truearm.estimate.identify.systematic_errors", lambda *_: None)
+
+
 @pytest.fixture(scope="session")
 def noisy() -> tuple[ObservationTable, Rig]:
     table, rig = exact_lengths(180)

@@ -13,6 +13,8 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.problem import build_problem
 
+pytestmark = pytest.mark.usefixtures("only_the_fit")
+
 
 @pytest.fixture(scope="module")
 def shells():
