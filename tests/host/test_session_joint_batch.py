@@ -189,3 +189,19 @@ def test_columns_that_do_not_fit_their_lines_are_passed_over():
     others = [Message(COLUMNS, SECOND, data) for data in (b"", b"\xf6", pack(parse_lines(lines[:9], range(9))))]
     stream = stream_of(said[:30] + others + said[30:])
     assert (stream.readings, stream.malformed, stream.lost) == (50, 0, 0)
+
+
+def test_a_lost_and_a_doubled_line_before_the_same_columns_are_counted():
+    """As many lines as the columns have, but not the same ones."""
+    rows = [{"t": 0.02 * k, "seq": k, "q": [0.0, 0.1 * k]} for k in range(60)]
+    lines = [json.dumps(row).encode() for row in rows]
+    arrival_ns = [20 * MS * k for k in range(60)]
+    messages = [Message(JOINTS, *pair) for pair in zip(arrival_ns, lines, strict=True)]
+    received = [*messages[:20], *messages[21:40], messages[39], *messages[40:]]
+    columns = Message(COLUMNS, arrival_ns[-1], pack(parse_lines(lines, arrival_ns)))
+    for cut in (0, 10, 60):
+        reader = JointReader()
+        reader.take(columns_of(received[:cut]))
+        reader.take(columns_of([*received[cut:], columns]))
+        stream = reader.finish()
+        assert (stream.readings, stream.lost, stream.duplicated) == (59, 1, 1)

@@ -3,7 +3,8 @@
 A reading is a line of JSON (docs/reference/session-format.md), checked in the same way during recording
 (``parse_line()``) and reading (``parse_lines()``). A message on ``/robot/columns`` holds the result of
 ``parse_lines()`` for the preceding messages of ``/robot/joints``, since the last such message. It is CBOR: typed arrays
-(RFC 8746) by name, which NumPy uses as they are.
+(RFC 8746) by name, which NumPy uses as they are. They are used if the arrival times are those of these messages;
+otherwise messages were lost, doubled or moved, and the lines are parsed.
 
 A session may hold ten million readings. For each 50 ms only count, mean, extremes and scatter are kept
 (``JointReader``). That is 0.25 kB per bin for six joints, 110 MB for six hours.
@@ -447,7 +448,8 @@ class ReadingOrder:
                 begin = end
             if messages.topics[messages.topic[row]] == COLUMNS:
                 said = unpack(messages.payload(row))
-                if said is not None and len(said) == len(self._lines) + end - begin:
+                arrival_ns = [*self._arrival_ns, *messages.t_host_ns[lines[begin:end]].tolist()]
+                if said is not None and np.array_equal(said.arrival_ns, arrival_ns):
                     self._lines, self._arrival_ns, begin = [], [], end
                     due += self._wait(said)
             elif _BACK in messages.payload(row):
