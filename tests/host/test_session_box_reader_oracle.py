@@ -193,6 +193,20 @@ def test_a_boot_id_that_becomes_known_within_a_run():
     assert_same(box.messages, described(), [])
 
 
+def test_a_run_that_fills_a_hole_and_seems_to_be_of_an_earlier_boot_from_its_second_frame_on():
+    """The device time of that frame is years ahead, as if its boot had begun long before the session."""
+    box, second = Box(seq=1100), 10**9
+    box.data(550 * second, COUNTS)
+    box.reboot(552 * second)
+    box.ident(552 * second)
+    box.seq = 633
+    for k, seq in enumerate([633, 816, 814, 815]):
+        box.seq = seq
+        box.boot_host_ns -= 2 * 10**15 * (seq == 815)
+        box.data((612 + 90 * (k > 0)) * second + (seq == 816), COUNTS)
+    assert_same(box.messages, described(), [])
+
+
 def moved(rng, frames):
     """Return a recording with a restart and pieces of it lost, doubled, flipped or moved, often near the restart."""
     seq = int(rng.choice([0, 0, 2**32 - 700]))

@@ -287,7 +287,8 @@ class FrameOrder:
             n = min(n, beat - run.begin)
         if self._waiting and beat > run.begin:  # waiting frames that this run releases may state the boot id
             n = min(n, beat - run.begin)
-        return min(n, 1) if young or self._suspects else n
+        alone = self._suspects or (self._former and not follows)  # each frame may be of a former count
+        return min(n, 1) if alone else n
 
     def _is_young(self) -> bool:
         """Return whether frames of the old count may arrive between those of this one."""
