@@ -76,7 +76,7 @@ wire: .venv/installed ## layout and golden vectors of the wire, from protocol/fr
 	@$(BIN)/python protocol/make_layout.py
 	@$(BIN)/python protocol/make_vectors.py
 
-uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (on Debian and its relatives, with compilers installed); SUITE=forky: with that Debian's MicroPython, in build/uf2-forky
+uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (Debian 12 or newer, or a derivative, with compilers installed); SUITE=forky: with that Debian's MicroPython, in build/uf2-forky
 	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py $(if $(SUITE),--suite $(SUITE) --out build/uf2-$(SUITE) --work build/image-$(SUITE))
 
 release: uf2 .venv/installed-test ## wheel and source distribution in dist/, with the flashable image in them; URL=https://… of the repository makes the links absolute

@@ -99,7 +99,9 @@ class Point:
 
 @dataclass(frozen=True)
 class BallBar:
-    """A telescoping ball-bar: length = zero + gain · extension, centre to centre [m].
+    """A telescoping ball-bar: length = zero + gain · extension [m].
+
+    The length is the distance from the centre of the bar's ball, in a chuck, to the centre of the sphere in its cup.
 
     ``travel`` [m] is the full stroke; the extension ranges over ±travel/2. ``sigma`` [m] is the declared repeatability
     of a dwell, added to the noise estimated from the samples. ``zero_sigma`` [m] and ``gain_sigma`` [1] are 0 if the

@@ -37,7 +37,7 @@ CHUCKS = """
 SPHERES = """
 # Spheres: steel balls on the robot's flange, in the flange frame."""
 BARS = """
-# Bars: zero is the length at mid-travel, centre to centre; gain is its change per change of the reading; travel is the full stroke;
+# Bars: zero is the length at mid-travel, from the centre of the ball in the chuck to the centre of the sphere; gain is its change per change of the reading; travel is the full stroke;
 # sigma is the repeatability. Measure the first bar (a calliper over both balls, minus their radii); the others are estimated."""
 
 OTHERS = """\
