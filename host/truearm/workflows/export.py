@@ -110,7 +110,7 @@ def cost_lines(found: ExportedRobot) -> list[str]:
             f"with the other parameters refitted to compensate: {_of(fitted.left)}.",
         ]
     if found.exact:
-        return ["Nothing was refitted: the file holds all that was identified."]
+        return ["The file holds everything that was identified; no refit was needed."]
     return [*lines, f"Error of what the file cannot hold: {_of(fitted.left)}."]
 
 
