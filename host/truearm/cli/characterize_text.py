@@ -66,8 +66,8 @@ def _noise(document: Mapping[str, Any]) -> Iterator[str]:
         "the resolution"
     )
     yield (
-        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {MS.text(sensor['period_s'], '.3g')}, independent after "
-        f"{_range(sensor['independent_after_s'], MS)}"
+        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {MS.text(sensor['period_s'], '.3g')}; samples that are "
+        f"{_range(sensor['independent_after_s'], MS)} apart are independent"
     )
     if sensor["floor"] is not None:
         yield f"  lowest Allan deviation {_range(sensor['floor'], UM)} in means over {sensor['floor']['tau_s']:.2g} s"
