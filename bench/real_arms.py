@@ -344,8 +344,8 @@ run, because its calibration needs a URDF and a configuration file for each arm;
   `chuck_places()` puts them with seed 0. The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
 - **MUKCa** (ball in sockets): complete places are held out, which the table names.
-- **Constants.** The knot spacing, the frequency bands and the hyperpriors of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. How a variance that fell to zero is restarted was chosen on
-  simulated arms. Nothing was chosen on the other data sets. `auto` never uses held-out rows.
+- **Constants.** The knot spacing, the frequency bands and the hyperpriors of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. The rule that restarts a variance that fell to zero was
+  chosen on simulated arms. Nothing was chosen on the other data sets. `auto` never uses held-out rows.
 """
 
 
