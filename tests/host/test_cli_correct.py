@@ -176,6 +176,17 @@ def test_bad_tables_are_one_line(bench, tmp_path, capsys, text):
     assert not out.exists()
 
 
+def test_other_files_are_not_read_as_tables(bench, tmp_path, capsys):
+    robot = tmp_path / "robot.urdf"
+    robot.write_text((bench.folder / "targets.csv").read_text())  # a table in all but its name
+    code, _, err = run(capsys, "correct", bench.folder / "result.json", robot, "--out", tmp_path / "out.csv")
+    assert code == 2
+    assert "robot.urdf: is neither a table of targets (.csv) nor a program (.mod, .prg, .script)" in " ".join(
+        err.split()
+    )
+    assert not (tmp_path / "out.csv").exists()
+
+
 def test_a_singular_target_is_refused_with_its_line(bench, tmp_path, capsys):
     q = bench.q[:4].copy()
     q[2, 4] = 0.001

@@ -45,7 +45,14 @@ class Targets(NamedTuple):
 
 
 def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:
-    """Read a table of targets for a robot with these joints ("rad" or "m"). Raises TargetError with row and column."""
+    """Read a table of targets for a robot with these joints ("rad" or "m").
+
+    Raises TargetError, with row and column if the file is a table.
+    """
+    if path.suffix.lower() != ".csv":
+        raise TargetError(
+            f"{path}: is neither a table of targets (.csv) nor a program (.mod, .prg, .script); give one of these"
+        )
     try:
         return parse_targets(read_text(path, MAX_BYTES, TargetError), str(path), joint_units)
     except TableError as exc:
