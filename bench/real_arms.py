@@ -323,8 +323,8 @@ This page shows how accurate truearm's results are on public data of real arms, 
 are those of rows that were not fitted. `make benchmark` writes this page and its picture (`bench/real_arms.py`).
 
 Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for MUKCa they are the distance of the ball from its
-socket. "Before" is the nominal robot, with the rig that the identification found. All data sets are fitted with the same options: `truearm identify` with
-`--joint-laws none`, then with its defaults. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. pybotics fits 25 geometric parameters, as its example does. figaroh is not
+socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so its "before" is smaller.) All data sets are fitted with the same options: `truearm identify` with
+`--joint-laws none`, then with its defaults. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. pybotics fits 25 geometric parameters, as its example does. figaroh is not
 run, because its calibration needs a URDF and a configuration file for each arm; [Benchmarks](benchmarks.md) compares its geometry on simulated data.
 
 | data | split | fitted | judged | published | before | geometry | with joint laws | to reach | pybotics | laws kept | s |
@@ -340,12 +340,12 @@ run, because its calibration needs a URDF and a configuration file for each arm;
 - **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
   3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 holds it out, and it has the largest error in that row of the table. In the next row of the table, the split is the same, but
   the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
-- **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks are where
-  `chuck_places()` puts them with seed 0. The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
+- **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks were placed at random
+  (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
 - **MUKCa** (ball in sockets): complete places are held out, which the table names.
-- **Constants.** The knot spacing, the frequency bands and the hyperpriors of the error curves were chosen on UR10 series C and on an IRB 120 that is not in this table. The rule that restarts a variance that fell to zero was
-  chosen on simulated arms. Nothing was chosen on the other data sets. `auto` never uses held-out rows.
+- **Constants.** The constants of the error curves (knots, octaves of length and priors of the variances: [decision 28](../decisions/0028-joint-laws-by-evidence.md)) were chosen on UR10 series C and on an IRB 120 that is not in this table. The rule by which a variance
+  that fell to zero is raised again was chosen on simulated arms. Nothing was chosen on the other data sets. `auto`, the default of `--joint-laws`, never uses held-out rows.
 """
 
 
