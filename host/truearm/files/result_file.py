@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,14 +57,33 @@ def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
 def checksum(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a result's content, independent of its layout. Raises ValueError for non-finite numbers."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    digest = hashlib.sha256()
+    for piece in _compact(content):
+        digest.update(piece.encode())
+    return digest.hexdigest()
+
+
+def _compact(value: Any) -> Iterator[str]:
+    """Yield JSON without spaces and with sorted keys, in pieces: a covariance with joint laws has many megabytes."""
+    if not _is_nested(value):
+        yield json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return
+    items = sorted(value.items()) if isinstance(value, dict) else [(None, item) for item in value]
+    for k, (name, item) in enumerate(items):
+        yield ("," if k else "{" if isinstance(value, dict) else "[") + ("" if name is None else json.dumps(name) + ":")
+        yield from _compact(item)
+    yield "}" if isinstance(value, dict) else "]"
+
+
+def _is_nested(value: Any) -> bool:
+    """Return whether a list or an object has further ones in it."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return any(isinstance(item, dict | list) for item in inner)
 
 
 def format_document(value: Any, indent: int = 0) -> str:
     """Return JSON with one line for each innermost list or object, so that a covariance has one line per row."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if not any(isinstance(item, dict | list) for item in inner):
+    if not _is_nested(value):
         return json.dumps(value, allow_nan=False)
     pad = " " * (indent + 2)
     if isinstance(value, dict):
