@@ -269,11 +269,22 @@ class FrameOrder:
         enough = LONELY_RUN if self._boot_id is None else 2 * REACH
         stated = frame.boot_id is not None and self._boot_id is not None
         new = stated and frame.boot_id != self._boot_id and frame.boot_id not in self._left
-        if new or len(self._suspects) >= enough:
+        same = stated and frame.boot_id == self._boot_id
+        elsewhere = same and self._is_elsewhere(frame)
+        if elsewhere:
+            self._far = True
+        if new or len(self._suspects) >= enough or (elsewhere and len(self._suspects) >= 2):
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects)
-        elif stated and frame.boot_id == self._boot_id:
+        elif same and not elsewhere:
             yield from self._dismiss(ours=True)
+
+    def _is_elsewhere(self, frame: Frame) -> bool:
+        """Return whether the box cannot have sent so many frames since the newest one."""
+        if frame.born_ns is None or self._born_ns is None:
+            return self._is_far(frame)
+        now_ns, newest_ns = frame.t_host_ns - frame.born_ns, self._newest_host_ns - self._born_ns
+        return too_many(self._unwrapped(frame.seq) - self._newest, now_ns - newest_ns)
 
     def _restart(self, frames: list[Frame]) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is finished."""

@@ -123,7 +123,7 @@ def test_an_exported_robot_says_what_it_costs(result):
     exact = truearm.export_robot(result, "sheth-uicker")
     assert (exact.missing, exact.exact) == ((), True)
     assert exact.largest < 1e-9
-    assert "the file holds all that was identified" in str(exact)
+    assert "The file holds everything that was identified" in str(exact)
     lossy = truearm.export_robot(result, "urdf")
     gains = {name for name, one in result.parameters.items() if name.endswith(".gain") and one.value != one.nominal}
     assert set(lossy.missing) == gains

@@ -83,7 +83,7 @@ def test_tables_hold_everything(result, tmp_path, run, form):
     out = tmp_path / "table.toml"
     code, said, _ = run("export", result, "--format", form, "--out", out)
     assert code == 0
-    assert "holds all that was identified" in said
+    assert "holds everything that was identified" in said
     chain = load_robot(str(out)).chain
     stored = read_result(result)
     q = correct_bench.good_poses(20)
@@ -108,7 +108,7 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     assert code == 0, err
     code, said, err = run("export", result, "--format", "urdf", "--model", urdf, "--out", out)
     assert code == 0, err
-    assert "holds all" in said
+    assert "holds everything" in said
     stored = read_result(result)
     chain = load_robot(str(out), None, "ball_link").chain
     observations = read_table(table, chain.joint_units)

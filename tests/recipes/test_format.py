@@ -82,7 +82,7 @@ def test_help_lists_it(said):
 
 def test_it_holds_a_robot_without_gains(copy, said):
     assert [each.code for each in said[1:3]] == [0, 0], said[2].err
-    assert "the file holds all that was identified" in said[2].out
+    assert "The file holds everything that was identified" in said[2].out
     assert position_errors(copy, "ur5e").max() < 1e-6
 
 

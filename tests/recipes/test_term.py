@@ -157,7 +157,7 @@ def test_corrected_targets_are_where_the_true_arm_goes(copy, said):
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_format_refuses_or_says_what_its_file_costs(copy, said, name):
     code, out, err = said[name]
-    assert "holds all" not in out
+    assert "holds everything" not in out
     if code:
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert not (copy.folder / name).exists()
@@ -202,7 +202,7 @@ def test_a_format_that_declares_the_term_holds_it(copy, said):
         (*command, "urdf", "--out", "held.urdf"),
     )
     assert (held.code, held.err) == (0, "")
-    assert "the file holds all that was identified" in held.out
+    assert "The file holds everything that was identified" in held.out
     assert "joint2.spring" in refused.out
     spring, points = json.loads(copy.python("-c", EXPORTED).out)
     assert spring == pytest.approx(SPRING, rel=1e-6)

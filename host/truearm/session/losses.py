@@ -15,9 +15,10 @@ first page of the ident that a box sends at boot. The first of these rules that 
 4. *A first page with a new boot id* begins a new count: a **restart**.
 5. *Any other frame is a suspect* until the next boot id: one behind, one far ahead, one that follows suspects, and one
    after a hole that arrived DELAYED_NS later than its device time says. If the boot id is a new one, a new count begins
-   with the suspects. If it is that of the count, a suspect ahead follows a hole, however large; one behind is late or
-   doubled, however long ago it was sent. The same holds if the count itself continues first, but then a suspect too far
-   ahead is **malformed**. A boot id of an earlier count decides nothing.
+   with the suspects. If it is that of the count, a suspect ahead follows a hole; one behind is late or doubled,
+   however long ago it was sent. The same holds if the count itself continues first, but then a suspect too far ahead is
+   **malformed**. A boot id of an earlier count decides nothing. If the box cannot have sent so many frames in the device
+   time in between (``_is_elsewhere``), its count goes on elsewhere: a new count, and nobody knows what was lost.
 
 **What cannot be decided** is decided by number: 2 · REACH suspects in a row without a new boot id are a restart, and
 LONELY_RUN of them if the count itself has no boot id. Fewer frames of a boot of which neither the first page nor a
@@ -427,11 +428,26 @@ class FrameOrder:
         self._suspects.append(run)
         _, boot_id = run.first_heartbeat()
         stated = None not in (boot_id, self._boot_id)
-        if (stated and boot_id != self._boot_id and boot_id not in self._left) or self._enough():
+        same = stated and boot_id == self._boot_id
+        elsewhere = same and self._is_elsewhere(run)
+        self._far |= elsewhere
+        if (
+            (stated and not same and boot_id not in self._left)
+            or self._enough()
+            or (elsewhere and len(self._suspects) > 1)
+        ):
             suspects, self._suspects = self._suspects, []
             yield from self._restart(suspects, at)
-        elif stated and boot_id == self._boot_id:
+        elif same and not elsewhere:
             yield from self._dismiss(at, ours=True)
+
+    def _is_elsewhere(self, run: Run) -> bool:
+        """Return whether more frames would be missing than any link carries in the device time since the newest frame."""
+        born_ns = run.born_ns
+        if born_ns is None or self._born_ns is None:
+            return self._is_far(run)
+        device_ns = (run.t_host_ns - born_ns) - (self._newest_host_ns - self._born_ns)
+        return too_many(self._unwrapped(run.seq) - self._newest, device_ns)
 
     def _enough(self) -> bool:
         """Return whether so many suspects in a row are another count although no boot id says so."""
