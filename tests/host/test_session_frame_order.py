@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_stream import Box
 
-from truearm.session.losses import REACH, Silences
+from truearm.session.frame_order import REACH
+from truearm.session.losses import Silences
 from truearm.session.message_columns import columns_of
 from truearm.types import Message
 

@@ -33,7 +33,8 @@ from truearm.session.box_frames import (
     parse_exchanges,
 )
 from truearm.session.box_ident import Ident, Stream, decode_ident
-from truearm.session.losses import COUNTED, FrameOrder, Heartbeats, Losses, Placed, StreamReport, StreamTrack
+from truearm.session.frame_order import FrameOrder, Placed
+from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack
 from truearm.session.message_columns import Ints, Messages
 from truearm_wire import messages as wire
 
