@@ -127,7 +127,7 @@ def test_a_shell_completes(typed, offered):
     program = Path(sys.executable).parent / "truearm"
     script = f"""
         export PATH={program.parent}:$PATH
-        source <(truearm --show-completion bash)
+        source <(truearm --show-completion)
         COMP_WORDS=({typed}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))
         _truearm_completion truearm
         echo "${{COMPREPLY[@]}}"
