@@ -104,10 +104,11 @@ def converted(name: str, value: Any, hint: Any) -> Any:
     return frozen
 
 
-def floats(name: str, value: Any, *shape: int | None, or_one: bool = False) -> NDArray[np.float64]:
+def floats(name: str, value: Any, *shape: int | None, or_one: bool = False, finite: bool = True) -> NDArray[np.float64]:
     """Return an array of finite numbers of a shape, in which None means any number but 0.
 
-    ``or_one``: a single item without the first axis is accepted, too. Raises TypeError, InputError.
+    ``or_one``: a single item without the first axis is accepted, too; ``finite`` False: so is NaN. Raises TypeError,
+    InputError.
     """
     sizes = ", ".join("n" if size is None else str(size) for size in shape) + "," * (len(shape) == 1)
     try:
@@ -122,7 +123,7 @@ def floats(name: str, value: Any, *shape: int | None, or_one: bool = False) -> N
         has == 0 if size is None else has != size for has, size in zip(array.shape, shape)
     ):
         raise InputError(Argument(name), f": must be an array ({sizes}), its shape is {array.shape}")
-    if not np.isfinite(array).all():
+    if finite and not np.isfinite(array).all():
         raise InputError(Argument(name), ": must be finite numbers")
     return np.asarray(array, dtype=float)
 

@@ -268,6 +268,10 @@ class Rig:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for of in ("chucks", "spheres", "bars", "targets", "lines", "trackers", "planes"):
+            for name, item in getattr(self, of).items():
+                if item.name != name:
+                    raise InputError(Argument(of), f": {name!r} holds {item.name!r}; name both alike")
 
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""
@@ -345,7 +349,8 @@ class ObservationTable:
     more: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", _column("q", self.q, text=False))
+        for name in ("q", "kind"):
+            object.__setattr__(self, name, _column(name, getattr(self, name), text=name == "kind"))
         if self.q.ndim != 2:
             raise InputError(Argument("q"), f" must be (n, j), is {self.q.shape}")
         n = self.q.shape[0]
@@ -366,10 +371,11 @@ class ObservationTable:
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
         converted("more", self.more, Mapping[str, Any])
-        for name, column in self.more.items():
-            if np.shape(column)[:1] != (n,):
-                raise InputError(Argument(name), f" must have {n} rows, is {np.shape(column)}")
-        object.__setattr__(self, "more", {name: np.asarray(column) for name, column in self.more.items()})
+        more = {name: _column(name, column) for name, column in self.more.items()}
+        for name, column in more.items():
+            if column.shape[:1] != (n,):
+                raise InputError(Argument(name), f" must have {n} rows, is {column.shape}")
+        object.__setattr__(self, "more", more)
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
@@ -418,12 +424,13 @@ class ObservationTable:
         return cls(**columns, more=more)
 
 
-def _column(name: str, given: Any, text: bool) -> NDArray[Any]:
-    """Return a column as an array of text or of floats. Raises TypeError."""
+def _column(name: str, given: Any, text: bool | None = None) -> NDArray[Any]:
+    """Return a column as an array of text or of floats; ``text`` None: as it is given. Raises TypeError."""
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
         array = np.empty(0, dtype=object)
+    text = array.dtype.kind == "U" if text is None else text
     if array.dtype.kind not in ("U" if text else "fiu") and (array.size or array.dtype.kind == "O"):
         raise TypeError(f"{name}: must be an array of {'text' if text else 'real numbers'}")
     return array.astype(str if text else float) if array.dtype.kind != ("U" if text else "f") else array
@@ -536,8 +543,9 @@ class Figures(NamedTuple):
 
     @classmethod
     def of(cls, residual: Floats) -> Figures:
-        """Return the figures of residuals in one unit, ignoring NaN."""
-        size = np.abs(residual[~np.isnan(residual)])
+        """Return the figures of residuals in one unit, ignoring NaN. Raises TypeError for anything but real numbers."""
+        values = _column("residual", residual, text=False)
+        size = np.abs(values[~np.isnan(values)])
         if not size.size:
             return cls(math.nan, math.nan, math.nan, 0)
         return cls(rms(size), float(size.mean()), float(size.max()), size.size)
@@ -545,6 +553,7 @@ class Figures(NamedTuple):
     @classmethod
     def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:
         """Return the figures of the selected rows for each SI unit that any of them has."""
+        converted("residuals", residuals, Mapping[str, Any])
         every = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
         return {unit: figures for unit, figures in every.items() if figures.n}
 

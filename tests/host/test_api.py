@@ -134,7 +134,7 @@ def test_an_exported_robot_says_what_it_costs(result):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"q": np.nan}, "q1_rad"),
+        ({"q": np.nan}, "q[0] is not a finite number"),
         ({"value": -0.46}, "length is -0.46 m, not between"),
         ({"chuck": ""}, "needs a chuck"),
         ({"kind": "bar"}, "is not an observation kind"),
@@ -421,7 +421,17 @@ REFUSED = [
     ("q", InputError, lambda a: truearm.ObservationTable(q=[1, 2], kind="a")),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[["a"]], kind=["seat"])),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[[1.0], [1.0, 2.0]], kind=["seat"])),
-    ("kind", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=[3])),
+    *(("kind", TypeError, lambda a, v=v: truearm.ObservationTable(q=[[1.0]], kind=v)) for v in ([3], None)),
+    ("a", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]] * 2, kind=["seat"] * 2, more={"a": [[1.0], [1.0, 2.0]]})),
+    *(("table", InputError, lambda a, field=field, v=v: truearm.identify(a.robot, replace(a.table, **{field: np.full(getattr(a.table, field).shape, v)}), a.rig))
+      for field, v in (("kind", "bar"), ("q", np.nan), ("value", np.nan))),
+    *(("allow", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, options=options(allow=(v,))))
+      for v in ("chuck.c1@9999", "chuck.c1.thermal_drift")),
+    ("bars", InputError, lambda a: planned(a.robot, a.bench, poses=8, bars=("b99",))),
+    ("chucks", InputError, lambda a: truearm.Rig(chucks={"c1": truearm.Point("c2", (0.0, 0.0, 0.0))})),
+    *(("q", error, lambda a, v=v: a.result.outside(v)) for v, error in ((None, TypeError), ("home", TypeError), ([0.0] * 6, InputError), ([[0.0] * 5], InputError))),
+    *(("residual", TypeError, lambda a, v=v: truearm.Figures.of(v)) for v in (None, "1.0")),
+    *(("residuals", TypeError, lambda a, v=v: truearm.Figures.by_unit(v)) for v in (None, [1.0])),
     ("value", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], value=[1.0, 2.0])),
     ("more", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more=3)),
     ("a", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more={"a": [1.0, 2.0]})),
@@ -575,7 +585,7 @@ def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
     q = table.q.copy()
     q[3, 2] = np.nan
     bare = truearm.ObservationTable(q, table.kind, table.value, bar=table.bar, chuck=table.chuck, sphere=table.sphere)
-    with pytest.raises(truearm.ProblemError, match=r"^table\[3\]: a joint reading is not a finite number"):
+    with pytest.raises(truearm.TableError, match=r"^table: table\[3\]: q\[2\] is not a finite number$"):
         truearm.identify(robot, bare, rig)
 
 

@@ -158,7 +158,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--model", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "cannot reach the region"),
-        (["--bar", "nope"], "bar 'nope' is not in the rig"),
+        (["--bar", "nope"], "--bar 'nope': the rig has bar25, bar32"),
         *(
             (["--region", text], f"--region {text!r}: needs LOW:HIGH in mm")
             for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1")

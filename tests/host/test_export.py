@@ -329,6 +329,21 @@ def test_a_term_that_no_format_has_is_costed_by_each(name, waving):
     np.testing.assert_allclose(np.linalg.norm(apart, axis=1), found.left, atol=1e-12)  # the cost is that of the file
 
 
+def test_an_error_that_only_turns_the_end_has_a_cost():
+    """The end of a UR5e lies on the axis of joint 6: without that joint's gain the end turns, but stays where it is."""
+    chain = builtin_robot("ur5e").chain
+    nominal = chain.params_nominal
+    calibrated, only = nominal.copy(), np.zeros(nominal.size, dtype=bool)
+    at = chain.parameter_names.index("joint6.gain")
+    calibrated[at], only[at] = 1.01, True
+    q = some_poses(chain, 200)
+    found = fit_to("urdf", chain, nominal, calibrated, only, q)
+    assert found.missing == ("joint6.gain",)
+    assert found.left.max() < 1e-12
+    np.testing.assert_allclose(found.left_turn, 0.01 * np.abs(q[:, 5]), atol=1e-9)
+    np.testing.assert_array_equal(found.dropped_turn, found.left_turn)
+
+
 @pytest.mark.parametrize("name", ["dh-hayati", "sheth-uicker"])
 def test_a_format_may_declare_a_further_term_and_then_writes_it(name, waving, monkeypatch):
     chain, nominal, calibrated = waving

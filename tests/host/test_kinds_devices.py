@@ -12,6 +12,8 @@ from truearm.estimate.problem import blocks, build_problem
 from truearm.kinds.plane import frame_of
 from truearm.kinds.pose import PoseRows
 from truearm.kinds.position import place
+from truearm.kinds.rig_references import Scope, use_points
+from truearm.kinds.unknowns import Layout
 from truearm.model.chain import about, joint_jacobian, point_jacobians, trace_point
 from truearm.model.rotation import rotation, rotation_vector, skew
 from truearm.types import Device, LinePlacement, Plane, Point, Rig
@@ -265,3 +267,19 @@ def test_turning_derivatives_are_the_chains_angular_velocity():
     found = about(trace_point(CHAIN, TRUTH, q, np.zeros(3)), direction).jac_joints
     expected = np.einsum("ni,nij->nj", direction, joint_jacobian(CHAIN, TRUTH, q)[:, 3:])
     np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+def test_an_item_that_two_columns_name_has_its_numbers_once():
+    """As in a kind that compares two targets: the second column has a name of its own."""
+    table = replace(
+        rows("position", random_poses(3, np.random.default_rng(1)), target="ball"),
+        more={"below": np.array(["other", "ball", "ball"])},
+    )
+    scope, every = Scope(CHAIN, RIG, table, ""), np.arange(3)
+    first = use_points(scope, every, "target", RIG.targets)
+    second = use_points(scope, every, "below", RIG.targets, item="target")
+    layout = Layout(0, (first, second))
+    assert [number.name for number in layout.unknown] == [
+        f"target.{name}.{k}" for name in ("ball", "other") for k in "xyz"
+    ]
+    np.testing.assert_array_equal(layout.index(second), [[3, 4, 5], [0, 1, 2], [0, 1, 2]])

@@ -7,7 +7,7 @@ from typing import Any
 
 from truearm.text import one_line
 from truearm.types import Figures
-from truearm.units import MM
+from truearm.units import DEG, MM
 from truearm.workflows.export import ExportedRobot, cost_lines
 
 REMEDY = "For the best fit where you work, give --over FILE, a plan or a table of poses there."
@@ -20,17 +20,22 @@ def lines(found: ExportedRobot, out: Path, over: Path | None) -> list[str]:
 
 
 def document(found: ExportedRobot, out: Path, curves: Path | None) -> dict[str, Any]:
-    """The same as JSON: what the format has no place for, whether the rest was refitted, and the position error that is left [mm]."""
-    left, dropped = (Figures.of(MM.of(error)) for error in (found.fitted.left, found.fitted.dropped))
+    """The same as JSON: what the format has no place for, whether the rest was refitted, and the errors of position and orientation that are left [mm, deg]."""
+    fitted = found.fitted
+    left, dropped = (Figures.of(MM.of(error)) for error in (fitted.left, fitted.dropped))
+    left_turn, dropped_turn = (Figures.of(DEG.of(error)) for error in (fitted.left_turn, fitted.dropped_turn))
     return {
         "format": found.form,
         "mountings": found.mountings,
         "missing": found.missing,
         "exact": found.exact,
-        "refitted": found.fitted.refitted,
-        "poses": found.fitted.left.size,
+        "refitted": fitted.refitted,
+        "poses": fitted.left.size,
         "left_rms_mm": left.rms,
         "left_max_mm": left.max,
+        "left_rms_deg": left_turn.rms,
+        "left_max_deg": left_turn.max,
         "dropped_rms_mm": dropped.rms,
+        "dropped_rms_deg": dropped_turn.rms,
         "written": [str(path) for path in (out, curves) if path is not None],
     }

@@ -127,7 +127,9 @@ def ballbar(
     minutes: MinutesOption = None,
     criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
-    bar: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Use only this bar (repeatable).")] = None,
+    bars: Annotated[
+        list[str] | None, typer.Option("--bar", metavar="NAME", help="Use only this bar (repeatable).")
+    ] = None,
     candidates: Annotated[
         int, typer.Option(metavar="N", help="Poses to choose from.", **bounded(CANDIDATES))
     ] = option_defaults.BAR_CANDIDATES,
@@ -205,7 +207,7 @@ def ballbar(
         criterion=criterion,
         region=_region_of(region),
         candidates=candidates,
-        bars=tuple(bar or ()),
+        bars=tuple(bars or ()),
         reserve=None if reserve is None else MM.to_si(reserve),
         spread=MM.to_si(spread),
         dwell=dwell_s,

@@ -16,7 +16,7 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import ProblemError
+from truearm.errors import Argument, InputError, ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.unknowns import Fault
@@ -105,14 +105,17 @@ class Modelled(NamedTuple):
 def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: Circumstances) -> list[Modelled]:
     """Return the effects' parameters over the rows, one for each number of the item that is off.
 
-    Raises ProblemError for an item that is not among the causes, for a form that it cannot have, and for missing rows.
+    Raises InputError for an item that is not among the causes, for a form that it cannot have, and for missing rows.
     """
     out = []
     for effect in effects:
         known = [cause for cause in causes if cause.name == effect.what]
         if not known:
             names = ", ".join(cause.name for cause in causes)
-            raise ProblemError(f"no systematic error of {effect.what!r} can be estimated here; name one of {names}")
+            raise InputError(
+                Argument("allow"),
+                f" {effect}: no systematic error of {effect.what!r} can be estimated here; name one of {names}",
+            )
         # The moment at which a drifting item was correct is unknown, so it also has an offset.
         for part in (effect, Effect(effect.what)) if effect.drifts_with else (effect,):
             out += [Modelled(part, number, profile(part, rows)) for number in known[0].numbers]
@@ -122,19 +125,22 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
 def profile(effect: Effect, rows: Circumstances) -> Floats:
     """Return the change (n,) of each row's prediction for one unit of the effect.
 
-    Raises ProblemError for rows that do not exist, or in which the drift's variable is unknown.
+    Raises InputError for rows that do not exist, or in which the drift's variable is unknown.
     """
     n = len(rows)
     first, last = effect.first, n if effect.last is None else effect.last
     if not 0 <= first < last <= n:
-        raise ProblemError(f"{effect}: the table has rows 1 to {n}")
+        raise InputError(Argument("allow"), f" {effect}: the table has rows 1 to {n}")
     out = np.zeros(n)
     if effect.drifts_with is None:
         out[first:last] = 1.0
         return out
     along = rows.during(effect.drifts_with, first, last)
     if along is None:
-        raise ProblemError(f"{effect}: rows {first + 1} to {last} have no {effect.drifts_with}, or it does not change")
+        raise InputError(
+            Argument("allow"),
+            f" {effect}: rows {first + 1} to {last} have no {effect.drifts_with}, or it does not change",
+        )
     out[first:last] = (along - (along.max() + along.min()) / 2.0) / np.ptp(along)
     return out
 

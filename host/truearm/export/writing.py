@@ -21,6 +21,7 @@ from truearm.export.link_frames import LinkFrames, link_frames, predicted
 from truearm.export.refit import MARKS, refit
 from truearm.model import joint_law
 from truearm.model.chain import GEOMETRY, Chain, Parameter, forward
+from truearm.model.poses import apart
 from truearm.model.robot_mounting import mountings
 from truearm.types import Floats, rms
 from truearm.units import MM
@@ -66,6 +67,8 @@ class Fitted(NamedTuple):
     refitted: bool
     dropped: Floats  # (n,) m, position error if these were simply left out
     left: Floats  # (n,) m, position error of what is written
+    dropped_turn: Floats  # (n,) rad, and the error of the orientation
+    left_turn: Floats  # (n,) rad
     exact: bool  # the file holds everything that was identified
 
 
@@ -108,15 +111,17 @@ def fit_to(
     refitted = not np.array_equal(start, identified)
     params = refit(chain, identified, start, adjustable & has_place, q) if refitted else identified
     wanted = forward(chain, identified, q)
-    poses = predicted(link_frames(chain, nominal, params), q)
+    poses, simply = predicted(link_frames(chain, nominal, params), q), forward(chain, start, q)
     if missing and adjustable.all():
         _check_worth(name, chain, nominal, identified, poses, lost, q)
     return Fitted(
         params=params,
         missing=missing,
         refitted=refitted,
-        dropped=_distance(forward(chain, start, q), wanted),
+        dropped=_distance(simply, wanted),
         left=_distance(poses, wanted),
+        dropped_turn=_turn(simply, wanted),
+        left_turn=_turn(poses, wanted),
         exact=bool(np.abs(poses - wanted).max(initial=0.0) <= EXACT),
     )
 
@@ -165,3 +170,7 @@ def _marks_apart(a: Floats, b: Floats) -> float:
 
 def _distance(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.linalg.norm((a - b)[:, :3, 3], axis=1))
+
+
+def _turn(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(apart(a, b)[:, 3:], axis=1))

@@ -162,7 +162,8 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
 
 
 def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
-    """Raise TableError for the first number that ``read_table`` would reject because of its size or its sign."""
+    """Raise TableError for the first row of no kind, without its readings, or with a number that ``read_table`` rejects."""
+    _refuse_incomplete(table)
     noise = {unit: Quantity("sigma", ("sigma",), unit, LARGEST_NOISE, positive=True) for unit in registry.units()}
     checks = [(quantity, np.ones(len(table), dtype=bool)) for quantity in CIRCUMSTANCES]
     for key, kind in registry.kinds().items():
@@ -172,6 +173,27 @@ def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
     for j, unit in enumerate(joint_units):
         for name, column, of in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
             _refuse_values(table, Quantity(name, (f"{name}[{j}]",), of), column[:, j], np.ones(len(table), dtype=bool))
+
+
+def _refuse_incomplete(table: ObservationTable) -> None:
+    """Raise TableError for the first row of an unknown kind, without joint readings, or without what its kind measures."""
+    wrong = ~np.isin(table.kind, registry.NAMES)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise TableError(
+            f"{table.source[row]}: {quoted(str(table.kind[row]))} is not an observation kind; use {' or '.join(registry.NAMES)}"
+        )
+    for row, joint in np.argwhere(~np.isfinite(table.q))[:1].tolist():
+        raise TableError(f"{table.source[row]}: q[{joint}] is not a finite number")
+    missing = []
+    for key, kind in registry.kinds().items():
+        for needed in (column for column in kind.needs if not isinstance(column, str)):
+            words = needed.words if len(needed.columns) > 1 else with_article(needed.words)
+            missing.append(((table.kind == key) & ~_filled(table.column(needed.field, np.nan)), words))
+    for rows, what in missing:
+        if rows.any():
+            row = int(np.argmax(rows))
+            raise TableError(f"{table.source[row]}: {with_article(str(table.kind[row]))} row needs {what}")
 
 
 def _refuse_values(table: ObservationTable, quantity: Quantity, column: Floats, rows: np.ndarray) -> None:

@@ -66,16 +66,22 @@ def use(
     known: Mapping[str, Entry],
     numbers: Callable[[str, Entry], list[Number]],
     faults: tuple[Fault, ...] = MOVED,
+    *,
+    item: str = "",
 ) -> Used:
-    """Look up a column's names in the rig (``look_up``); ``numbers`` maps a name and its entry to the entry's numbers."""
+    """Look up a column's names in the rig (``look_up``); ``numbers`` maps a name and its entry to the entry's numbers.
+
+    ``item``: what the rig calls the entry, if the column ``what`` is called otherwise. An item that rows name in two
+    columns then has its numbers once.
+    """
     labels, which = look_up(scope, rows, what, known)
-    every = [numbers(f"{scope.prefix}{what}.{label}", known[str(label)]) for label in labels]
+    every = [numbers(f"{scope.prefix}{item or what}.{label}", known[str(label)]) for label in labels]
     return Used(labels, every, which, faults)
 
 
-def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point]) -> Used:
-    """Return the points named in a column; the end frame's origin if the rig has none."""
-    return use(scope, rows, what, known or ORIGIN, point_numbers)
+def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point], *, item: str = "") -> Used:
+    """Return the points named in a column (``use``); the end frame's origin if the rig has none."""
+    return use(scope, rows, what, known or ORIGIN, point_numbers, item=item)
 
 
 def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:

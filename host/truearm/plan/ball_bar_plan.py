@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.bar_paths import Pace
+from truearm.plan.branches import check_joints
 from truearm.plan.choose import as_blocks, choose
 from truearm.plan.collision_shapes import Sizes, make_shapes
 from truearm.plan.forecast import Aim, Forecast, Known, bar_table, candidate_rows, forecast, known_arm, region_root
@@ -71,10 +72,9 @@ class BallBarPlan(NamedTuple):
 def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:
     """Return the arm without its rig, at the current parameters.
 
-    Raises PlanError unless the arm has a branch and at least six joints; with fewer it cannot orient the tool freely.
+    Raises PlanError unless the arm has a branch and at least six joints.
     """
-    if len(known.chain.joints) < 6:
-        raise PlanError(f"robot {known.chain.name} has {len(known.chain.joints)} joints; a plan needs six or more")
+    check_joints(known.chain)
     arm = known_arm(known, np.random.default_rng([seed, 0xA2]))
     return Site(arm, known.rig, make_shapes(known.chain, known.params, known.rig, sizes, known.links), limits)
 
@@ -83,7 +83,7 @@ def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
     """Return every chuck with every sphere, for some bars or, by default, all. Raises PlanError for missing items."""
     missing = [bar for bar in bars if bar not in rig.bars]
     if missing:
-        raise PlanError(f"bar {missing[0]!r} is not in the rig, which has {', '.join(rig.bars) or 'none'}")
+        raise PlanError(Argument("bars"), f" {missing[0]!r}: the rig has {', '.join(rig.bars) or 'none'}")
     pairings = [Pairing(bar, c, s) for bar in (bars or rig.bars) for c in rig.chucks for s in rig.spheres]
     if not pairings:
         raise PlanError("the rig needs at least one chuck, one sphere and one bar")

@@ -6,8 +6,17 @@ import numpy as np
 
 from truearm.errors import Argument, PlanError
 from truearm.model.builtin import names_with_branch
+from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
+
+MIN_JOINTS = 6  # with fewer, an arm cannot orient the tool freely
+
+
+def check_joints(chain: Chain) -> None:
+    """Raise PlanError for an arm with fewer than MIN_JOINTS joints."""
+    if len(chain.joints) < MIN_JOINTS:
+        raise PlanError(f"robot {chain.name} has {len(chain.joints)} joints; a plan needs six or more")
 
 
 def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
@@ -18,6 +27,7 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
     chain = robot.chain
     if given is None:
         if robot.branch is None:
+            check_joints(chain)  # no bounds would help
             known = ", ".join(names_with_branch())
             text = f"robot {chain.name} has no [branch] in its file ({known} have); give LOW:HIGH,… in degrees as "
             raise PlanError(text, Argument("branch"))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.arguments import converted
+from truearm.arguments import converted, floats
 from truearm.errors import Argument, InputError
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.files.stored_result import StoredResult, read_result
@@ -140,8 +140,9 @@ class Calibration:
         """Return (n, j), where a joint is outside the fitted readings, or in a gap of them if it has an error curve.
 
         A full turn of a revolute joint counts as the same position. Returns None if the result does not contain the
-        range of the fitted readings.
+        range of the fitted readings. Raises TypeError or InputError unless q is (n, j).
         """
+        q = floats("q", q, None, len(self.chain.joints), finite=False)
         seen = self.stored.joint_range
         if seen is None:
             return None

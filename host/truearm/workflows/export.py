@@ -20,7 +20,7 @@ from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
 from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms
-from truearm.units import MM
+from truearm.units import DEG, MM
 from truearm.workflows.calibration import (
     Calibration,
     check_names,
@@ -54,7 +54,8 @@ class ExportedRobot:
     """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
     ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool. ``fitted`` holds the
-    written parameters: its ``left`` (n,) is the file's position error [m] against the identified robot over n poses.
+    written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
+    against the identified robot over n poses.
 
     Examples
     --------
@@ -66,8 +67,8 @@ class ExportedRobot:
     Mountings (written at both ends):
     ...
     The format urdf has no place for joint1.gain, ...
-    Refitted over 600 poses. Error without the parameters that the file cannot hold or that are not adjusted: ... mm RMS (... at most);
-    with the other parameters refitted to compensate: ... mm RMS (... at most).
+    Refitted over 600 poses. Error without the parameters that the file cannot hold or that are not adjusted: ... mm RMS (... at most), ... deg RMS;
+    with the other parameters refitted to compensate: ... mm RMS (... at most), ... deg RMS.
     """
 
     form: str
@@ -106,16 +107,17 @@ def cost_lines(found: ExportedRobot) -> list[str]:
     if fitted.refitted:
         return [
             *lines,
-            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without the parameters that the file cannot hold or that are not adjusted: {_of(fitted.dropped)};",
-            f"with the other parameters refitted to compensate: {_of(fitted.left)}.",
+            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without the parameters that the file cannot hold or that are not adjusted: {_of(fitted.dropped, fitted.dropped_turn)};",
+            f"with the other parameters refitted to compensate: {_of(fitted.left, fitted.left_turn)}.",
         ]
     if found.exact:
         return ["The file holds everything that was identified; no refit was needed."]
-    return [*lines, f"Error of what the file cannot hold: {_of(fitted.left)}."]
+    return [*lines, f"Error of what the file cannot hold: {_of(fitted.left, fitted.left_turn)}."]
 
 
-def _of(error: Floats) -> str:
-    return f"{MM.text(rms(error), '.3f')} RMS ({MM.of(error.max()):.3f} at most)"
+def _of(error: Floats, turn: Floats) -> str:
+    """Describe errors of position [m] and of orientation [rad]: a turn about the end itself moves it nowhere."""
+    return f"{MM.text(rms(error), '.3f')} RMS ({MM.of(error.max()):.3f} at most), {DEG.text(rms(turn), '.4f')} RMS"
 
 
 @step("exporting the robot")
@@ -176,7 +178,7 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
         if not fitted.missing:
             raise
         raise RobotError(
-            f"{exc}. A file of this format would also have no place for {named(fitted.missing)}, which costs {_of(fitted.left)}"
+            f"{exc}. A file of this format would also have no place for {named(fitted.missing)}, which costs {_of(fitted.left, fitted.left_turn)}"
         ) from exc
     return ExportedRobot(options.form, text, mountings, fitted)
 
