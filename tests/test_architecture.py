@@ -17,7 +17,19 @@ HOST = ROOT / "host" / "truearm"
 
 # modules that every room may use
 COMMON = {
-    *("types", "arguments", "bounds", "errors", "exit_codes", "text", "units", "schema", "interrupt", "progress"),
+    *(
+        "types",
+        "results",
+        "arguments",
+        "bounds",
+        "errors",
+        "exit_codes",
+        "text",
+        "units",
+        "schema",
+        "interrupt",
+        "progress",
+    ),
     "option_defaults",
     "__version__",
 }
@@ -47,6 +59,7 @@ ROOMS = {
     "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},
     "__main__": {"cli"},
     "types": set(),
+    "results": set(),
     "arguments": set(),
     "bounds": set(),
     "option_defaults": set(),

@@ -45,18 +45,8 @@ if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.plan.ball_bar_plan import BallBarPlan
     from truearm.plan.region import Region
-    from truearm.types import (
-        BallBar,
-        Device,
-        Estimate,
-        Figures,
-        HeldOut,
-        ObservationTable,
-        Plane,
-        Point,
-        Rig,
-        SocketDistance,
-    )
+    from truearm.results import Estimate, Figures, HeldOut
+    from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
     from truearm.workflows.calibration import Calibration, ParameterEstimate
     from truearm.workflows.export import ExportedRobot
     from truearm.workflows.identify import Identification, IdentifyOptions
@@ -123,10 +113,10 @@ _MODULES = {
     "Correction": "correct.correction",
     "Device": "types",
     "ErrorMap": "correct.error_map",
-    "Estimate": "types",
+    "Estimate": "results",
     "ExportedRobot": "workflows.export",
-    "Figures": "types",
-    "HeldOut": "types",
+    "Figures": "results",
+    "HeldOut": "results",
     "Identification": "workflows.identify",
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",

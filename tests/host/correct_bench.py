@@ -11,7 +11,7 @@ from truearm.files.observation_table import concatenate
 from truearm.files.result_document import document_of
 from truearm.files.result_file import RobotFrames, write_result
 from truearm.model.chain import forward
-from truearm.types import Estimate
+from truearm.results import Estimate
 
 # One configuration of the arm (elbow up, wrist not flipped), away from its singularities, as in hil_sim's planner.
 LOWER = np.deg2rad([-155.0, -170.0, 100.0, -105.0, 20.0, -180.0])

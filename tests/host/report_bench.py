@@ -13,16 +13,8 @@ from scipy import stats
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import Certificate, Recording, Sensor
-from truearm.types import (
-    Addition,
-    Estimate,
-    Figures,
-    HeldOut,
-    NullDirection,
-    Observability,
-    ObservationTable,
-    PredictedError,
-)
+from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
+from truearm.types import ObservationTable
 
 SIGMA = 0.084e-3  # m, the paper's residual
 HOSTILE = "<script>alert(1)</script>\"'&"

@@ -23,7 +23,7 @@ from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import identify
 from truearm.model.chain import forward
-from truearm.types import Defaults
+from truearm.results import Defaults
 
 NAMES = np.array(CHAIN.parameter_names)
 NOBODY = np.zeros(len(NAMES), dtype=bool)

@@ -23,7 +23,8 @@ from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation
 from truearm.report.systematic_words import systematic_sentences
-from truearm.types import Device, Effect, ObservationTable, Point, Rig
+from truearm.results import Effect
+from truearm.types import Device, ObservationTable, Point, Rig
 from truearm.workflows.selection import parse_effect
 
 EVERY_WORLD = 40

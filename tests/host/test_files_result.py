@@ -19,7 +19,7 @@ from truearm.files.result_document import document_of
 from truearm.files.result_file import RobotFrames, format_document, input_of, write_result
 from truearm.files.stored_result import parse_result, read_result
 from truearm.kinds.registry import identifiers
-from truearm.types import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
+from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
 TABLE = parse_table("kind,q1_rad,place,socket\nseat,0,a,0\nseat,1,a,0\nseat,2,b,0\n", "t.csv")

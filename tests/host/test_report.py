@@ -17,15 +17,7 @@ from truearm.report.calibration_page import caveats, render, verdict
 from truearm.report.page_parts import looks_like_page
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import law_of, rows_by_kind, summaries
-from truearm.types import (
-    Addition,
-    Figures,
-    HeldOut,
-    NullDirection,
-    Observability,
-    PredictedError,
-    Unusable,
-)
+from truearm.results import Addition, Figures, HeldOut, NullDirection, Observability, PredictedError, Unusable
 
 # --- the page
 

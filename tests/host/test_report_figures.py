@@ -17,9 +17,7 @@ from truearm.report.figures import MAX_POINTS, by_order, figures_of
 from truearm.report.page_tables import direction_words
 from truearm.report.page_text import escape, figures, number
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
-from truearm.types import (
-    NullDirection,
-)
+from truearm.results import NullDirection
 
 # --- numbers and words
 

@@ -10,9 +10,7 @@ import pytest
 from report_bench import HOSTILE, Strict, drawings, make_page
 
 from truearm.report.calibration_page import render
-from truearm.types import (
-    NullDirection,
-)
+from truearm.results import NullDirection
 
 
 def test_names_from_files_stay_text():

@@ -23,7 +23,8 @@ from truearm.model.builtin import builtin_names
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.usability_words import usability_sentences
-from truearm.types import ObservationTable, Unusable, WrongInput
+from truearm.results import Unusable, WrongInput
+from truearm.types import ObservationTable
 
 ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
 PUMA = builtin_robot("puma560")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from truearm.results import Figures
 from truearm.text import one_line
-from truearm.types import Figures
 from truearm.units import DEG, MM
 from truearm.workflows.export import ExportedRobot, cost_lines
 

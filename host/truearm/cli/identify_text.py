@@ -31,9 +31,9 @@ from truearm.report.result_words import (
 )
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
+from truearm.results import MeanError, PoseError, ResidualParts, Unusable
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line, outcome
-from truearm.types import MeanError, PoseError, ResidualParts, Unusable
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
 
 Document = Mapping[str, Any]

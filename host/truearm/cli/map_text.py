@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from truearm.correct.error_map import ErrorMap, Region
+from truearm.results import Figures
 from truearm.text import counted
-from truearm.types import Figures
 from truearm.units import MM
 from truearm.workflows.map import Mapped, axis
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.label_test import log_chance
 from truearm.estimate.trial_fit import Trial
-from truearm.types import Explanation, WrongInput
+from truearm.results import Explanation, WrongInput
 from truearm.units import UNITS
 
 HUNDREDFOLD = 0.01  # of χ²

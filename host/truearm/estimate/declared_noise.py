@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
-from truearm.types import Floats, ResidualParts
+from truearm.results import ResidualParts
+from truearm.types import Floats
 from truearm.units import UNITS
 
 

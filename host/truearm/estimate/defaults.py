@@ -36,7 +36,8 @@ from truearm.estimate.solution import Options
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
-from truearm.types import Defaults, Floats, ObservationTable, StillJoint
+from truearm.results import Defaults, StillJoint
+from truearm.types import Floats, ObservationTable
 from truearm.units import UNITS
 
 Mask = NDArray[np.bool_]

@@ -20,7 +20,8 @@ from truearm.estimate.problem import Rigs, build_problem, settled
 from truearm.kinds.proposals import Proposal
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
-from truearm.types import Addition, Floats, ObservationTable, Rig
+from truearm.results import Addition
+from truearm.types import Floats, ObservationTable, Rig
 
 
 def additions(

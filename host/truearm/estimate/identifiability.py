@@ -35,7 +35,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
-from truearm.types import Floats, NullDirection, Observability
+from truearm.results import NullDirection, Observability
+from truearm.types import Floats
 
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter does not belong to a direction
 SMALL_PART = 0.05  # the same, in units, for a hardly identifiable direction, to which all parameters contribute

@@ -42,20 +42,8 @@ from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain, forward
 from truearm.progress import step
-from truearm.types import (
-    Effect,
-    Estimate,
-    Figures,
-    Floats,
-    HeldOut,
-    MeanError,
-    NullDirection,
-    ObservationTable,
-    Residuals,
-    WithOutliers,
-    not_left_out,
-    rms,
-)
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, WithOutliers
+from truearm.types import Floats, ObservationTable, Residuals, not_left_out, rms
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"

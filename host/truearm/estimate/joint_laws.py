@@ -37,21 +37,8 @@ from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
-from truearm.types import (
-    CurveKnots,
-    Effect,
-    Estimate,
-    Floats,
-    HeldOut,
-    JointLaws,
-    Law,
-    LawStep,
-    MeanError,
-    ObservationTable,
-    PoseError,
-    Residuals,
-    TriedLaw,
-)
+from truearm.results import Effect, Estimate, HeldOut, JointLaws, LawStep, MeanError, PoseError, TriedLaw
+from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters

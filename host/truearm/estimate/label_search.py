@@ -36,7 +36,8 @@ from truearm.estimate.trial_fit import Trial, misfit, placed, tried
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import GROUPS, identifiers, kinds, rig_names
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Relabelling, Rig
+from truearm.results import Relabelling
+from truearm.types import Floats, ObservationTable, Rig
 
 TENFOLD = 0.1  # of the RMS
 LEVEL = 1e-3  # probability that correct labels are reported as wrong

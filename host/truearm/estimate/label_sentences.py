@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from truearm.types import ObservationTable, Relabelling
+from truearm.results import Relabelling
+from truearm.types import ObservationTable
 
 
 def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
-from truearm.types import CurveKnots, Floats, Law, Period
+from truearm.results import Period
+from truearm.types import CurveKnots, Floats, Law
 
 STEP = math.radians(0.5)  # between samples
 LARGEST_CYCLES = 60  # per turn

@@ -17,7 +17,8 @@ from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Rig, WrongInput
+from truearm.results import WrongInput
+from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import DEG, MM, UNITS
 
 FEW_ROWS = 60  # enough to rank arrangements of joints

@@ -30,7 +30,8 @@ from truearm.estimate.problem import Rigs
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
-from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
+from truearm.results import Estimate, PredictedError
+from truearm.types import Floats, ObservationTable, Rig
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected

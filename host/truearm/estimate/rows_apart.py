@@ -12,8 +12,9 @@ from truearm.estimate.label_sentences import named_row
 from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import Trial, misfit, tried
 from truearm.model.chain import Chain
+from truearm.results import WrongInput
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable, WrongInput
+from truearm.types import Floats, ObservationTable
 
 LEAST_ROWS = 5  # of another set-up
 

@@ -91,7 +91,8 @@ from truearm.estimate.systematic_score import (
     unfollowed,
     whiten_rows,
 )
-from truearm.types import Floats, OffBy, SystematicError, SystematicErrors
+from truearm.results import OffBy, SystematicError, SystematicErrors
+from truearm.types import Floats
 from truearm.units import UNITS
 
 GROSS = 30.0  # σ of the noise: to first order, a fit this distorted shows only which rows distort it

@@ -25,7 +25,8 @@ from truearm.estimate.systematic_score import (
     unfollowed,
 )
 from truearm.kinds.linearised import Indices
-from truearm.types import DriftWith, Floats
+from truearm.results import DriftWith
+from truearm.types import Floats
 
 MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection

@@ -21,7 +21,8 @@ from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain
-from truearm.types import DriftWith, Effect, Floats, ObservationTable
+from truearm.results import DriftWith, Effect
+from truearm.types import Floats, ObservationTable
 
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.

@@ -21,7 +21,8 @@ from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, of_data
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
-from truearm.types import Figures, Floats, ObservationTable, Residuals
+from truearm.results import Figures
+from truearm.types import Floats, ObservationTable, Residuals
 from truearm.units import UNITS
 
 # Wrong inputs are wrong by centimetres: the last thousandth of χ² in a curved valley is not worth its evaluations.

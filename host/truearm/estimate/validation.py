@@ -44,7 +44,8 @@ from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
-from truearm.types import Effect, Floats, ObservationTable, Residuals, SystematicErrors
+from truearm.results import Effect, SystematicErrors
+from truearm.types import Floats, ObservationTable, Residuals
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # probability that a consistent session is reported as consistent

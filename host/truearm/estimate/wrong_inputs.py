@@ -40,8 +40,9 @@ from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.trial_fit import Trial, tried
 from truearm.estimate.uncertainty import LEAST_FREEDOM
 from truearm.model.chain import Chain
+from truearm.results import Estimate, Explanation, Figures, Relabelling, Unusable, WrongInput
 from truearm.text import counted
-from truearm.types import Estimate, Explanation, Figures, ObservationTable, Relabelling, Unusable, WrongInput
+from truearm.types import ObservationTable
 from truearm.units import UNITS
 
 MOST_NAMED = 3

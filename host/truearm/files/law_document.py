@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from truearm.results import JointLaws, LawStep, TriedLaw
 from truearm.schema import Choice, Flag, Key, List, Number, ReadOnly, Table, Whole, as_table, at
-from truearm.types import CurveKnots, JointLaws, Law, LawStep, Payload, SagMasses, TriedLaw
+from truearm.types import CurveKnots, Law, Payload, SagMasses
 from truearm.units import DEG, MM, MRAD, key, shown
 
 MAX_LAWS = 200

@@ -19,20 +19,18 @@ from truearm.files.result_file import FORMAT, FORMAT_VERSION, Input, RobotFrames
 from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_null
 from truearm.files.systematic_document import source_name, systematic_entries
 from truearm.kinds import registry
-from truearm.types import (
+from truearm.results import (
     Defaults,
     Estimate,
     Explanation,
     Figures,
-    Floats,
     HeldOut,
     Observability,
-    ObservationTable,
     PoseError,
     PredictedError,
     Relabelling,
-    Residuals,
 )
+from truearm.types import Floats, ObservationTable, Residuals
 from truearm.units import UNITS, key
 
 NO_DEFAULTS = Defaults()

@@ -17,8 +17,9 @@ from truearm.errors import InputError
 from truearm.files.disk import read_text
 from truearm.files.law_document import LAWS
 from truearm.files.result_file import CHECKSUM, FORMAT, FORMAT_VERSION, SINCE_CHECKSUM, RobotFrames, checksum
+from truearm.results import NullDirection, StillJoint
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
-from truearm.types import Floats, Law, NullDirection, Payload, StillJoint
+from truearm.types import Floats, Law, Payload
 
 ROUNDING = 1e-6  # relative, of numbers that are computed in two ways
 MAX_BYTES = 64 * 2**20

@@ -9,7 +9,8 @@ from typing import Any, assert_never
 import numpy as np
 
 from truearm.files.strict_json import number_or_null, shown_or_null
-from truearm.types import DriftWith, ObservationTable, SystematicError, SystematicErrors
+from truearm.results import DriftWith, SystematicError, SystematicErrors
+from truearm.types import ObservationTable
 
 
 def systematic_entries(found: SystematicErrors | None, table: ObservationTable) -> dict[str, Any]:

@@ -31,7 +31,8 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.types import Defaults, Floats, NullDirection, ObservationTable, Plan, Rig, rms
+from truearm.results import Defaults, NullDirection
+from truearm.types import Floats, ObservationTable, Plan, Rig, rms
 from truearm.units import UNITS
 
 

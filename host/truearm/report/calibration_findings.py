@@ -16,8 +16,9 @@ from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
+from truearm.results import Addition, Estimate, Figures, PredictedError
 from truearm.text import counted
-from truearm.types import Addition, Estimate, Figures, ObservationTable, PredictedError
+from truearm.types import ObservationTable
 from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspect rows that are listed

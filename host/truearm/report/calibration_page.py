@@ -33,8 +33,9 @@ from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import kind_name, parts_words, pose_error_words
 from truearm.report.usability_words import few_freedom
+from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted
-from truearm.types import Estimate, Floats, HeldOut, ObservationTable, PredictedError
+from truearm.types import Floats, ObservationTable
 from truearm.units import symbol, tolerances
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow

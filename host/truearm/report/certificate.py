@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import size
+from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted, outcome
-from truearm.types import Estimate, HeldOut, PredictedError
 from truearm.units import DEGC, US
 
 K = 2.0  # coverage factor: 95 % of a normal error

@@ -9,7 +9,8 @@ import numpy as np
 from truearm.report import svg
 from truearm.report.figures import Figure
 from truearm.report.page_text import number
-from truearm.types import Estimate, Floats
+from truearm.results import Estimate
+from truearm.types import Floats
 
 
 def correlation(estimate: Estimate, most: int = 60) -> Figure | None:

@@ -16,8 +16,9 @@ from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import Rows, law_of
+from truearm.results import Estimate
 from truearm.text import counted, outcome
-from truearm.types import Estimate, Floats, rms
+from truearm.types import Floats, rms
 from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one

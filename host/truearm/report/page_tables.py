@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from truearm.report.page_parts import table
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.result_words import drawing
+from truearm.results import Estimate, NullDirection
 from truearm.text import counted
-from truearm.types import Estimate, NullDirection
 from truearm.units import UNITS
 
 MAX_DIRECTIONS = 40

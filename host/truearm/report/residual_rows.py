@@ -20,7 +20,8 @@ from truearm.estimate.measured_order import mountings, sessions
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.report.result_words import PARTS, kind_name
-from truearm.types import Estimate, Figures, Floats, ObservationTable
+from truearm.results import Estimate, Figures
+from truearm.types import Floats, ObservationTable
 from truearm.units import DEG, shown, symbol, title
 
 

@@ -7,8 +7,8 @@ from typing import assert_never
 
 from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
+from truearm.results import MeanError, PoseError, ResidualParts
 from truearm.text import counted, with_article
-from truearm.types import MeanError, PoseError, ResidualParts
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units

@@ -6,8 +6,8 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, assert_never
 
+from truearm.results import DriftWith, ErrorForm
 from truearm.text import counted, one_line
-from truearm.types import DriftWith, ErrorForm
 from truearm.units import DEGC, MM, UNITS
 
 

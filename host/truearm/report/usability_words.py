@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, assert_never
 
+from truearm.results import Unusable
 from truearm.text import one_line
-from truearm.types import Unusable
 from truearm.units import SUFFIXES, UNITS
 
 Document = Mapping[str, Any]

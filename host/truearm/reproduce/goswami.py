@@ -25,7 +25,8 @@ from truearm.estimate.uncertainty import predicted_error
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.reproduce.line_bench import gear_error
-from truearm.types import Estimate, Figures, Floats, ObservationTable, Point, Rig
+from truearm.results import Estimate, Figures
+from truearm.types import Floats, ObservationTable, Point, Rig
 
 NOISE = 0.084e-3  # m, the paper's RMS residual
 NEAR, FAR = "bar46", "bar61"

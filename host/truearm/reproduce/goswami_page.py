@@ -15,7 +15,8 @@ from truearm.report.reproduce_page import Chapter, Claim, Table
 from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, Errors
-from truearm.types import Estimate, Floats, rms
+from truearm.results import Estimate
+from truearm.types import Floats, rms
 from truearm.units import MM, UNITS
 
 TITLE = "Ball-bar calibration of a PUMA 560"

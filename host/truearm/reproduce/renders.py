@@ -22,7 +22,8 @@ from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
-from truearm.types import Figures, Floats, LinePlacement, Residuals
+from truearm.results import Figures
+from truearm.types import Floats, LinePlacement, Residuals
 
 # Identified errors and the σ printed next to them [rad, m], of III-E and of III-F, which prints its lengths as Δα2,
 # Δα4, Δα6, Δα6: a2, d4, a6, d6.

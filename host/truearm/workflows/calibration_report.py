@@ -14,7 +14,8 @@ from truearm.files.disk import write_atomic
 from truearm.files.strict_json import number_or_null
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
-from truearm.types import Estimate, Floats, ObservationTable, Rig
+from truearm.results import Estimate
+from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, recording_facts, robot_title
 
 if TYPE_CHECKING:
+    from truearm.results import Estimate, PredictedError
     from truearm.session.observations import SyncResult
-    from truearm.types import Estimate, Floats, ObservationTable, PredictedError, Rig
+    from truearm.types import Floats, ObservationTable, Rig
 
 
 @dataclass(frozen=True)

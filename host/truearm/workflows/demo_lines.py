@@ -17,8 +17,9 @@ from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, r
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
+    from truearm.results import Estimate, PredictedError
     from truearm.session.observations import SyncResult
-    from truearm.types import Estimate, Floats, ObservationTable, Plan, PredictedError, Rig
+    from truearm.types import Floats, ObservationTable, Plan, Rig
     from truearm_sim.world import World
 
 N_LINES = 4

@@ -36,7 +36,8 @@ from truearm.model.chain import Chain, forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
-from truearm.types import Estimate, Floats, ObservationTable, PredictedError
+from truearm.results import Estimate, PredictedError
+from truearm.types import Floats, ObservationTable
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out

@@ -16,8 +16,9 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.prior import free_without_gains
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.model.robot import Robot
+from truearm.results import DriftWith, Effect
 from truearm.text import listed
-from truearm.types import DriftWith, Effect, ObservationTable
+from truearm.types import ObservationTable
 
 Mask = NDArray[np.bool_]
 

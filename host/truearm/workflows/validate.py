@@ -33,8 +33,9 @@ from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.systematic_words import systematic_sentences
+from truearm.results import Effect, Figures
 from truearm.text import counted, one_line
-from truearm.types import Effect, Figures, Floats, ObservationTable, rms
+from truearm.types import Floats, ObservationTable, rms
 from truearm.units import MM, SUFFIXES, UNITS, Scale, key, title
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed

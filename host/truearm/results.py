@@ -1,0 +1,490 @@
+"""What an identification finds: the Estimate and its parts. All are in SI units and frozen.
+
+Shapes: ``n`` rows, ``p`` parameters of the problem.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.arguments import converted
+from truearm.types import Floats, Law, Payload, Residuals, as_column, not_left_out, rms
+
+
+class Figures(NamedTuple):
+    """RMS, mean and largest magnitude of the residuals of n rows in one SI unit; NaN if there are no rows.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
+    >>> figures = held_out.figures["m"]
+    >>> figures.rms <= figures.max, figures.n
+    (True, 20)
+    """
+
+    rms: float
+    mean: float
+    max: float
+    n: int
+
+    @classmethod
+    def of(cls, residual: Floats) -> Figures:
+        """Return the figures of residuals in one unit, ignoring NaN. Raises TypeError for anything but real numbers."""
+        values = as_column("residual", residual, text=False)
+        size = np.abs(values[~np.isnan(values)])
+        if not size.size:
+            return cls(math.nan, math.nan, math.nan, 0)
+        return cls(rms(size), float(size.mean()), float(size.max()), size.size)
+
+    @classmethod
+    def by_unit(cls, residuals: Residuals, rows: NDArray[Any] | slice = slice(None)) -> dict[str, Figures]:
+        """Return the figures of the selected rows for each SI unit that any of them has."""
+        converted("residuals", residuals, Mapping[str, Any])
+        every = {unit: cls.of(residual[rows]) for unit, residual in residuals.items()}
+        return {unit: figures for unit, figures in every.items() if figures.n}
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors on ``n`` rows that were not used to fit, by SI unit.
+
+    ``n_settled`` unknowns of the rig (such as the positions of sockets that no fitted row touches) were estimated from
+    these same rows. ``n_left_out`` rows are excluded from ``n``, because such unknowns fit them exactly whatever the
+    reading.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
+    >>> held_out.n, list(held_out.figures)
+    (20, ['m'])
+    """
+
+    figures: Mapping[str, Figures]
+    n: int
+    n_settled: int = 0
+    n_left_out: int = 0
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """A combination of free parameters that the observations cannot determine: names and weights (the largest is 1)."""
+
+    names: tuple[str, ...]
+    weights: tuple[float, ...]
+
+
+class Observability(NamedTuple):
+    """Observability indices of the identified parameters; ``estimate.identifiability`` defines the four."""
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+
+
+class Addition(NamedTuple):
+    """A further measurement, and which parameters of the robot it would make identifiable."""
+
+    kind: str  # name used by the kind of observation that proposes it: "poses", "pairing"
+    names: tuple[str, ...]  # identifiers of the rig that it involves; empty for new ones
+    rank: int  # of the robot's free parameters, including it
+    parameters: tuple[str, ...]  # those that would become distinguishable
+    text: str  # what to do, as an instruction to a person
+
+
+class Relabelling(NamedTuple):
+    """Rows that fit other parts of the rig better than those that they name."""
+
+    rows: tuple[int, ...]  # of the table
+    columns: tuple[str, ...]  # of a table, such as chuck and sphere
+    was: tuple[str, ...]  # names in these columns
+    fits: tuple[str, ...]
+    rms_before: float  # m, of the complete fit with the labels as given
+    rms_after: float  # m, with this label and all others found with it corrected
+
+
+class WrongInput(StrEnum):
+    """Which input may be interpreted wrongly (``estimate.wrong_inputs``)."""
+
+    UNITS = "units"
+    ROBOT = "robot"
+    JOINTS = "joints"
+    LABELS = "labels"
+    SET_UP = "set-up"
+    STUCK = "stuck joint"
+    HELD = "held parameters"  # not a mistake: too few were free
+
+
+class Unusable(StrEnum):
+    """Why a fit is not usable."""
+
+    NOT_CONVERGED = "not converged"
+    NO_FREEDOM = "no degrees of freedom"  # the parameters fit any readings
+    WRONG_INPUTS = "wrong inputs"  # another interpretation of the inputs explains the observations better
+    RESIDUALS = "residuals"  # residuals that nothing explains
+
+
+class Explanation(NamedTuple):
+    """Another interpretation of the inputs that explains the observations far better.
+
+    ``rms_given`` and ``rms`` are the RMS residuals of quick fits of some rows, by SI unit, with the inputs as given and
+    as reinterpreted. ``apply`` lists rows to leave out, "" if that does not help. ``chance`` is the probability that
+    correct inputs appear this wrong.
+    """
+
+    what: WrongInput
+    text: str
+    apply: str
+    n: int  # rows that it explains
+    rms_given: Mapping[str, float]
+    rms: Mapping[str, float]
+    chance: float
+
+
+class DriftWith(StrEnum):
+    """The variable that a drift is linear in."""
+
+    TIME = "time"  # of the rows; their order if they have no times
+    TEMPERATURE = "temperature"  # of the box
+
+    @property
+    def ending(self) -> str:
+        """Return the suffix of the names of drift parameters."""
+        return ".drift" if self is DriftWith.TIME else ".thermal_drift"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A systematic error of ``what`` in the rows from ``first`` up to but excluding ``last`` (None: to the end), from 0.
+
+    ``what`` is an item of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". The error is an offset in these rows
+    or, if it ``drifts_with`` something, linear in that variable.
+
+    Examples
+    --------
+    >>> from truearm.results import Effect
+    >>> str(Effect("chuck.c2", first=182))
+    'chuck.c2@183'
+    """
+
+    what: str
+    first: int = 0
+    last: int | None = None
+    drifts_with: DriftWith | None = None
+
+    def __str__(self) -> str:
+        return self.parameter(self.what)
+
+    def parameter(self, number: str) -> str:
+        """Return the name of the parameter for the error of ``number``. Rows in the name count from 1."""
+        end = "" if self.last is None else f":{self.last}"
+        rows = f"@{self.first + 1}{end}" if self.first or end else ""
+        return f"{number}{self.drifts_with.ending if self.drifts_with else ''}{rows}"
+
+
+class OffBy(NamedTuple):
+    """The error of one number of the rig, of a joint or of the base; NaN where the observations cannot determine it."""
+
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+
+class ErrorForm(StrEnum):
+    """The form of a systematic error."""
+
+    OFFSET = "offset"
+    DRIFT = "drift"
+    ROWS = "rows"  # a block of rows does not fit, whatever the cause
+
+
+@dataclass(frozen=True)
+class SystematicError:
+    """A systematic error in the rows of a fit that chance does not explain (``estimate.systematic``).
+
+    ``effect`` is None where a block of rows does not fit the rest, whatever the cause. ``rows`` are the first row and
+    the one after the last, ``within`` the range of each of the two, with a probability of 95 %. ``size`` ± ``sigma`` is the norm of those values in ``off_by`` that have the ``unit`` of the
+    first one. ``drop`` is the reduction of χ² if the error becomes a parameter (or if these rows are left out), with
+    ``freedom`` degrees of freedom. ``chance`` is the probability that clean data give such a finding anywhere.
+    ``rivals`` explain the data nearly as well.
+    """
+
+    effect: Effect | None
+    rows: tuple[int, int]
+    within: tuple[tuple[int, int], tuple[int, int]]
+    off_by: tuple[OffBy, ...]
+    unit: str  # SI; "" for a block of rows
+    size: float
+    sigma: float
+    drop: float
+    freedom: int
+    chance: float
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def form(self) -> ErrorForm:
+        """Return the form of the error."""
+        if self.effect is None:
+            return ErrorForm.ROWS
+        return ErrorForm.DRIFT if self.effect.drifts_with else ErrorForm.OFFSET
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """All systematic errors found in a fit, and the fit to first order if they become parameters.
+
+    ``shift`` (P,) is the resulting change of the parameters and ``moves`` [m] the resulting RMS displacement of the end
+    over the fitted poses. ``held_out_ratio`` is the RMS, in σ, of rows held out in contiguous stretches of the
+    measurement order, relative to the RMS without these errors as parameters; rows that would be left out do not count.
+    """
+
+    found: tuple[SystematicError, ...]
+    chi2_reduced: float
+    shift: Floats
+    moves: float = math.nan
+    held_out_ratio: float = math.nan
+
+
+class StillJoint(NamedTuple):
+    """A joint that does not move enough to determine its axis; rad or m."""
+
+    joint: str
+    unit: str
+    spread: float  # largest minus smallest reading
+    at: float  # the median reading
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """Defaults of an identification, where the user chose nothing else, as names of the robot's parameters.
+
+    ``base`` and ``tool`` are fixed because they are a choice of frame, along the directions ``frames``. ``lost`` are
+    fixed because the joints ``still`` do not move enough. ``believed`` have the weak prior because the data determine
+    them less well than it does.
+    """
+
+    base: tuple[str, ...] = ()
+    tool: tuple[str, ...] = ()
+    frames: tuple[NullDirection, ...] = ()
+    still: tuple[StillJoint, ...] = ()
+    lost: tuple[str, ...] = ()
+    believed: tuple[str, ...] = ()
+
+
+class MeanError(NamedTuple):
+    """The mean error of ``n`` poses that were not fitted (held out, or left out in turn) and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+    held_out: bool
+
+
+class ResidualParts(NamedTuple):
+    """RMS residual of the fitted rows in one SI unit, split into the part due to declared noise and the unexplained part."""
+
+    declared: float
+    unexplained: float
+
+
+class PoseError(NamedTuple):
+    """Errors that the rows of one pose share, in addition to each row's own noise (``estimate.pose_effect``)."""
+
+    sigma: float  # m, of each component of a translation of the end
+    row: float  # variance of a row's own noise relative to the declared one, at least 1
+    n: int  # poses with several rows
+
+
+class WithOutliers(NamedTuple):
+    """The fit of all rows, where ``n`` of them are outliers and the estimate is based on the others."""
+
+    n: int
+    value: Floats  # (p,) of all parameters
+    rms_after: Mapping[str, float]  # by SI unit
+    chi2_reduced: float
+
+
+class Period(NamedTuple):
+    """A sinusoidal component of an error curve: cycles per turn and amplitude [rad]."""
+
+    cycles: float
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class TriedLaw:
+    """A joint law that was tried. It raises the log evidence by ``nats`` and is ``kept`` if that is enough.
+
+    ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
+    the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
+    ``periods`` its strongest components, and ``resolution`` [cycles per turn] how far apart components must be to be
+    distinguished. The resolution is NaN if the intervals are too short for any component.
+    """
+
+    joint: str
+    term: str  # "curve" | "sag"
+    nats: float
+    kept: bool
+    rms: float = math.nan
+    covered: tuple[tuple[float, float], ...] = ()
+    periods: tuple[Period, ...] = ()
+    resolution: float = math.nan
+
+
+class LawStep(NamedTuple):
+    """A fit for comparison ("geometry", "sag" or "curves"): RMS residual of the fitted rows, and held-out error."""
+
+    name: str
+    rms_after: Mapping[str, float]  # by SI unit
+    held_out: HeldOut | None
+
+
+@dataclass(frozen=True)
+class JointLaws:
+    """The joint laws beyond offset and gain in an identification.
+
+    ``kept`` are the laws whose parameters follow those of the robot in the estimate. ``reasons`` explain, in sentences,
+    why other laws, or all of them, were not tried. The noise per pose is estimated from the residuals by evidence: a
+    factor on the declared variances, and the standard deviations of a displacement shared by the rows of a pose [m] and
+    of an error of each joint [rad].
+    """
+
+    mode: str  # one of ``estimate.solvers.LawMode``
+    kept: tuple[Law, ...]
+    tried: tuple[TriedLaw, ...]
+    steps: tuple[LawStep, ...]
+    reasons: tuple[str, ...]
+    gravity: tuple[float, float, float]
+    gravity_known: bool  # from the robot file; otherwise z is assumed to point up
+    payloads: tuple[Payload, ...]  # the different ones of the fitted rows
+    noise_factor: float = math.nan
+    noise_shared: float = math.nan
+    noise_joint: float = math.nan
+
+
+class PredictedError(NamedTuple):
+    """Predicted error of the measured point on the end, from the parameters' covariance, over the measured poses.
+
+    If ``relative``, it excludes the part that moves all poses as one rigid body, which observations in sockets or by a
+    device of unknown pose cannot determine.
+    """
+
+    rms: float  # m, over the poses
+    largest: float  # m, expected norm at the worst pose
+    source: str  # the row of the worst pose
+    n: int  # poses
+    relative: bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The result of an identification.
+
+    Arrays cover all parameters of the problem: first those of the robot, then those of the rig (nuisance parameters).
+    ``sigma`` is NaN where the observations do not depend on a parameter or it was not free. ``covariance`` is (p, p),
+    with zero rows for parameters that were not free. ``identifiable`` is False where a parameter takes part in a null
+    direction. ``distance`` is standardised: for a clean row it has the χ distribution with the row's number of
+    residuals; it is NaN where a row was held out.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> robot = truearm.load_robot("puma560")
+    >>> table, rig = truearm.read_table("poses.csv", robot), truearm.read_rig("rig.toml")
+    >>> estimate = truearm.identify(robot, table, rig).estimate
+    >>> estimate.status, estimate.sigma.shape == estimate.value.shape
+    ('converged', True)
+    """
+
+    status: str  # "converged" | "max_iterations" | "stalled"
+    message: str
+    solver: str
+    iterations: int
+    parameter_names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: Floats  # (p,)
+    value: Floats  # (p,)
+    sigma: Floats  # (p,)
+    free: NDArray[np.bool_]  # (p,)
+    identifiable: NDArray[np.bool_]  # (p,)
+    covariance: Floats  # (p, p)
+    n_robot_parameters: int
+    n_observations: int
+    rank: int
+    rank_gap: float  # smallest kept / largest dropped singular value
+    null_space: tuple[NullDirection, ...]
+    rms_before: Mapping[str, float]  # by SI unit, of the fitted rows, once base and tool are placed
+    rms_after: Mapping[str, float]
+    rms_history: Mapping[str, tuple[float, ...]]  # one per iteration, first is rms_raw
+    chi2_reduced: float
+    held_out: HeldOut | None
+    held_out_before: HeldOut | None
+    residual: Residuals  # after; signed if a kind has one component in a unit, otherwise the norm
+    residual_before: Residuals
+    fitted: NDArray[np.bool_]  # (n,) True for fitting rows, False for held-out
+    seconds: float
+    rms_raw: Mapping[str, float] = field(default_factory=dict)  # of the nominal robot, placed where the rig specifies
+    loss: str = "linear"
+    chi2_band: tuple[float, float] = (float("nan"), float("nan"))  # of chi2_reduced, 95 %, if σ and model are right
+    chi2_freedom: float = float("nan")  # effective: residuals minus the trace of the hat matrix
+    distance: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) from the prediction by all other rows, in σ
+    weight: Floats = field(default_factory=lambda: np.zeros(0))  # (n,) 1 as declared, 0 left out, else by a robust loss
+    suspect: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) beyond the gate
+    observability: Observability | None = None  # of the suggested free set
+    suggested_free: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n_robot_parameters,)
+    hardly_seen: tuple[NullDirection, ...] = ()  # determined less well than by a drawing (estimate.identifiability)
+    additions: tuple[Addition, ...] = ()  # if free parameters are unidentifiable or hardly identifiable
+    relabellings: tuple[Relabelling, ...] = ()
+    relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.label_search)
+    explanations: tuple[Explanation, ...] = ()  # of an absurd fit, the most probable first
+    unusable: Unusable | None = None  # the reason, if unusable (estimate.wrong_inputs)
+    left_out: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros(0, dtype=bool)
+    )  # (n,) neither fitted nor held out
+    systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
+    unexplained: Mapping[str, MeanError] = field(
+        default_factory=dict
+    )  # by SI unit, if something is systematic or χ² above its range
+    with_outliers: WithOutliers | None = None  # all rows, if outliers were left out (estimate.outliers)
+    parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
+    pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
+    joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
+
+    @property
+    def covariance_explains(self) -> bool:
+        """Return whether the covariance says how far the parameters are off, at least without the systematic errors."""
+        if self.systematic is None:
+            return not self.unexplained
+        return self.systematic.chi2_reduced <= self.chi2_band[1]
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the fitted rows that were not left out as outliers.
+
+        ``rms_before`` and ``rms_after`` cover these rows. Where every row was left out, they cover all fitted rows.
+        """
+        used = self.fitted.copy()
+        if self.weight.size:
+            used[used] = not_left_out(self.weight[used])
+        return used
+
+    @property
+    def law_parameters(self) -> range:
+        """Return the indices of the joint-law parameters, the last of the robot's parameters."""
+        laws = self.joint_laws.kept if self.joint_laws else ()
+        return range(self.n_robot_parameters - sum(law.size for law in laws), self.n_robot_parameters)
