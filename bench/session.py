@@ -38,7 +38,8 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
-from truearm.session.joint_readings import CHUNK, JointReader, format_reading
+from truearm.session.joint_format import format_reading
+from truearm.session.joint_readings import CHUNK, JointReader
 from truearm.session.message_columns import columns_of
 from truearm.session.observations import observations
 from truearm.session.plan_matching import Marks

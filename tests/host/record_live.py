@@ -11,7 +11,7 @@ from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
-from truearm.session.joint_readings import JointLine
+from truearm.session.joint_format import JointLine
 from truearm.types import BallBar, Point, Rig
 
 S = 1_000_000_000

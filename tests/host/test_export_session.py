@@ -23,7 +23,7 @@ from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_ident import recorded_ident
-from truearm.session.joint_readings import parse_lines
+from truearm.session.joint_format import parse_lines
 from truearm.session.message_columns import columns_of as message_columns
 from truearm.session.observations import Batches, observations, survey
 from truearm.session.session_file import open_session

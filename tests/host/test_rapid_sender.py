@@ -8,7 +8,7 @@ import pytest
 import rapid_machine
 
 from truearm.record.robots.text_lines import Dialect
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "abb.md"
 MAX_STRING = 80  # characters of a RAPID string

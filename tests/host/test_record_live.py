@@ -13,7 +13,7 @@ from truearm.live.state import LiveState
 from truearm.record.status import Counters, Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import decode_ident
-from truearm.session.joint_readings import JointLine
+from truearm.session.joint_format import JointLine
 
 
 class TestDwells:

@@ -3,7 +3,7 @@
 import pytest
 
 from truearm.record.joint_lines import MAX_LINE, JointLines
-from truearm.session.joint_readings import parse_line
+from truearm.session.joint_format import parse_line
 
 GOOD = b'{"t": 1.5, "seq": 3, "q": [0.1, -2]}'
 

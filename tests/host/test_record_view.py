@@ -14,7 +14,7 @@ from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import WAITING, View
 from truearm.session.box_frames import Data
-from truearm.session.joint_readings import JointLine
+from truearm.session.joint_format import JointLine
 from truearm.types import Rig
 
 

@@ -14,7 +14,7 @@ from ros_bags import STORAGES, joint_state, write_bag
 from truearm.errors import InputError
 from truearm.record.robots.bags import bag_files, readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 TOPIC = "/joint_states"
 # As Universal Robots' driver publishes them: the elbow first.

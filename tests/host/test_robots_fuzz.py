@@ -21,7 +21,7 @@ from truearm.record.robots import rtde
 from truearm.record.robots.bags import bag_files
 from truearm.record.robots.sources import FileOptions, readings_of_file
 from truearm.record.robots.text_lines import Dialect, LinesLink
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 rounds = pytest.mark.parametrize("n", [500, pytest.param(10_000, marks=pytest.mark.soak)])
 NUMBERS = [0, 1, 2, 3, 4, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0x8000, 0xFFFF]

@@ -15,7 +15,7 @@ from truearm.record.robots.joint_columns import read_columns
 from truearm.record.robots.joint_table import readings
 from truearm.record.robots.sources import FileOptions, open_source
 from truearm.record.robots.text_lines import Dialect, LinesLink, open_lines
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 PATIENCE_S = 5.0  # only a broken link waits so long
 DEG = math.pi / 180.0

@@ -18,7 +18,7 @@ from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 PATIENCE_S = 5.0  # only a broken client waits so long
 

@@ -36,7 +36,7 @@ from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
 from truearm.session.box_frames import usual_data
 from truearm.session.box_ident import parse_ident
-from truearm.session.joint_readings import COLUMNS
+from truearm.session.joint_format import COLUMNS
 from truearm.session.session_file import open_session
 from truearm.types import Message
 from truearm.workflows.inspect import describe

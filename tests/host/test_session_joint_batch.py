@@ -12,16 +12,8 @@ from test_session_joint_readings import assert_same
 
 from truearm.record.recover import recover
 from truearm.record.session_writer import SessionWriter
-from truearm.session.joint_readings import (
-    COLUMNS,
-    JOINTS,
-    JointReader,
-    concatenate,
-    pack,
-    parse_line,
-    parse_lines,
-    unpack,
-)
+from truearm.session.joint_format import COLUMNS, JOINTS, concatenate, pack, parse_line, parse_lines, unpack
+from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
 from truearm.session.session_file import open_session
 from truearm.types import Message

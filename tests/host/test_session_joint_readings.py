@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from truearm.session import joint_readings as joints_module
 from truearm.session.dwells import DwellRules, find_dwells
-from truearm.session.joint_readings import JointReader, parse_lines
+from truearm.session.joint_format import parse_lines
+from truearm.session.joint_readings import JointReader
 from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import columns_of
 from truearm.types import Message

@@ -14,7 +14,7 @@ from session_stream import ident_document, metres_of
 from truearm.errors import ProtocolError, SessionError
 from truearm.session.box_frames import Pages
 from truearm.session.box_ident import Channel, decimal, decode_ident, find_channel, parse_ident, parse_ident_json
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 from truearm.session.samples import RAIL_HIGH, RAIL_LOW, bar_length, extension, out_of_travel, railed, volts
 from truearm.types import BallBar
 

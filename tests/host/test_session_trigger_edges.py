@@ -9,7 +9,8 @@ import pytest
 
 from truearm.session.box_frames import Exchange
 from truearm.session.device_clock import fit_clock
-from truearm.session.joint_readings import NO_INPUTS, InputTrack, JointReader, parse_lines
+from truearm.session.joint_format import NO_INPUTS, parse_lines
+from truearm.session.joint_readings import InputTrack, JointReader
 from truearm.session.message_columns import columns_of
 from truearm.session.trigger_edges import SHORTEST_DELAY_NS, Output, TimedEdges, fit_edges, match, with_edges
 from truearm.types import Message

@@ -7,7 +7,7 @@ import pytest
 
 from tests.host.test_robots_lines import Peer
 from tests.recipes.recipes import Copy
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 SENT = b"0;89.0\n1500;90.0;-45.5\nhello\n\xff\n1502;nan;0\n1502\n;;\n1504;90.0;-45.0\n1506;9"
 OPEN = """

@@ -17,7 +17,7 @@ from truearm.live.live_dwells import ENOUGH_NS, ControllerTime, LiveDwell, LiveD
 from truearm.live.session_progress import SessionProgress, words_of
 from truearm.record.operator import OperatorEvent
 from truearm.session.box_ident import find_channel
-from truearm.session.joint_readings import JointLine
+from truearm.session.joint_format import JointLine
 from truearm.session.samples import extension, railed, with_ratios
 from truearm.text import counted, one_line
 from truearm.types import BAR_MOUNTED

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from truearm.session.box_frames import Data
     from truearm.session.box_ident import Ident
     from truearm.session.device_clock import OnlineClock, OnlineEstimate
-    from truearm.session.joint_readings import JointLine
+    from truearm.session.joint_format import JointLine
 
 LIVE_S, PLAIN_S = 0.25, 1.0
 LOOK_S = 0.2  # interval for events, without a terminal

@@ -18,7 +18,7 @@ from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
-from truearm.session.joint_readings import UNNUMBERED, JointLine, parse_line
+from truearm.session.joint_format import UNNUMBERED, JointLine, parse_line
 
 MAX_LINE = 8192  # bytes
 MAX_RUBBISH = 1 << 20  # bytes without a reading; what follows is counted, and stored again from the next reading on

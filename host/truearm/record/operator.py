@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from truearm.record.status import Status
 from truearm.session.box_frames import Data
 from truearm.session.box_ident import Ident
-from truearm.session.joint_readings import JointLine
+from truearm.session.joint_format import JointLine
 
 
 class OperatorEvent(NamedTuple):

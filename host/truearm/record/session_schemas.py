@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from typing import Any, NamedTuple
 
-from truearm.session.joint_readings import ARRAYS, COLUMNS, JOINTS
+from truearm.session.joint_format import ARRAYS, COLUMNS, JOINTS
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED
 from truearm_wire import messages as wire
 

@@ -45,7 +45,7 @@ from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, new_file_beside
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
-from truearm.session.joint_readings import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
+from truearm.session.joint_format import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
 from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, metadata_crc
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s

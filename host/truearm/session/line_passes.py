@@ -54,7 +54,8 @@ from numpy.typing import NDArray
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_readings import UNNUMBERED, JointStream, parse_lines
+from truearm.session.joint_format import UNNUMBERED, parse_lines
+from truearm.session.joint_readings import JointStream
 from truearm.session.line_legs import Leg
 from truearm.session.message_columns import LATEST_NS, Ints, Messages
 from truearm.session.sample_noise import mean_variance

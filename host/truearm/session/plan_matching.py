@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import RigError
-from truearm.session.joint_readings import MAX_JOINTS
+from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, Pass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig

@@ -27,7 +27,8 @@ from truearm.session.box_frames import decode, parse_exchanges
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.dwells import Dwell
-from truearm.session.joint_readings import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, ReadingOrder, concatenate
+from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
+from truearm.session.joint_readings import ReadingOrder
 from truearm.session.line_passes import Pass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey

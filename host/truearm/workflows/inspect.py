@@ -11,7 +11,7 @@ from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
 from truearm.progress import step
 from truearm.session.box_ident import recorded_ident
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 from truearm.text import one_line
 from truearm.types import Move
 from truearm.units import NS, PPM

@@ -190,7 +190,7 @@ def _opened(path: Path) -> Session:
 
 def _planned(row: dict[str, Any], rows: list[dict[str, Any]], path: Path) -> dict[str, Any]:
     """Return a row of the plan, with as many joints as the previous ones."""
-    from truearm.session.joint_readings import are_joints
+    from truearm.session.joint_format import are_joints
 
     q = row.get("q")
     if not are_joints(q) or (rows and len(rows[0]["q"]) != len(q)):

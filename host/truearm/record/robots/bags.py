@@ -22,7 +22,7 @@ from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
-from truearm.session.joint_readings import MAX_JOINTS, are_joints, format_reading
+from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading
 from truearm.session.session_file import open_session
 
 if TYPE_CHECKING:

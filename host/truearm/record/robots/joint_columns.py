@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from truearm.errors import InputError
 from truearm.files.csv_cells import NUMBER
 from truearm.schema import quoted
-from truearm.session.joint_readings import MAX_JOINTS, format_reading
+from truearm.session.joint_format import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary

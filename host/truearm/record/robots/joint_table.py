@@ -15,7 +15,7 @@ from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
 from truearm.record.robots.sources import FileOptions
-from truearm.session.joint_readings import parse_reading
+from truearm.session.joint_format import parse_reading
 
 
 class Reading(NamedTuple):

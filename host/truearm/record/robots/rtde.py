@@ -22,7 +22,7 @@ from urllib.parse import parse_qsl, urlsplit
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
 from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots import rtde_packages as rtde
-from truearm.session.joint_readings import MAX_T_S, format_reading
+from truearm.session.joint_format import MAX_T_S, format_reading
 
 PORT = 30004
 ANSWER_NS = 5_000_000_000

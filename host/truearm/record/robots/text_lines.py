@@ -31,7 +31,7 @@ from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlo
 from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
 from truearm.record.robots.udp import UdpLink
 from truearm.schema import quoted
-from truearm.session.joint_readings import MAX_JOINTS, are_joints, format_reading, parse_reading
+from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_reading
 from truearm.units import SUFFIXES
 
 QUANTITIES = ("t", "seq", "q", "q_cmd", "qd", "current", "effort", "inputs")
