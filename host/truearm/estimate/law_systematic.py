@@ -14,6 +14,7 @@ import scipy.linalg
 from truearm.estimate.information import observe
 from truearm.estimate.law_fit import LawProblem, Posterior
 from truearm.estimate.pose_noise import PoseNoise, with_pose_noise
+from truearm.estimate.problem import Problem
 from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_score import FitChi2, Fitted, Measured
 from truearm.estimate.uncertainty import Goodness
@@ -32,24 +33,31 @@ def law_systematic(
 
     ``declared`` is the goodness of fit under the declared noise; χ² remains relative to the declared noise.
     """
-    x, columns = found.x, of.columns
-    problem = with_pose_noise(only(of.problem, _tested(of)), x, noise)
-    data = observe(problem, x, columns)
+    problem = with_pose_noise(only(of.problem, _tested(of)), found.x, noise)
+    fitted, goodness = _fitted(of, found, problem)
+    wrong = systematic_errors(problem, found.x, of.columns, fitted, goodness, how)
+    if wrong is None:
+        return None
+    return replace(wrong, chi2_reduced=wrong.chi2_reduced * declared.reduced * goodness.freedom / goodness.chi2)
+
+
+def _fitted(of: LawProblem, found: Posterior, problem: Problem) -> tuple[Fitted, FitChi2]:
+    """Return what the parameters follow of the problem's rows, and χ² under the learned noise.
+
+    The noise was learned from the same residuals, so the declared one cannot show what is beyond chance.
+    """
+    data = observe(problem, found.x, of.columns)
     prior = _prior_root(of, found)
     seen = data.root @ prior
     lower = np.linalg.cholesky(np.eye(prior.shape[1]) + seen.T @ seen)
     root = scipy.linalg.solve_triangular(lower, prior.T, lower=True).T
     # The remaining step: of these rows and of the prior, which pulls towards the reference.
-    away = np.linalg.lstsq(prior, (x - of.reference)[columns], rcond=None)[0]
+    away = np.linalg.lstsq(prior, (found.x - of.reference)[of.columns], rcond=None)[0]
     left = root.T @ (data.root.T @ data.rhs) - scipy.linalg.solve_triangular(lower, away, lower=True)
     fitted = Fitted(root, left)
     chi2 = data.chi2 - float(data.rhs @ data.rhs) + _remaining(data.root, data.rhs, fitted)
     freedom = data.n_residuals - float(((data.root @ root) ** 2).sum())
-    # The noise was learned from the same residuals, so the declared one cannot show what is beyond chance.
-    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, limit=0.0), how)
-    if wrong is None:
-        return None
-    return replace(wrong, chi2_reduced=wrong.chi2_reduced * declared.reduced * freedom / chi2)
+    return fitted, FitChi2(chi2, freedom, limit=0.0)
 
 
 def _remaining(root: Floats, rhs: Floats, fitted: Fitted) -> float:

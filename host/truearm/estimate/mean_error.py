@@ -52,12 +52,15 @@ def left_out_errors(
 
     NaN if leaving out the pose makes something undetermined.
     """
-    parts = [block for block in whitened_blocks(problem, x, columns) if block.row is not None]
+    # J S takes the place of J block by block: with many rows, both of all blocks would be tens of megabytes each.
+    parts = [
+        block._replace(jac=block.jac @ covariance_root)
+        for block in whitened_blocks(problem, x, columns)
+        if block.row is not None
+    ]
     out = problem.no_residuals()
     numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in parts])
-    seen = np.concatenate(
-        [(block.jac @ covariance_root).reshape(block.residual.size, covariance_root.shape[1]) for block in parts]
-    )
+    seen = np.concatenate([block.jac.reshape(block.residual.size, covariance_root.shape[1]) for block in parts])
     left = np.concatenate([block.residual.ravel() for block in parts])
     order = np.argsort(numbers, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):

@@ -18,6 +18,7 @@ from truearm.estimate.systematic_score import (
     Measured,
     ScoreTest,
     WhitenedResiduals,
+    identity_minus,
     item_columns,
     label,
     log_chance,
@@ -189,8 +190,8 @@ def _block_drops(family: Family, rows: WhitenedResiduals) -> tuple[Floats, Indic
             q, e = (part[:: -1 if side else 1] for part in (rows.of(which), rows.residual[which]))
             if not e.size:
                 continue
-            lower = np.linalg.cholesky(np.eye(e.size) * (1.0 + SEEN) - q @ q.T)
-            squares = np.append(0.0, np.cumsum(scipy.linalg.solve_triangular(lower, e, lower=True) ** 2))
+            along = scipy.linalg.solve_triangular(np.linalg.cholesky(identity_minus(q, SEEN)), e, lower=True)
+            squares = np.append(0.0, np.cumsum(along**2))
             drop[mine] = squares[cuts[1, mine] - cuts[0, mine]]
     freedom = cuts[1] - cuts[0]
     known = np.where(np.arange(freedom.max()) < freedom[:, None], BLOCK_SIGMA**2, 0.0)

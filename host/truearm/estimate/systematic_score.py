@@ -262,10 +262,21 @@ def _knowledge(basis: Floats, residual: Floats) -> tuple[Floats, Floats]:
     The basis is then orthogonal to the residuals. Systematic errors do not enter these rows, so prior information
     matters only through how strongly it constrains the parameters.
     """
-    values, vectors = np.linalg.eigh(np.eye(basis.shape[1]) - basis.T @ basis)
+    values, vectors = np.linalg.eigh(identity_minus(basis.T))
     some = values > SEEN
     root, along = np.sqrt(values[some]), vectors[:, some].T
-    return root[:, None] * along, -(along @ (basis.T @ residual)) / root
+    del vectors
+    off = -(along @ (basis.T @ residual)) / root
+    along *= root[:, None]
+    return along, off
+
+
+def identity_minus(q: Floats, more: float = 0.0) -> Floats:
+    """Return (1 + more) I − q qᵀ (n, n) of q (n, r), without a further matrix of this size."""
+    out = q @ q.T
+    np.negative(out, out=out)
+    out[range(len(out)), range(len(out))] += 1.0 + more
+    return np.asarray(out)
 
 
 def item_columns(cause: Cause, errors: Errors, rows: WhitenedResiduals) -> Floats:
