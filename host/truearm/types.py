@@ -393,15 +393,21 @@ class ObservationTable:
         return self.more[name] if name in self.more else np.full(len(self), absent)
 
     def select(self, rows: NDArray[Any]) -> ObservationTable:
-        """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else."""
+        """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else.
+
+        All rows in their order are the table itself, not a copy.
+        """
+        every = np.arange(len(self))
         try:
-            index = np.arange(len(self))[rows]
+            index = every[rows]
         except (IndexError, TypeError, ValueError):
             index = np.array(0)
         if index.ndim != 1:
             raise InputError(
                 Argument("rows"), f": must be a mask of {len(self)} rows, an array of row numbers or a slice"
             )
+        if np.array_equal(index, every):
+            return self
         columns: dict[str, Any] = {name: getattr(self, name)[index] for name in self.fields()}
         return ObservationTable(**columns, more={name: column[index] for name, column in self.more.items()})
 

@@ -579,6 +579,9 @@ def test_wrong_rows_and_tables_are_named(table):
         with pytest.raises(error, match=r"^tables: must be "):
             truearm.ObservationTable.joined(tables)
     assert len(table.select(slice(3, 7))) == len(table.select([3, 4, 5, 6])) == 4
+    every = np.arange(len(table))
+    assert table.select(every >= 0) is table
+    np.testing.assert_array_equal(table.select(every[::-1]).q, table.q[::-1])
 
 
 def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):

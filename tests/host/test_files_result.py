@@ -159,8 +159,9 @@ def test_a_result_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     path.write_text("old")
     with pytest.raises(ValueError, match="JSON"):
-        write_result(path, {"a": math.nan})
+        write_result(path, {"before": [[1.0], [2.0]], "a": math.nan})
     assert path.read_text() == "old"
+    assert [of.name for of in tmp_path.iterdir()] == ["r.json"], "nothing is left of a file that was not completed"
     write_result(path, {"a": 1.5})
     assert json.loads(path.read_text()) == {"a": 1.5}
     assert [p.name for p in tmp_path.iterdir()] == ["r.json"]

@@ -64,11 +64,11 @@ def parse_toml(
         raise error(f"{name}: is not usable TOML: {exc}") from exc
 
 
-def write_atomic(path: Path, text: str | bytes) -> None:
-    """Write bytes, or text as UTF-8, to a temporary file next to ``path`` and rename it to ``path``.
+def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
+    """Write bytes, or text or its pieces as UTF-8, to a temporary file next to ``path`` and rename it to ``path``.
 
     If ``path`` is a symbolic link, the link remains and its target is replaced. Raises InputError if the folder is
-    missing or not writable, or if ``path`` is not a regular file.
+    missing or not writable, or if ``path`` is not a regular file, and what making a piece raises.
     """
     path = _real(path)
     _check_regular(path)
@@ -78,14 +78,17 @@ def write_atomic(path: Path, text: str | bytes) -> None:
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
     try:
         with os.fdopen(descriptor, "wb") as file:
-            file.write(text.encode() if isinstance(text, str) else text)
+            for piece in (text,) if isinstance(text, str | bytes) else text:
+                file.write(piece.encode() if isinstance(piece, str) else piece)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o666 & ~_umask())  # mkstemp makes files that only the owner can read
         os.replace(temporary, path)
-    except OSError as exc:
+    except BaseException as exc:
         Path(temporary).unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        if isinstance(exc, OSError):
+            raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        raise
 
 
 def _umask() -> int:

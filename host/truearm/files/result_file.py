@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -81,17 +82,24 @@ def _is_nested(value: Any) -> bool:
     return any(isinstance(item, dict | list) for item in inner)
 
 
-def format_document(value: Any, indent: int = 0) -> str:
+def format_document(value: Any) -> str:
     """Return JSON with one line for each innermost list or object, so that a covariance has one line per row."""
+    return "".join(_laid_out(value))
+
+
+def _laid_out(value: Any, indent: int = 0) -> Iterator[str]:
+    """Yield the text of ``format_document`` in pieces: with joint laws, all of it has many megabytes."""
     if not _is_nested(value):
-        return json.dumps(value, allow_nan=False)
-    pad = " " * (indent + 2)
-    if isinstance(value, dict):
-        lines = [f"{pad}{json.dumps(key)}: {format_document(item, indent + 2)}" for key, item in value.items()]
-    else:
-        lines = [pad + format_document(item, indent + 2) for item in value]
-    start, end = "{}" if isinstance(value, dict) else "[]"
-    return start + "\n" + ",\n".join(lines) + "\n" + " " * indent + end
+        yield json.dumps(value, allow_nan=False)
+        return
+    pad = "\n" + " " * (indent + 2)
+    items = value.items() if isinstance(value, dict) else [(None, item) for item in value]
+    for k, (name, item) in enumerate(items):
+        yield ("," if k else "{" if isinstance(value, dict) else "[") + pad
+        if name is not None:
+            yield json.dumps(name) + ": "
+        yield from _laid_out(item, indent + 2)
+    yield "\n" + " " * indent + ("}" if isinstance(value, dict) else "]")
 
 
 def looks_like_result(head: bytes) -> bool:
@@ -101,4 +109,4 @@ def looks_like_result(head: bytes) -> bool:
 
 def write_result(path: Path, document: Mapping[str, Any]) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
-    write_atomic(path, format_document(dict(document)) + "\n")
+    write_atomic(path, chain(_laid_out(dict(document)), "\n"))
