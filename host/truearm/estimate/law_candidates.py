@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -141,7 +142,8 @@ def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
     out, at = [], 0
     for law in laws:
         if isinstance(law, CurveKnots):
-            block = PriorBlock(slice(at, at + law.count), _kernels(law), CURVE_CAP)
+            kernels = _kernels(law.count, law.spacing, law.periodic)
+            block = PriorBlock(slice(at, at + law.count), kernels, CURVE_CAP)
         else:
             block = PriorBlock(slice(at, at + law.size), np.eye(law.size)[None], SAG_CAP)
         out.append(block)
@@ -149,14 +151,19 @@ def prior_blocks(laws: Sequence[Law]) -> list[PriorBlock]:
     return out
 
 
-def _kernels(law: CurveKnots) -> Floats:
-    """Return Matérn-5/2 kernels (o, m, m) between the centres at each length; on a circle, the sum over all turns."""
-    apart = law.spacing * np.subtract.outer(np.arange(law.count), np.arange(law.count))
-    turns = np.arange(-IMAGES, IMAGES + 1) if law.periodic else np.zeros(1)
-    images = apart + law.count * law.spacing * turns[:, None, None]
-    out = []
-    for length in LENGTHS:
+@lru_cache(maxsize=8)
+def _kernels(count: int, spacing: float, periodic: bool) -> Floats:
+    """Return Matérn-5/2 kernels (o, m, m) between the centres at each length; on a circle, the sum over all turns.
+
+    They are read-only, and the same for all joints that turn round.
+    """
+    apart = spacing * np.subtract.outer(np.arange(count), np.arange(count))
+    turns = np.arange(-IMAGES, IMAGES + 1) if periodic else np.zeros(1)
+    images = apart + count * spacing * turns[:, None, None]
+    out = np.empty((len(LENGTHS), count, count))
+    for kernel, length in zip(out, LENGTHS, strict=True):
         a = math.sqrt(5.0) * np.abs(images) / length
-        kernel = ((1.0 + a + a**2 / 3.0) * np.exp(-a)).sum(axis=0)
-        out.append(kernel / kernel[0, 0])
-    return np.array(out)
+        kernel[:] = ((1.0 + a + a**2 / 3.0) * np.exp(-a)).sum(axis=0)
+        kernel /= kernel[0, 0]
+    out.setflags(write=False)
+    return out

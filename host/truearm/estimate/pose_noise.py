@@ -9,6 +9,7 @@ and noise of the arm would be fitted by joint laws.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -215,9 +216,22 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool,
 
 
 def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) -> float:
-    """Return the relative change of the rows' noise variance, with the changes of its parts added up."""
-    rows = _parts(samples, new).rows
-    return float(np.abs(np.array(new) - np.array(old)) @ rows / (np.array(new) @ rows))
+    """Return the relative change of the poses' covariances R, per row: √(Σ tr (R⁻¹ΔR)² / Σ tr 1).
+
+    Where poses have one row, one part of the noise may grow for another one without any change of R.
+    """
+    square, count = 0.0, 0
+    for sample in samples:
+        change = np.linalg.solve(_covariances(sample, new), _covariances(sample, PoseNoise(*np.subtract(new, old))))
+        square += float((change * change.swapaxes(1, 2)).sum())
+        count += sample.residual.size
+    return math.sqrt(square / max(count, 1))
+
+
+def _covariances(sample: PoseSample, noise: PoseNoise) -> Floats:
+    """Return R (n, w, w) of some poses."""
+    own = noise.sensor * np.eye(sample.residual.shape[1])
+    return np.asarray(own + noise.shared * _square(sample.translation) + noise.joint * _square(sample.by_joints))
 
 
 class _Parts(NamedTuple):

@@ -79,7 +79,7 @@ def _compact(value: Any) -> Iterator[str]:
 def _is_nested(value: Any) -> bool:
     """Return whether a list or an object has further ones in it."""
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return any(isinstance(item, dict | list) for item in inner)
+    return any(issubclass(kind, dict | list) for kind in set(map(type, inner)))
 
 
 def format_document(value: Any) -> str:
