@@ -29,7 +29,8 @@ this is the minimum, too. A residual of metres over micrometres is rounded at 1e
 
 Where weights depend on x (joint noise, information.py), x and x + Δ are compared under the weights of x. If each had its
 own weights, the minimum of χ² would not coincide with the point where the gradient Jᵀ C f vanishes, and no step would
-reach that point. The derivatives by systematic errors (effects.py), which J takes as constant, are those at x in both.
+reach that point. The derivatives by drifts and errors of joints
+(systematic_effects.py), which J takes as constant, are those at x in both.
 """
 
 from __future__ import annotations

@@ -162,8 +162,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     """Return the problem with effects as its last parameters, with the wide prior.
 
     The prior is needed because the data may not determine every direction of an item, such as a chuck that moved. It is
-    that of manual mounting: an effect is linear, so a larger one is better described by a rig of its own. An offset in
-    all rows of an existing parameter is that parameter with an equally wide prior.
+    that of manual mounting. An offset in all rows of an existing parameter is that parameter with an equally wide prior.
     """
     named = {one.effect.parameter(one.column): one for one in effects}
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
@@ -176,6 +175,8 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     profiles = np.stack([one.profile for one in effects], axis=1)
     names = tuple(one.effect.parameter(one.column) for one in effects)
     units = tuple(problem.errors.units[i] for i in at)
+    joints = np.isin([one.column for one in effects], [joint.name for joint in problem.chain.joints])
+    drifts = np.array([one.effect.drifts_with is not None for one in effects])
     unknown = len(problem.names) - problem.n_robot
     before, of = slice(unknown), slice(unknown, None)
     errors = Errors(
@@ -192,7 +193,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
         units=(*problem.units, *units),
         start=np.concatenate([problem.start, np.zeros(at.size)]),
         prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].wide_sigma for unit in units]]),
-        groups=with_effects(problem.groups, problem.errors.tool, at, profiles),
+        groups=with_effects(problem.groups, problem.errors.tool, at, profiles, ~(joints | drifts)),
     )
 
 

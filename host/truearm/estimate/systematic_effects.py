@@ -5,6 +5,8 @@ An effect adds to the prediction. Each row already has the derivatives of its pr
 points. An effect is one or several of these derivatives, times a profile over the rows: 1 in the rows that it concerns;
 for a drift, the time or the box's temperature, scaled from −½ at the lowest to ½ at the highest. The parameter of an
 effect therefore has the unit of what is off: metres for a bar's zero or a chuck's coordinates, radians for a joint.
+
+The score test uses these derivatives. A fit with effects as parameters evaluates each row with its items displaced.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from truearm.errors import Argument, InputError, ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.unknowns import Fault
-from truearm.model.chain import Chain
+from truearm.model.chain import Chain, Element
+from truearm.model.poses import pose_of, six_of
+from truearm.model.rotation import left_jacobian, rotation
 from truearm.results import DriftWith, Effect
 from truearm.types import Floats, ObservationTable
 
@@ -164,40 +168,65 @@ def motion_of_tool(names: Sequence[str], points: Mapping[str, Floats]) -> Floats
 
 @dataclass(frozen=True, kw_only=True)
 class EffectRows(Group):
-    """n observations of another group, with effects as the last parameters of x."""
+    """n observations of another group, with effects as the last parameters of x.
+
+    Rows with the same items off, and by the whole effect, have one ``setting``. They are evaluated with these items
+    displaced, because an item that is centimetres off changes a length by tenths of a millimetre more than its
+    derivative says. Effects that are not ``whole`` (drifts, and joints, which are off by milliradians) are linear.
+    """
 
     COMPONENTS = ()  # those of ``inner``, set per instance
 
     inner: Group
     tool: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
+    whole: NDArray[np.bool_]  # (e,)
     profile: Floats  # (n, e)
-    held: Floats | None = None  # (w, n, e) derivatives by the effects, if they are not those at x
+    setting: Indices  # (n,) the same for rows with the same profile of the whole effects
+    held: Floats | None = None  # (w, n, e) derivatives by the linear effects, if they are not those at x
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
-        """Return residuals (n·w,) and their derivatives at x (P,), with derivatives by the effects taken at zero effects."""
+        """Return residuals (n·w,) and their derivatives at x (P,)."""
         lin = self.opened(chain, x)
         return lin._replace(jac_rig=lin.jac_rig[:, :, : x.size - len(chain.parameters)])
 
     def opened(self, chain: Chain, x: Floats) -> Linearised:
         """Return the same as ``evaluate``, with derivatives by the known constants after the effects in ``jac_rig``."""
         size = x.size - self.columns.size
-        lin = self.inner.opened(chain, x[:size])
-        by_effects = self._by_effects(lin) if self.held is None else self.held
+        lin, by_effects = self._displaced(chain, x)
+        linear = ~self.whole
+        if self.held is not None:
+            by_effects[:, :, linear] = self.held[:, :, linear]
         unknown, known = np.split(lin.jac_rig, [size - len(chain.parameters)], axis=2)
-        residual = lin.residual - (by_effects @ x[size:]).T.ravel()
+        residual = lin.residual - (by_effects[:, :, linear] @ x[size:][linear]).T.ravel()
         return lin._replace(residual=residual, jac_rig=np.concatenate([unknown, by_effects, known], axis=2))
 
-    def _by_effects(self, lin: Linearised) -> Floats:
-        """Return the derivatives (w, n, e) of the inner group's predictions by the effects."""
-        return np.asarray(error_columns(lin, self.tool)[:, :, self.columns] * self.profile)
+    def _displaced(self, chain: Chain, x: Floats) -> tuple[Linearised, Floats]:
+        """Return the inner group with the items displaced by the whole effects, and derivatives (w, n, e) by all effects."""
+        inside, off = np.split(x, [x.size - self.columns.size])
+        parts, some = [], []
+        for number in np.unique(self.setting):
+            mine = np.flatnonzero(self.setting == number)
+            amount = np.where(self.whole, off * self.profile[mine[0]], 0.0)
+            lin, errors = _with_items_off(self.inner.take(mine), chain, inside, self.tool, self.columns, amount)
+            parts.append((lin, errors[:, :, self.columns] * self.profile[mine]))
+            some.append(mine)
+        if len(parts) == 1:
+            return parts[0]
+        order = np.argsort(np.concatenate(some))
+        wrenches, jac_rig, by_joints, by_effects = (
+            np.concatenate(of, axis=1)[:, order]
+            for of in zip(*((lin.wrenches, lin.jac_rig, lin.by_joints, by) for lin, by in parts), strict=True)
+        )
+        residual = np.concatenate([lin.residual.reshape(lin.wrenches.shape[1], -1) for lin, _ in parts])[order]
+        return Linearised(residual.ravel(), wrenches, parts[0][0].twists, jac_rig, by_joints), by_effects
 
     def hold(self, chain: Chain, x: Floats) -> EffectRows:
-        """Hold the derivatives by the effects: ``evaluate`` neglects that they change with x."""
-        return replace(self, held=self._by_effects(self.inner.opened(chain, x[: x.size - self.columns.size])))
+        """Hold the derivatives by the linear effects: ``evaluate`` neglects that they change with x."""
+        return self if self.whole.all() else replace(self, held=self._displaced(chain, x)[1])
 
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
@@ -217,12 +246,58 @@ class EffectRows(Group):
             sensor_cov=self.sensor_cov[which],
             inner=self.inner.take(which),
             profile=self.profile[which],
+            setting=self.setting[which],
             held=held,
         )
 
 
-def with_effects(groups: Sequence[Group], tool: Floats, columns: Indices, profiles: Floats) -> tuple[Group, ...]:
-    """Return the groups with effects (n_rows, e) as further parameters; knowledge that is not a row has no effects."""
+def _with_items_off(
+    group: Group, chain: Chain, x: Floats, tool: Floats, columns: Indices, amount: Floats
+) -> tuple[Linearised, Floats]:
+    """Return a group with items off by an ``amount`` (e,) of some ``columns`` of its ``error_columns``; and these at it.
+
+    The numbers of the rig are other numbers. The base is moved by a rotation vector about its origin, then displaced:
+    the chain begins with that motion. Its wrenches at the origin are returned in the axes of the base before it, as the
+    chain's ``twists`` need them. A motion of the tool moves each of its points as its derivatives say.
+    """
+    p, joints = len(chain.parameters), len(chain.joints)
+    rig = x.size - p + group.constants.size
+    motion = np.zeros(rig + joints + len(BASE) + tool.shape[1])
+    np.add.at(motion, columns, amount)
+    off = motion[:rig] + (tool[:rig] @ motion[rig + joints + len(BASE) :] if tool.size else 0.0)
+    unknown, known = np.split(off, [x.size - p])
+    there = np.concatenate([x[:p], x[p:] + unknown])
+    group = replace(group, constants=group.constants + known) if known.any() else group
+    base = motion[rig + joints :][: len(BASE)]
+    if not base.any():
+        lin = group.opened(chain, there)
+        return lin, error_columns(lin, tool)
+    shift, turn = base[::2], base[1::2]
+    lin = group.opened(replace(chain, elements=(*_moved_by(shift, turn), *chain.elements)), there)
+    force, moment = lin.wrenches[..., : len(BASE) : 2], lin.wrenches[..., 1 : len(BASE) : 2]
+    moment = moment - np.cross(shift, force)
+    by_base, of_base, rot = np.empty((*force.shape[:2], 6)), lin.wrenches.copy(), rotation(turn)
+    by_base[..., ::2], by_base[..., 1::2] = force, moment @ left_jacobian(turn)
+    of_base[..., : len(BASE) : 2], of_base[..., 1 : len(BASE) : 2] = force @ rot, moment @ rot
+    errors = error_columns(lin._replace(wrenches=by_base), tool)
+    return lin._replace(wrenches=of_base, twists=group.take(slice(0, 1)).opened(chain, there).twists), errors
+
+
+def _moved_by(shift: Floats, turn: Floats) -> tuple[Element, ...]:
+    """Return elements that turn by a rotation vector (3,), and then displace by (3,)."""
+    x, y, z, yaw, pitch, roll = six_of(pose_of(shift[None], turn[None])[0])
+    amounts = {"tx": x, "ty": y, "tz": z, "rz": yaw, "ry": pitch, "rx": roll}
+    return tuple(Element(motion, value) for motion, value in amounts.items())
+
+
+def with_effects(
+    groups: Sequence[Group], tool: Floats, columns: Indices, profiles: Floats, whole: NDArray[np.bool_]
+) -> tuple[Group, ...]:
+    """Return the groups with effects (n_rows, e) as further parameters; knowledge that is not a row has no effects.
+
+    ``whole`` (e,) are those that displace items; their profiles are 0 or 1.
+    """
+    setting = np.unique(profiles[:, whole], axis=0, return_inverse=True)[1].ravel()
     return tuple(
         EffectRows(
             row=group.row,
@@ -231,7 +306,9 @@ def with_effects(groups: Sequence[Group], tool: Floats, columns: Indices, profil
             inner=group,
             tool=tool,
             columns=columns,
+            whole=whole,
             profile=np.zeros((len(group.sensor_cov), columns.size)) if group.row is None else profiles[group.row],
+            setting=np.zeros(len(group.sensor_cov), dtype=np.intp) if group.row is None else setting[group.row],
         )
         for group in groups
     )
