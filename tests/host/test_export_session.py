@@ -169,6 +169,16 @@ def test_without_a_rig(made, tmp_path):
     assert said["not_paired"] == ""
 
 
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_recording_that_ended_before_the_first_dwell(made, tmp_path, format):
+    """There is a rig and no observation: a table without rows, as for dwells, not an error."""
+    messages, _ = made
+    store(tmp_path / "s.mcap", [message for message in messages if message.t_host_ns < 3 * 10**9])
+    tables, _ = export(tmp_path / "s.mcap", tmp_path / "out", format)
+    assert tables["observations"].keys() == {"kind", *(f"q{i}_rad" for i in range(1, 7))}
+    assert not any(map(len, tables["observations"].values()))
+
+
 def test_a_box_without_a_clock_and_a_reboot():
     """Times that nobody can know are said to be unknown; the new life is another segment."""
     box = Box()

@@ -260,9 +260,11 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     others: dict[str, Floats] = {}
     for quantity in registry.quantities():
-        column = table.column(quantity.field, np.nan).reshape(len(table), -1)
+        parts = np.atleast_2d(
+            table.column(quantity.field, np.nan).T
+        )  # (components, rows), also of a table without rows
         others |= {
-            named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, column.T, strict=False)
+            named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, parts, strict=False)
         }
     for unit in registry.units():
         mine = [key for key, kind in registry.kinds().items() if kind.components[0] == unit]
