@@ -11,10 +11,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from truearm.model.chain import Chain, end_and_jacobian, forward
+from truearm.model.chain import Chain, end_and_jacobian, forward, joint_frames
 from truearm.model.workspace import Branch
 from truearm.types import Floats
 
@@ -27,23 +28,47 @@ TOLERANCE = 1e-7  # LEVERs, and rad
 
 
 class Arm(NamedTuple):
-    """A chain with the parameters (p,) of the controller's model, a branch, and random poses of it to start from."""
+    """A chain with the parameters (p,) of the controller's model, a branch, and random poses of it to start from.
+
+    The end is never farther than ``reach`` [m] from ``base`` (3,), the place of the first joint.
+    """
 
     chain: Chain
     params: Floats
     branch: Branch
     seeds: KDTree
     q_seeds: Floats
+    base: Floats
+    reach: float
 
 
 def make_arm(chain: Chain, params: Floats, branch: Branch, rng: np.random.Generator) -> Arm:
     """Return an arm with N_SEEDS random poses of its branch, indexed by the poses they reach."""
     q = rng.uniform(branch.lower, branch.upper, (N_SEEDS, len(branch.lower)))
-    return Arm(chain, params, branch, KDTree(_features(forward(chain, params, q))), q)
+    zero = np.zeros(len(chain.joints))
+    places = np.array([*joint_frames(chain, params, zero), forward(chain, params, zero)])[:, :3, 3]
+    reach = float(np.linalg.norm(np.diff(places, axis=0), axis=-1).sum())
+    return Arm(chain, params, branch, KDTree(_features(forward(chain, params, q))), q, places[0], reach)
 
 
 def inverse(arm: Arm, poses: Floats) -> Floats:
     """Return joint vectors (m, j) for end poses (m, 4, 4); NaN where no acceptable solution was found."""
+    q = np.full((len(poses), arm.q_seeds.shape[1]), np.nan)
+    possible = np.flatnonzero(_possible(arm, poses))
+    if len(possible):
+        q[possible] = _solved(arm, poses[possible])
+    return q
+
+
+def _possible(arm: Arm, poses: Floats) -> NDArray[np.bool_]:
+    """Return which poses (m,) are within reach and clear of the arm's column and the table, without a search."""
+    place = poses[:, :3, 3]
+    possible = (np.hypot(place[:, 0], place[:, 1]) > arm.branch.clearance) & (place[:, 2] > arm.branch.height)
+    possible &= np.linalg.norm(place - arm.base, axis=-1) <= arm.reach + TOLERANCE
+    return np.asarray(possible)
+
+
+def _solved(arm: Arm, poses: Floats) -> Floats:
     q = arm.q_seeds[arm.seeds.query(_features(poses))[1]]
     for _ in range(ITERATIONS):
         error, jacobian = pose_error(arm, poses, q)
@@ -53,7 +78,6 @@ def inverse(arm: Arm, poses: Floats) -> Floats:
     error, jacobian = pose_error(arm, poses, q)
     good = np.all((q > arm.branch.lower) & (q < arm.branch.upper), axis=-1) & (np.abs(error).max(axis=-1) < TOLERANCE)
     good &= np.linalg.svd(jacobian, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
-    good &= (np.hypot(poses[:, 0, 3], poses[:, 1, 3]) > arm.branch.clearance) & (poses[:, 2, 3] > arm.branch.height)
     return np.where(good[:, None], q, np.nan)
 
 

@@ -10,13 +10,12 @@ measurements lose rank (28 of 36).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import PlanError
-from truearm.model.chain import forward, joint_frames, point_forward
+from truearm.model.chain import point_forward
 from truearm.plan.branch_inverse import Arm, inverse
 from truearm.plan.forecast import Known, known_arm
 from truearm.plan.measurement_limits import Pairing, Site, allowed
@@ -89,12 +88,9 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
 
 def _out_of_reach(site: Site, pairing: Pairing) -> bool:
     """Return whether a chuck is beyond the stretched arm with sphere and bar; checked before any search."""
-    chain, params, zero = site.arm.chain, site.arm.params, np.zeros(len(site.arm.chain.joints))
-    frames = [*joint_frames(chain, params, zero), forward(chain, params, zero)]
-    length = sum(float(np.linalg.norm((b - a)[:3, 3])) for a, b in pairwise(frames))
     bar, mounted = pairing.of(site.rig)
-    far = float(np.linalg.norm(mounted.p_chuck - frames[0][:3, 3]))
-    return far > length + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
+    far = float(np.linalg.norm(mounted.p_chuck - site.arm.base))
+    return far > site.arm.reach + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
 
 
 def _unreached(pairing: Pairing) -> str:
