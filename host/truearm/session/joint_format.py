@@ -23,19 +23,10 @@ from numpy.typing import NDArray
 from truearm.types import Floats
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
-
-
 MAX_SEQ = 2**62
-
-
 MAX_JOINTS = 32
-
-
 MAX_Q = 1e9  # rad or m, and whatever else joints report: differences and squares of such numbers are finite
-
-
 UNNUMBERED = -MAX_SEQ  # seq of a reading without a number
-
 
 Joints = Annotated[
     list[Annotated[float, msgspec.Meta(gt=-MAX_Q, lt=MAX_Q)]], msgspec.Meta(min_length=1, max_length=MAX_JOINTS)
