@@ -73,6 +73,7 @@ class FrameOrder:
     # of each count before: newest seq, born_ns, payloads by seq, what was given up
     _former: list[tuple[int, int | None, OrderedDict[int, bytes], list[range]]] = field(default_factory=list)
     _old_until: int = 0
+    _old_seq: int | None = None  # of the newest frame taken as one of the count before
     _left: set[int] = field(default_factory=set)  # boot ids of earlier counts
 
     @property
@@ -107,7 +108,8 @@ class FrameOrder:
         elif self._is_doubled(frame):
             self.doubled += 1
         elif self._is_of_old(frame):
-            self._count_unused(frame)
+            self._old_seq = frame.seq
+            self._count_unused(frame, of_old=True)
         elif self._next < 0:
             yield from self._begin(frame, max(0, frame.seq - BEFORE_FIRST), frame.seq)
         elif frame.is_boot and self._is_known(frame):
@@ -203,7 +205,8 @@ class FrameOrder:
             return False
         if frame.born_ns is None:
             near = abs(apart(frame.seq, newest_seq)) <= REACH < abs(apart(frame.seq, self._newest))
-            return near and self._is_young() and not frame.is_boot
+            follows = self._old_seq is not None and frame.seq == (self._old_seq + 1) % CIRCLE
+            return (near or follows) and self._is_young() and not frame.is_boot
         return abs(frame.born_ns - old_born_ns) < abs(frame.born_ns - self._born_ns)
 
     def _is_doubled(self, frame: Frame) -> bool:
@@ -298,7 +301,7 @@ class FrameOrder:
         self._remembered, self._holes, self._times, self._placed_times = OrderedDict(), [], {}, {}
         if self._boot_id is not None:
             self._left.add(self._boot_id)
-        self._boot_id, self._restarting, self._far = None, True, False
+        self._boot_id, self._restarting, self._far, self._old_seq = None, True, False, None
         # The count of a box begins at 0; one that is too far ahead gives no information on losses.
         from_ = first.seq if far else 0
         yield from self._begin(first, from_, from_)
@@ -310,18 +313,19 @@ class FrameOrder:
         suspects, self._suspects = self._suspects, []
         self._far = False
         for frame in suspects:
-            if self._awaited(frame, far=ours):
+            other = None not in (frame.boot_id, self._boot_id) and frame.boot_id != self._boot_id
+            if self._awaited(frame, far=ours) and not other:
                 yield from self._accept(frame)
             else:
                 self._count_unused(frame)
 
-    def _count_unused(self, frame: Frame) -> None:
+    def _count_unused(self, frame: Frame, of_old: bool = False) -> None:
         """Count a frame that arrived too late, twice, or with a seq that no count has reached."""
         count = self._unwrapped(frame.seq)
         reached = any(apart(frame.seq, old[0]) <= REACH for old in self._former)
         if self._is_far(frame) and not reached:
             self.malformed += 1
-        elif self._is_missing(frame) or count >= self._next - 2 * REACH:
+        elif self._is_missing(frame) or (not of_old and count >= self._next - 2 * REACH):
             self.late += 1
         else:
             self.doubled += 1

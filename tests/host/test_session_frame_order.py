@@ -1,5 +1,6 @@
 """Late and duplicate frames count neither as lost nor as a restart; missing frames are counted exactly."""
 
+import cbor2
 import numpy as np
 import pytest
 from blocks_bench import BLOCK_NS, COUNTS, account, box_with, read
@@ -11,6 +12,8 @@ from truearm.session.frame_order import REACH
 from truearm.session.losses import Silences
 from truearm.session.message_columns import columns_of
 from truearm.types import Message
+from truearm_wire import messages as wire
+from truearm_wire.cbor import Tag
 
 SECOND = 80  # frames of a box at 1 kHz
 
@@ -24,6 +27,17 @@ def long_box(frames, seq=0):
         if k % SECOND == SECOND - 1:
             box.heartbeat((k + 1) * BLOCK_NS + 10**6)
     return box
+
+
+def sequence(message):
+    return cbor2.loads(message.data)[1]
+
+
+def renumbered(payload, by):
+    """Return a frame with a seq that is larger by this number."""
+    kind, seq, *rest = cbor2.loads(payload)
+    rest = [Tag(value.tag, value.value) if isinstance(value, cbor2.CBORTag) else value for value in rest]
+    return bytes(wire.encode_payload([kind, seq + by, *rest]))
 
 
 def order_of(blocks):
@@ -206,6 +220,39 @@ def test_pieces_exchanged_around_a_restart_are_one_restart(n):
     messages[at - n : at + n] = [*messages[at : at + n], *messages[at - n : at]]
     segments, found = restarts_and(messages)
     assert (segments, found) == (2, {"restarts": 1, "frames_late": n})
+
+
+@pytest.mark.parametrize("before", [SECOND, 2 * SECOND])
+@pytest.mark.parametrize("later", [1, 20, 40])
+def test_a_piece_of_a_short_boot_that_arrives_after_a_restart_is_no_second_restart(before, later):
+    """Device times do not tell such boots apart, but the piece has a heartbeat."""
+    messages, at = restarted(before, 1000, down_s=0.2)
+    piece = messages[at - 40 : at]
+    assert any(message.topic == "/box/heartbeat" for message in piece)
+    messages[at - 40 : at + later] = [*messages[at : at + later], *piece]
+    segments, found = restarts_and(messages)
+    assert (segments, found["restarts"], found.get("frames_lost", 0)) == (2, 1, 0)
+
+
+def test_an_event_in_a_late_piece_of_an_earlier_boot_is_late():
+    """It has no device time that orders it; without the frames before it, it would follow a hole in the new boot."""
+    messages, at = restarted(400, 1000, down_s=3.0)
+    place = at - 50
+    event = wire.encode_payload([wire.EVENT, sequence(messages[place - 1]) + 1, 0, 10**6, 1])
+    messages[place:at] = [
+        messages[place - 1]._replace(topic="/box/event", data=bytes(event)),
+        *(message._replace(data=renumbered(message.data, 1)) for message in messages[place:at]),
+    ]
+    piece = messages[place - 10 : place + 10]
+    del messages[place - 10 : place + 10]
+    messages[at - 18 : at - 18] = piece
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": 20, "frames_late": 20})
+
+
+def test_a_frame_of_an_earlier_boot_that_arrives_twice_is_doubled_not_late():
+    messages, at = restarted(400, 1000)
+    messages.insert(at + 700, messages[at - 50])
+    assert restarts_and(messages) == (2, {"restarts": 1, "frames_duplicated": 1})
 
 
 def test_the_last_frames_before_a_restart_that_arrive_twice_are_doubled():

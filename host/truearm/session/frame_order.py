@@ -154,6 +154,7 @@ class FrameOrder:
     _waiting_restart: bool = False  # and it is held, because frames before it are missing
     _former: list[_Old] = field(default_factory=list)
     _old_until: int = 0  # below this count, frames of the old count may arrive between those of this one
+    _old_seq: int | None = None  # of the newest frame taken as one of the old count
     _left: set[int] = field(default_factory=set)  # the boot ids of earlier counts
     _suspects: list[Run] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
@@ -193,7 +194,8 @@ class FrameOrder:
         elif self._is_doubled(run):
             self.doubled += 1
         elif self._is_of_old(run):
-            self._count_unused(run)
+            self._old_seq = run.seq
+            self._count_unused(run, of_old=True)
         elif self._next < 0:
             yield from self._begin(run, max(0, run.seq - BEFORE_FIRST), run.seq, at)
         elif run.is_boot and self._is_known(run):
@@ -293,6 +295,8 @@ class FrameOrder:
     def _is_of_old(self, run: Run) -> bool:
         """Return whether a frame is of the count before the restart: by its device time, or by its seq if it has none.
 
+        A frame without a time that follows one of the old count is of that count too.
+
         A frame that arrives late seems to be of a later boot, never of an earlier one.
         """
         old = self._former[-1] if self._former else None
@@ -301,7 +305,8 @@ class FrameOrder:
         born_ns = run.born_ns
         if born_ns is None:
             near = abs(_apart(run.seq, old.newest_seq)) <= REACH < abs(_apart(run.seq, self._newest))
-            return near and self._is_young() and not run.is_boot
+            follows = self._old_seq is not None and run.seq == (self._old_seq + 1) % CIRCLE
+            return (near or follows) and self._is_young() and not run.is_boot
         return 2 * born_ns < old.born_ns + self._born_ns
 
     def _accept(self, run: Run, at: int) -> Iterator[Placed]:
@@ -406,7 +411,7 @@ class FrameOrder:
         self._remembered, self._holes, self._times, self._placed_times = _Remembered(), [], {}, {}
         if self._boot_id is not None:
             self._left.add(self._boot_id)
-        self._boot_id, self._restarting, self._far = None, True, False
+        self._boot_id, self._restarting, self._far, self._old_seq = None, True, False, None
         self._old_until = first.seq + REACH
         # A box counts from 0. A count that lies too far ahead gives no information about losses.
         from_ = first.seq if far else 0
@@ -420,17 +425,19 @@ class FrameOrder:
         suspects, self._suspects = self._suspects, []
         self._far = False
         for run in suspects:
-            if self._awaited(run, far=ours):
+            _, boot_id = run.first_heartbeat()
+            other = None not in (boot_id, self._boot_id) and boot_id != self._boot_id
+            if self._awaited(run, far=ours) and not other:
                 yield from self._accept(run, at)
             else:
                 self._count_unused(run)
 
-    def _count_unused(self, run: Run) -> None:
+    def _count_unused(self, run: Run, of_old: bool = False) -> None:
         """Count a frame that arrived too late, twice, or with a seq that no count has reached."""
         reached = any(_apart(run.seq, old.newest_seq) <= REACH for old in self._former)
         if self._is_far(run) and not reached:
             self.malformed += 1
-        elif self._is_missing(run) or self._unwrapped(run.seq) >= self._next - 2 * REACH:
+        elif self._is_missing(run) or (not of_old and self._unwrapped(run.seq) >= self._next - 2 * REACH):
             self.late += 1
         else:
             self.doubled += 1  # it arrived once already, longer ago than bytes are remembered
