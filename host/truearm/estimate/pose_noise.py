@@ -28,6 +28,7 @@ from truearm.types import Floats
 CHUNK = 400_000  # numbers per chunk of rows: 3 MB
 SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb
 SETTLED = 1e-3  # relative change of the variances from step to step
+MAX_STEPS = 30
 LEAST_FACTOR = 1e-6  # on the declared variances
 LARGEST_POSE = 24  # observations of one pose; of more, each run of this many counts as one
 FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that depend on a translation of the end
@@ -197,7 +198,7 @@ def pose_samples(
     return out
 
 
-def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool, steps: int = 30) -> PoseNoise:
+def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool) -> PoseNoise:
     """Return the noise at which the gradient of the evidence vanishes for a fixed posterior; without ``shared`` p stays 0.
 
     With e = R⁻¹ r the gradient by the variance of a part R_k is ½ (Σ eᵀ R_k e − Σ tr R⁻¹R_k + Σ tr R⁻¹ J P Jᵀ R⁻¹ R_k).
@@ -205,7 +206,7 @@ def learned_noise(samples: Sequence[PoseSample], noise: PoseNoise, shared: bool,
     found (MacKay's γ): if the posterior were kept instead, a smaller R would make it exceed the number of rows.
     """
     spent = _parts(samples, noise).spent
-    for _ in range(steps):
+    for _ in range(MAX_STEPS):
         here = _parts(samples, noise)
         old = np.array(noise)
         new = old * here.gain / np.maximum((1.0 - spent) * here.rows, SMALLEST_SHARE * here.rows)

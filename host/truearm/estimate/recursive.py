@@ -186,7 +186,6 @@ def minimise(
     sigma: Floats,
     max_passes: int,
     on_pass: Callable[[int, Floats], None] | None = None,
-    level: float = GATE_LEVEL,
     move: Step = added,
 ) -> Ending:
     """Repeat passes from x (k,) until neither x nor the set of rows within the gate changes.
@@ -197,7 +196,7 @@ def minimise(
     """
     rows = linearise(x)
     used = np.ones(len(rows.residual), dtype=bool)
-    limit = np.where(rows.row < 0, np.inf, gate(rows.width, level))
+    limit = np.where(rows.row < 0, np.inf, gate(rows.width, GATE_LEVEL))
     first: Pass | None = None
     seen_sets: set[bytes] = set()
     rounds, passes, damping = 0, 0, 0.0

@@ -50,11 +50,9 @@ def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
     return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None)
 
 
-def fitted(
-    chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None = None
-) -> Trial:
+def fitted(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Trial:
     """Return the fit of the robot's ``free`` (p,) parameters, base, tool and rig to the rows. Raises ProblemError."""
-    return _trial(chain, rig, table, free, start or placed(chain, rig, table))
+    return _trial(chain, rig, table, free, placed(chain, rig, table))
 
 
 def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None) -> Trial:

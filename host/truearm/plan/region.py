@@ -53,8 +53,8 @@ def around(points: Floats) -> Region:
     return Region(points.min(axis=0), points.max(axis=0))
 
 
-def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, seed: int = 0) -> Floats:
-    """Return random poses (n, j) of the arm's branch with a point (3,) of the end inside the region.
+def poses_in(site: Site, region: Region, p_end_point: Floats, seed: int = 0) -> Floats:
+    """Return N_POSES random poses (n, j), or fewer if they are rare, of the arm's branch with a point (3,) of the end inside the region.
 
     Raises PlanError if none of 200,000 random poses is.
     """
@@ -65,8 +65,8 @@ def poses_in(site: Site, region: Region, p_end_point: Floats, n: int = N_POSES, 
         at = point_forward(arm.chain, arm.params, q, p_end_point)
         q = q[((at >= region.lower) & (at <= region.upper)).all(axis=1)]
         kept = np.concatenate([kept, q[allowed(site, q, None)]])
-        if len(kept) >= n:
-            return kept[:n]
+        if len(kept) >= N_POSES:
+            return kept[:N_POSES]
     if not len(kept):
         raise PlanError("the arm cannot reach the region; give another ", Argument("region"))
     return kept

@@ -12,13 +12,16 @@ from truearm.report.page_text import number
 from truearm.results import Estimate
 from truearm.types import Floats
 
+MOST = 60  # parameters in the picture
+STRONGEST = 4  # correlations that its caption names
 
-def correlation(estimate: Estimate, most: int = 60) -> Figure | None:
-    """Return the lower triangle of the robot's parameter correlations; None unless there are 2 to ``most``."""
+
+def correlation(estimate: Estimate) -> Figure | None:
+    """Return the lower triangle of the robot's parameter correlations; None unless there are 2 to MOST."""
     seen = estimate.free & estimate.identifiable & (np.diag(estimate.covariance) > 0.0)
     seen[estimate.n_robot_parameters :] = False
     names = [name for name, is_seen in zip(estimate.parameter_names, seen, strict=True) if is_seen]
-    if not 2 <= len(names) <= most:
+    if not 2 <= len(names) <= MOST:
         return None
     sigma = np.sqrt(np.diag(estimate.covariance)[seen])
     rho = estimate.covariance[np.ix_(seen, seen)] / np.outer(sigma, sigma)
@@ -59,7 +62,7 @@ def _colour_key(x: float, y: float) -> str:
     return "".join(parts) + "".join(svg.label(x + 18.0 * k + 9, y + 34, number(v, 0), "mid small") for k, v in marks)
 
 
-def _strongest(rho: Floats, names: Sequence[str], count: int = 4) -> list[str]:
+def _strongest(rho: Floats, names: Sequence[str]) -> list[str]:
     i, j = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(rho[i, j]))[:count]
+    order = np.argsort(-np.abs(rho[i, j]))[:STRONGEST]
     return [f"{names[i[k]]} and {names[j[k]]} {number(rho[i[k], j[k]], 2, sign=True)}" for k in order]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truearm.box.readiness import FAR, LVDT_DRIFT, STEEL
+from truearm.box.readiness import FAR, LVDT, LVDT_DRIFT, STEEL
 from truearm.text import page
 from truearm.units import DEGC, MM, PPM_PER_K
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from truearm.types import BallBar, Rig
 
 
-def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> str:
+def temperature_warning(result: SyncResult, rig: Rig) -> str:
     """Return a sentence on the possible error of the lengths, "" if no warning is needed.
 
-    A warning is needed if the session was measured FAR from the box's temperature at which ``channel`` was calibrated,
+    A warning is needed if the session was measured FAR from the box's temperature at which the ball-bar's channel was calibrated,
     and rows lack the bar's temperature.
     """
     table = result.table.select(result.table.kind == "ball_bar")
@@ -28,7 +28,7 @@ def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> 
         for ident in result.survey.idents.values()
         for stream in ident.streams.values()
         for one in stream.channels
-        if one.name == channel and math.isfinite(one.calibrated_degc)
+        if one.name == LVDT and math.isfinite(one.calibrated_degc)
     ]
     unread = ~np.isfinite(table.column("bar_temperature", np.nan))
     warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
@@ -41,7 +41,7 @@ def temperature_warning(result: SyncResult, rig: Rig, channel: str = "lvdt") -> 
     bar = max(used, key=lambda one: possible_error(one, most))
     expansion, drift = coefficients(bar)
     return (
-        f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {channel} was calibrated, "
+        f"the box was up to {DEGC.text(abs(most), '.1f')} {'warmer' if most > 0.0 else 'colder'} than when {LVDT} was calibrated, "
         f"and no thermometer was read on the bar: lengths may be off by {MM.text(possible_error(bar, most), '.3f')} "
         f"({PPM_PER_K.text(expansion)} of {MM.text(bar.zero, '.0f')}, {PPM_PER_K.text(drift)} of {MM.text(0.5 * bar.travel, '.1f')}); "
         f"put a thermometer on the bar ({page('Build and measure the rig')}), or calibrate the box at this temperature"
