@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from truearm.errors import PlanError
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Device, Floats, Matrix, Plan, Rig
+from truearm.schema import Matrix
+from truearm.types import Device, Floats, Plan, Rig
 from truearm.units import MM
 from truearm_sim.paths import Path, target_of
 from truearm_sim.robot import Controller

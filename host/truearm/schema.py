@@ -19,7 +19,6 @@ from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
 from types import UnionType
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     ClassVar,
@@ -35,8 +34,7 @@ from typing import (
 from truearm.errors import InputError
 from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 
-if TYPE_CHECKING:
-    from truearm.types import Matrix  # which needs numpy
+Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it supports ==
 
 MOST_LISTED = 150  # characters of a list of names in a message
 MAX_SHOWN = 40  # characters of an external text in a message

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from truearm.arguments import check_fields, converted
 from truearm.errors import Argument, InputError, PlanError
-from truearm.schema import Choice, Covariance, Direction, List, Number, sigma
+from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
 Residuals = Mapping[str, Floats]  # by SI unit, one per row (n,): signed or a norm; NaN where there is none
-Matrix = tuple[tuple[float, ...], ...]  # rows of a small constant matrix; unlike an array it supports ==
 
 # value types of fields; rig files have the same (``schema.values_of``)
 SIZE = Number("m", positive=True)

@@ -19,7 +19,8 @@ from __future__ import annotations
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.types import Floats, Matrix
+from truearm.schema import Matrix
+from truearm.types import Floats
 
 
 def residual_cov(sensor_cov: Floats, jac_joints: Floats, joint_cov: Floats | None) -> Floats:

@@ -16,8 +16,8 @@ from truearm.errors import RigError
 from truearm.files.disk import parse_toml, read_text
 from truearm.files.rig_file import JOINT_COVARIANCE, OF_RIG
 from truearm.kinds.rig_entries import NAME, by_name
-from truearm.schema import Entries, Key, SchemaError, Table, read
-from truearm.types import SIZE, Matrix, Rig
+from truearm.schema import Entries, Key, Matrix, SchemaError, Table, read
+from truearm.types import SIZE, Rig
 
 MAX_BYTES = 2**16
 FIRST_LINE = "# noise of a robot and its ball-bar, by truearm characterize"
