@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import resource
 import subprocess
@@ -89,7 +90,8 @@ def compared(n: int) -> list[dict]:
 
 def row_of(case: Case, n: int, found: dict) -> dict:
     row = {"problem": case.problem, "program": case.program, "poses": n, "us_a_pose": 1e6 * found["seconds"] / n}
-    print(f"{case.problem} {case.program} {n}: {found['seconds']:.4g} s", file=sys.stderr, flush=True)
+    done = f"{found['seconds']:.4g} s" if math.isfinite(found["seconds"]) else found["status"]
+    print(f"{case.problem} {case.program} {n}: {done}", file=sys.stderr, flush=True)
     return row | {name: found.get(name) for name in FIELDS if name not in row}
 
 
