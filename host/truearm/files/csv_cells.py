@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator
 from itertools import islice
@@ -105,16 +106,21 @@ def numbers(
     if column is None:
         return np.full(len(rows), np.nan)
     scale = SUFFIXES[column.unit].scale
-    out = np.empty(len(rows))
-    for i, row in enumerate(rows):
-        cell = row.cells[column.position]
-        where = f"{name} row {row.number} column {column.name}"
-        out[i] = np.nan if not cell and not required else scale * number(cell, where)
-        if abs(out[i]) > largest:
+    cells = [row.cells[column.position] for row in rows]
+    plain = [float(cell) if _is_number(cell) else math.nan for cell in cells]
+    out = scale * np.array(plain, dtype=float)
+    # Nearly all columns end here. The first wrong cell of the others is found one by one.
+    in_range = np.abs(out) <= largest
+    if positive:
+        in_range &= out >= SMALLEST
+    for i in np.flatnonzero(~in_range).tolist():
+        cell, where = cells[i], f"{name} row {rows[i].number} column {column.name}"
+        value = math.nan if not cell and not required else scale * number(cell, where)
+        if abs(value) > largest:
             raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
-        if positive and out[i] <= 0.0:
+        if positive and value <= 0.0:
             raise TableError(f"{where}: {quoted(cell)} must be greater than 0")
-        if positive and out[i] < SMALLEST:
+        if positive and value < SMALLEST:
             raise TableError(f"{where}: {quoted(cell)} is too small; is the column in another unit?")
     return out
 
@@ -136,6 +142,10 @@ def number(cell: str, where: str) -> float:
     if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
     # float() would accept "1_000" and digits of other scripts; a table with these was not written as numbers.
-    if len(cell) > MAX_CELL or not NUMBER.fullmatch(cell):
+    if not _is_number(cell):
         raise TableError(f"{where}: {quoted(cell)} is not a number")
     return float(cell)
+
+
+def _is_number(cell: str) -> bool:
+    return len(cell) <= MAX_CELL and NUMBER.fullmatch(cell) is not None
