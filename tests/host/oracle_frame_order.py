@@ -207,6 +207,8 @@ class FrameOrder:
             near = abs(apart(frame.seq, newest_seq)) <= REACH < abs(apart(frame.seq, self._newest))
             follows = self._old_seq is not None and frame.seq == (self._old_seq + 1) % CIRCLE
             return (near or follows) and self._is_young() and not frame.is_boot
+        if not self._times and 0 < apart(frame.seq, self._newest) <= BEFORE_FIRST:
+            return False  # the first page may have waited for the link: it does not tell when the box booted
         return abs(frame.born_ns - old_born_ns) < abs(frame.born_ns - self._born_ns)
 
     def _is_doubled(self, frame: Frame) -> bool:

@@ -249,6 +249,22 @@ def test_an_event_in_a_late_piece_of_an_earlier_boot_is_late():
     assert restarts_and(messages) == (2, {"restarts": 1, "frames_lost": 20, "frames_late": 20})
 
 
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_boot_whose_first_page_waits_for_the_link_longer_than_the_boot_before_lasted(lost):
+    """A bridge that takes longer to start than the box: the first page comes out with the link, long after the boot."""
+    box = long_box(400)
+    boot_ns = 401 * BLOCK_NS
+    box.reboot(boot_ns)
+    link_ns = boot_ns + 10**10
+    box.ident(link_ns)
+    box.seq += lost
+    for k in range(600):
+        box.data(link_ns + k * BLOCK_NS, COUNTS + k)
+        if k % SECOND == SECOND - 1:
+            box.heartbeat(link_ns + k * BLOCK_NS + 10**6)
+    assert restarts_and(box.messages) == (2, {"restarts": 1} | ({"frames_lost": lost} if lost else {}))
+
+
 def test_a_frame_of_an_earlier_boot_that_arrives_twice_is_doubled_not_late():
     messages, at = restarted(400, 1000)
     messages.insert(at + 700, messages[at - 50])

@@ -46,7 +46,7 @@ REACH = 512  # frames that a late one may lag behind: some seconds, less than se
 DELAYED_NS = 2_000_000_000  # longer than a block of samples lasts and than a link usually delays
 LONELY_RUN = 64  # suspects in a row that are another count, if this one has no boot id
 FORMER = 100  # counts before this one that are remembered
-BEFORE_FIRST = 16  # frames that the first one of a session may have overtaken
+BEFORE_FIRST = 16  # frames that the first one of a session, or the first with a time of a count, may have overtaken
 HOLES = 1000  # remembered, to tell late frames from doubled ones
 _HALF = CIRCLE // 2
 
@@ -307,6 +307,8 @@ class FrameOrder:
             near = abs(_apart(run.seq, old.newest_seq)) <= REACH < abs(_apart(run.seq, self._newest))
             follows = self._old_seq is not None and run.seq == (self._old_seq + 1) % CIRCLE
             return (near or follows) and self._is_young() and not run.is_boot
+        if not self._times and 0 < _apart(run.seq, self._newest) <= BEFORE_FIRST:
+            return False  # the first page may have waited for the link: it does not tell when the box booted
         return 2 * born_ns < old.born_ns + self._born_ns
 
     def _accept(self, run: Run, at: int) -> Iterator[Placed]:
