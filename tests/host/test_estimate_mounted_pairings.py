@@ -9,7 +9,7 @@ from operator_scripts import Visit, lengths, pairing_at, script
 
 from truearm.estimate.mounted_pairings import (
     SURE,
-    Mountings,
+    MountingChances,
     Readings,
     Words,
     label_support,
@@ -123,9 +123,9 @@ def test_readings_that_cannot_tell_leave_the_word_as_it_is():
     """The last dwell of a session, at a pose where two spheres are equally far from the chuck: the old one may have stayed on."""
     right, old = PAIRING, ("bar46", "c1", "s2")
     by_words = np.array([[0.95, 0.05, 0.0]])
-    assert Mountings((right, old), by_words, by_words).supports(0, right)
-    assert not Mountings((right, old), np.array([[0.9, 0.1, 0.0]]), by_words).supports(0, right)
-    assert not Mountings((right, old), by_words, by_words).supports(0, ("bar46", "c3", "s3"))
+    assert MountingChances((right, old), by_words, by_words).supports(0, right)
+    assert not MountingChances((right, old), np.array([[0.9, 0.1, 0.0]]), by_words).supports(0, right)
+    assert not MountingChances((right, old), by_words, by_words).supports(0, ("bar46", "c3", "s3"))
 
 
 def test_without_readings_words_alone_count(plan):

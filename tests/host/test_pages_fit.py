@@ -79,7 +79,7 @@ def reproduced():
     """A page of ``truearm reproduce``."""
     claim = reproduce_page.Claim("RMS of the 61 cm shells after calibration", "mm", 0.11, 0.0855, 0.0842, None, LONG)
     names = ("all rows, before", "all rows, after", "held out", "mean", "largest", "rank", "iterations")
-    table = reproduce_page.Table("Table II", names, (("link1.alpha [deg]", *["−123.45678"] * 6),) * 4)
+    table = reproduce_page.PageTable("Table II", names, (("link1.alpha [deg]", *["−123.45678"] * 6),) * 4)
     chapter = reproduce_page.Chapter("Table I", LONG, (claim,), (table,))
     steps = (("Table II: 36 parameters from 800 dwells, ten seeds", 3.0),)
     return reproduce_page.render(reproduce_page.ReproducePage("Goswami 1993", LONG, (chapter,), steps, LONG))

@@ -55,12 +55,12 @@ def test_steps_inside_move_the_step_around_them_forwards_only():
 
 
 def test_the_time_left_of_all_stands_before_that_of_the_step():
-    whole, inner = shown.Step("planning", 0.0, print, 0.25), shown.Step("looking", 27.0, print, 0.5)
+    whole, inner = shown.RunningStep("planning", 0.0, print, 0.25), shown.RunningStep("looking", 27.0, print, 0.5)
     assert shown.shown_text([whole, inner], 30.0) == (
         "planning: 25 %, 30 s, about 1 min 30 s left; looking: 50 %, 3 s, about 3 s left"
     )
     assert shown.shown_text([whole], 30.0) == "planning: 25 %, 30 s, about 1 min 30 s left"
-    assert shown.shown_text([shown.Step("all", 0.0, print), inner], 30.0) == "looking: 50 %, 3 s, about 3 s left"
+    assert shown.shown_text([shown.RunningStep("all", 0.0, print), inner], 30.0) == "looking: 50 %, 3 s, about 3 s left"
     assert shown.shown_text([], 30.0) == ""
 
 
@@ -80,7 +80,7 @@ def test_a_step_that_fails_ends():
     ],
 )
 def test_what_is_said(share, after_s, text):
-    assert shown.said(shown.Step("reading a.mcap", 5.0, lambda _: None, share), 5.0 + after_s) == text
+    assert shown.said(shown.RunningStep("reading a.mcap", 5.0, lambda _: None, share), 5.0 + after_s) == text
 
 
 def test_the_innermost_step_that_is_long_is_shown_and_cleared(monkeypatch):

@@ -13,7 +13,7 @@ from truearm.session.dwell_labels import with_mountings
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import JointReader
 from truearm.session.message_columns import columns_of
-from truearm.session.plan_matching import BACK, REPEAT, Marks, Plan, match_plan, nearest_pose
+from truearm.session.plan_matching import BACK, REPEAT, Marks, PlannedPoses, match_plan, nearest_pose
 from truearm.session.sample_noise import mean_of
 from truearm.types import Message
 
@@ -139,7 +139,7 @@ def test_constant_samples_have_no_variance():
 
 def plan_of(q):
     fittings = {"bar": "b", "chuck": "c", "sphere": "s"}
-    return Plan(np.asarray(q, dtype=float).reshape(len(q), -1), tuple(dict(fittings) for _ in q))
+    return PlannedPoses(np.asarray(q, dtype=float).reshape(len(q), -1), tuple(dict(fittings) for _ in q))
 
 
 def matched(q, plan, tolerance=0.017, said=None):
@@ -195,7 +195,7 @@ def test_each_joint_keeps_the_tolerance():
 
 
 def test_what_was_mounted_may_not_contradict():
-    plan = Plan(np.zeros((2, 1)), ({"bar": "b46", "chuck": "c1"}, {"bar": "b46", "chuck": "c2"}))
+    plan = PlannedPoses(np.zeros((2, 1)), ({"bar": "b46", "chuck": "c1"}, {"bar": "b46", "chuck": "c2"}))
     assert matched([0.0], plan, said=[{"chuck": "c2"}]) == [1]
     assert matched([0.0], plan, said=[{"chuck": "c3"}]) == [None]
 
@@ -216,14 +216,14 @@ def test_what_was_mounted_may_not_contradict():
 )
 def test_a_plan_that_visits_its_poses_again_with_another_bar(dwells, ambiguous):
     fittings = [{"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61") for _ in range(4)]
-    plan = Plan(np.tile(np.arange(4.0), 2)[:, None], tuple(fittings))
+    plan = PlannedPoses(np.tile(np.arange(4.0), 2)[:, None], tuple(fittings))
     found = match_plan(np.array(dwells, dtype=float)[:, None], plan, 0.017, [{}] * len(dwells))
     assert set(found.ambiguous) == ambiguous
     assert all(suits == ("b46 c s", "b61 c s") for suits in found.ambiguous.values())
 
 
 def test_what_was_said_to_be_mounted_decides():
-    plan = Plan(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
+    plan = PlannedPoses(np.zeros((2, 1)), tuple({"bar": bar, "chuck": "c", "sphere": "s"} for bar in ("b46", "b61")))
     assert set(match_plan(np.zeros((1, 1)), plan, 0.017, [{}]).ambiguous) == {0}
     found = match_plan(np.zeros((1, 1)), plan, 0.017, [{"bar": "b61"}])
     assert (found.poses, found.ambiguous) == ((1,), {})
@@ -252,7 +252,7 @@ def all_ways(dwells, poses):
 def test_the_best_way_and_what_is_ambiguous(dwells, poses):
     """Against all ways, one by one. The best ways may differ in bars, and then only."""
     fittings = tuple({"bar": b, "chuck": "c", "sphere": "s"} for _, b in poses)
-    plan = Plan(np.array([[float(p)] for p, _ in poses]), fittings)
+    plan = PlannedPoses(np.array([[float(p)] for p, _ in poses]), fittings)
     found = match_plan(np.array(dwells, dtype=float)[:, None], plan, 0.1, [{}] * len(dwells))
     _, ways = all_ways(dwells, [p for p, _ in poses])
     assert found.poses in ways

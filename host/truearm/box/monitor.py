@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
-Rows = list[tuple[str, str]]  # label and value
+Labelled = list[tuple[str, str]]  # label and value
 MAX_PROBES = 64  # pending
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
@@ -101,7 +101,7 @@ class Watch:
             self.clock.add(t0_ns, sent.fields["t1_us"], sent.fields["t2_us"], sent.t_host_ns)
 
 
-def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Rows], None]) -> Iterator[str]:
+def monitor_box(device: str, duration: float | None, every_s: float, show: Callable[[Labelled], None]) -> Iterator[str]:
     """Watch a box until ``duration`` [s] or an interrupt; ``show`` is called regularly with the measurements.
 
     Yields a line when the box has answered, and one at the end. Raises InputError, LinkError.
@@ -119,7 +119,7 @@ def _watch(
     duration: float | None,
     interrupted: Callable[[], bool],
     every_s: float,
-    show: Callable[[Rows], None],
+    show: Callable[[Labelled], None],
 ) -> Watch:
     from truearm_wire.messages import START
 
@@ -144,9 +144,9 @@ def _watch(
     return watch
 
 
-def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
+def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Labelled:
     """Return (label, value) for everything displayed."""
-    rows: Rows = [("time", f"{elapsed_s:.0f} s")]
+    rows: Labelled = [("time", f"{elapsed_s:.0f} s")]
     for stream in watch.ident.streams.values():
         rows += _stream_rows(stream, watch.windows.get(stream.id))
     rows.append(("clock", clock_words(watch)))
@@ -171,7 +171,7 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Rows:
     return rows
 
 
-def _stream_rows(stream: Stream, window: Window | None) -> Rows:
+def _stream_rows(stream: Stream, window: Window | None) -> Labelled:
     if window is None:
         return [(stream.name, "no samples yet")]
     rate = f"{NS.factor / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"

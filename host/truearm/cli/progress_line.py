@@ -21,12 +21,12 @@ CLEAR = "\x1b[2K\r"
 
 
 @dataclass(eq=False)
-class Step:
+class RunningStep:
     """A step that is under way."""
 
     what: str
     begun_s: float
-    ended: Callable[[Step], None]
+    ended: Callable[[RunningStep], None]
     share: float = 0.0
 
     def advance(self, share: float) -> None:
@@ -46,22 +46,22 @@ class Shown:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._steps: list[Step] = []
+        self._steps: list[RunningStep] = []
         self._lock = Lock()
         self._is_shown = False
         self._ended = Event()
         self._thread: Thread | None = None
 
-    def begin(self, what: str) -> Step:
+    def begin(self, what: str) -> RunningStep:
         """Begin a step; the first one starts the thread."""
         with self._lock:
-            self._steps.append(Step(one_line(what), time.monotonic(), self._end))
+            self._steps.append(RunningStep(one_line(what), time.monotonic(), self._end))
             if self._thread is None:
                 self._thread = Thread(target=self._run, daemon=True, name="progress")
                 self._thread.start()
             return self._steps[-1]
 
-    def _end(self, step: Step) -> None:
+    def _end(self, step: RunningStep) -> None:
         with self._lock:
             if step in self._steps:
                 self._steps.remove(step)
@@ -102,14 +102,14 @@ class Shown:
             self._ended.set()
 
 
-def shown_text(steps: Sequence[Step], now_s: float) -> str:
+def shown_text(steps: Sequence[RunningStep], now_s: float) -> str:
     """Return the text for nested steps, the outermost first; "" for none."""
     whole = next((one for one in steps if one.share >= LEAST_SHARE), None)
     texts = [said(one, now_s) for one in (steps[-1:] if whole in (None, *steps[-1:]) else [whole, steps[-1]]) if one]
     return "; ".join(texts)
 
 
-def said(one: Step, now_s: float) -> str:
+def said(one: RunningStep, now_s: float) -> str:
     """``reading monday.mcap: 42 %, 12 s, about 17 s left``."""
     elapsed_s = now_s - one.begun_s
     if one.share < LEAST_SHARE:

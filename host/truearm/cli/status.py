@@ -59,28 +59,28 @@ def _lines(state: ProjectState) -> Iterator[str]:
 
 def _next(state: ProjectState) -> tuple[str, str]:
     """Return the command that comes next, and why."""
-    from truearm.workflows.project import Step
+    from truearm.workflows.project import NextStep
 
     match state.next:
-        case Step.DESCRIBE:
+        case NextStep.DESCRIBE:
             return f"write {state.project.rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
-        case Step.PLAN:
+        case NextStep.PLAN:
             return "truearm plan ballbar --minutes 30", "there is no plan yet"
-        case Step.RECORD:
+        case NextStep.RECORD:
             if state.sessions:
                 return "type q and Enter in truearm record", "the recording is under way"
             return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
-        case Step.RECOVER:
+        case NextStep.RECOVER:
             cut = next(one.path for one in state.sessions if not one.complete)
             return f"truearm recover {os.path.relpath(cut)}", "its recording was cut off"
-        case Step.IDENTIFY:
+        case NextStep.IDENTIFY:
             return "truearm identify --hold-out 0.2", f"{state.sessions[-1].path.name} is not identified yet"
-        case Step.INSPECT:
+        case NextStep.INSPECT:
             return (
                 f"truearm inspect {os.path.relpath(state.sessions[-1].path)}",
                 "the last fit did not converge",
             )
-        case Step.CORRECT:
+        case NextStep.CORRECT:
             result = os.path.relpath(state.results[-1].path)
             return f"truearm correct {result} PROGRAM --out CORRECTED", "the robot is identified"
         case _:

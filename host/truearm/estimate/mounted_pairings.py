@@ -116,7 +116,7 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Mountings:
+class MountingChances:
     """The probability of each mounting at each dwell.
 
     ``probability`` (n, k + 1) is that of each of the k ``pairings`` at each dwell, with a last column for none of them.
@@ -142,7 +142,7 @@ class Mountings:
         return bool(self.probability[dwell, k] >= min(SUPPORTED, self.by_words[dwell, k]))
 
 
-def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> Mountings:
+def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Mask) -> MountingChances:
     """Return what was mounted at each dwell. ``free`` (p,): the robot's parameters that are fitted.
 
     Raises ProblemError if dwells and robot are inconsistent.
@@ -155,7 +155,7 @@ def mountings(chain: Chain, rig: Rig, readings: Readings, words: Words, free: Ma
     )
     probabilities, evidences = zip(*(_annealed(fit, transitions, told) for fit in fits), strict=True)
     by_words, _ = posterior(transitions, told, np.zeros_like(told), np.zeros_like(told))
-    return Mountings(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
+    return MountingChances(pairings, np.average(probabilities, axis=0, weights=special.softmax(evidences)), by_words)
 
 
 def label_support(chain: Chain, rig: Rig, readings: Readings, labels: Sequence[Pairing], free: Mask) -> Floats:

@@ -34,7 +34,7 @@ class Candidate(NamedTuple):
     free: Mask
 
 
-class Reading(NamedTuple):
+class Interpretation(NamedTuple):
     """Another interpretation of the inputs, and the message if it explains the observations."""
 
     text: str
@@ -46,7 +46,7 @@ class Reading(NamedTuple):
 
 def other_readings(
     chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, robots: Mapping[str, Candidate]
-) -> Iterator[tuple[WrongInput, list[Reading]]]:
+) -> Iterator[tuple[WrongInput, list[Interpretation]]]:
     """Return the interpretations of each type, the most common mistake first; each type is made when it is asked for."""
     yield WrongInput.UNITS, list(_in_other_units(chain, rig, table, free))
     yield WrongInput.ROBOT, list(of_other_robots(chain, rig, table, robots))
@@ -55,15 +55,15 @@ def other_readings(
 
 def of_other_robots(
     chain: Chain, rig: Rigs, table: ObservationTable, robots: Mapping[str, Candidate]
-) -> Iterator[Reading]:
+) -> Iterator[Interpretation]:
     """Return the table as one of other robots with the same units of joints."""
     for name, other in robots.items():
         if name != chain.name and other.chain.joint_units == chain.joint_units:
             text = f"the observations are of robot {name}, not of {chain.name}"
-            yield Reading(text, other.chain, rig, table, other.free)
+            yield Interpretation(text, other.chain, rig, table, other.free)
 
 
-def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Reading]:
+def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
     """Return columns and points in the other unit."""
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
@@ -78,7 +78,7 @@ def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
                     q = np.where(which, factor * table.q, table.q)
                     rate = np.where(which, factor * table.q_rate, table.q_rate)
                     text = f"the joint readings are in {are}, not in {called}"
-                    yield Reading(text, chain, rig, replace(table, q=q, q_rate=rate), free)
+                    yield Interpretation(text, chain, rig, replace(table, q=q, q_rate=rate), free)
     for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
         if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
             continue
@@ -86,7 +86,7 @@ def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
         names = ("millimetres", "metres") if quantity.unit == "m" else ("degrees", "radians")
         for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
             text = f"the readings of {quantity.words} are in {are}, not in {called}"
-            yield Reading(text, chain, rig, _with_column(table, quantity.field, factor), free)
+            yield Interpretation(text, chain, rig, _with_column(table, quantity.field, factor), free)
     for column, entry in points().items():
         for factor, (are, called) in (
             (MM.scale, ("millimetres", "metres")),
@@ -95,7 +95,7 @@ def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
             scaled = _with_points(rig, entry, factor)
             if scaled is not None:
                 text = f"the rig's coordinates of each {column} are in {are}, not in {called}"
-                yield Reading(text, chain, scaled, table, free)
+                yield Interpretation(text, chain, scaled, table, free)
 
 
 def _with_column(table: ObservationTable, field: str, factor: float) -> ObservationTable:
@@ -122,7 +122,7 @@ def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
     return replace(rig, **moved)
 
 
-def _of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Reading]:
+def _of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
     """Return the orders and signs of joints with the smallest residuals before the robot is fitted."""
     names = [joint.name for joint in chain.joints]
     few = table.select(thinned(len(table), FEW_ROWS))
@@ -139,7 +139,7 @@ def _of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mas
             scored.append((least, _arranged(names, order, signs), order, signs))
     scored.sort(key=lambda one: one[0])
     for _, text, order, signs in scored[:MOST_FITTED]:
-        yield Reading(text, chain, rig, _with_joints(table, order, signs), free)
+        yield Interpretation(text, chain, rig, _with_joints(table, order, signs), free)
 
 
 def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:

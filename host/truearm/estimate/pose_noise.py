@@ -42,7 +42,7 @@ class PoseNoise(NamedTuple):
     joint: float = 0.0
 
 
-class PoseRows(NamedTuple):
+class RowsByPose(NamedTuple):
     """n poses with w whitened residuals each, and equally many rows of the table per pose."""
 
     group: Group  # pose by pose; for knowledge (``row`` None) the noise is as declared
@@ -74,7 +74,7 @@ class Normals(NamedTuple):
     logdet: float
 
 
-def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[PoseRows]:
+def pose_rows(problem: Problem, x: Floats, pose: Indices, every: int = 1) -> Iterator[RowsByPose]:
     """Return all poses, or every ``every``-th, linearised at x, in chunks with equally many rows per pose.
 
     ``pose`` (n_rows,) holds the numbers of the poses.
@@ -105,7 +105,7 @@ def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tup
             yield group.take(np.concatenate(some[at : at + each])), count
 
 
-def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> PoseRows:
+def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> RowsByPose:
     lin = piece.evaluate(problem.chain, x)
     w, n, _ = lin.wrenches.shape
     parts = (lin.wrenches, lin.jac_rig, lin.residual.reshape(n, w).T[..., None], lin.by_joints)
@@ -114,7 +114,7 @@ def _whitened(problem: Problem, x: Floats, piece: Group, count: int) -> PoseRows
     whiten(stacked, declared)
     rows = np.ascontiguousarray(stacked.transpose(2, 1, 0)).reshape(n // count, count * w, -1)
     j = lin.by_joints.shape[2]
-    return PoseRows(piece, declared, rows[..., :-j], rows[..., -j:])
+    return RowsByPose(piece, declared, rows[..., :-j], rows[..., -j:])
 
 
 def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:

@@ -33,7 +33,7 @@ import numpy as np
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_sentences import label_sentences
-from truearm.estimate.other_readings import Candidate, Mask, Reading, of_other_robots, other_readings
+from truearm.estimate.other_readings import Candidate, Interpretation, Mask, of_other_robots, other_readings
 from truearm.estimate.problem import Rigs
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
@@ -99,7 +99,7 @@ def explanations_of(
         # A few parameters do not show which interpretation is correct: all are judged with the robot's default free
         # set.
         held, free = usual & ~free, usual | free
-        freed = Reading(_held(chain, held), chain, rig, given, free)
+        freed = Interpretation(_held(chain, held), chain, rig, given, free)
         found += _explaining(WrongInput.HELD, [freed], before, 1.0)
         before = tried(chain, rig, given, free)
         if found or before is None or before.freedom < 1.0:
@@ -180,7 +180,7 @@ def _beyond(estimate: Estimate, tolerance: str) -> bool:
 
 
 def _explaining(
-    what: WrongInput, readings: Sequence[Reading], before: Trial, ratio: float = HUNDREDFOLD
+    what: WrongInput, readings: Sequence[Interpretation], before: Trial, ratio: float = HUNDREDFOLD
 ) -> Iterator[Found]:
     """Return the interpretations that explain the observations and reduce χ² below ``ratio`` of its value."""
     for one in readings:

@@ -27,7 +27,7 @@ PARALLEL = 1e-9  # sine of the angle below which axes are parallel
 NEARLY = math.sin(math.radians(1.0))  # one millimetre then becomes 57 mm of d
 
 
-class Rows(NamedTuple):
+class DhRows(NamedTuple):
     """Distal rows between base and tool; ``beta`` is NaN for a row without it."""
 
     theta: Floats  # (j,) at joint variable 0
@@ -39,7 +39,7 @@ class Rows(NamedTuple):
     tool: Floats  # (4, 4) from frame n to the robot's flange
 
 
-def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> Rows:
+def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
     """Return the rows of a robot. ``hayati``: with β where axes are nearly parallel; otherwise RobotError is raised."""
     ways = _ways(nominal)
     axes = _axes(robot)
@@ -53,7 +53,7 @@ def dh_rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> Row
     between = inverted(frame) @ last
     rows.append((math.atan2(between[1, 0], between[0, 0]), float(between[2, 3]), 0.0, 0.0, math.nan))
     theta, d, a, alpha, beta = np.array(rows).T
-    return Rows(theta, d, a, alpha, beta, base, inverted(last) @ end)
+    return DhRows(theta, d, a, alpha, beta, base, inverted(last) @ end)
 
 
 def _ways(nominal: LinkFrames) -> list[Floats]:

@@ -23,7 +23,7 @@ class Placement(NamedTuple):
     rate_hz: float = 0.0
 
 
-class Table(ABC):
+class ColumnTable(ABC):
     """A table that is being written; ``rows`` is the number of rows so far. Raises OSError if the disk refuses a write.
 
     It is created from the first batch, which defines titles and types. That batch is not written yet.
@@ -48,7 +48,7 @@ class Table(ABC):
 class Tables(Protocol):
     """All tables of a folder."""
 
-    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+    def begin(self, name: str, columns: Columns) -> tuple[str, ColumnTable]:
         """Return the name under which a table is stored, and the table; ``columns`` is its first batch."""
 
     def close(self) -> None:

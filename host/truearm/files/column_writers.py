@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
-from truearm.files.column_tables import Columns, Placement, Table, Tables
+from truearm.files.column_tables import Columns, ColumnTable, Placement, Tables
 
 _encoder = msgspec.json.Encoder()
 
@@ -31,10 +31,12 @@ _encoder = msgspec.json.Encoder()
 class TableFiles:
     """One file per table."""
 
-    def __init__(self, kind: Callable[[Path, Columns], Table], suffix: str, folder: Path, placement: Placement) -> None:
+    def __init__(
+        self, kind: Callable[[Path, Columns], ColumnTable], suffix: str, folder: Path, placement: Placement
+    ) -> None:
         self._kind, self._suffix, self._folder = kind, suffix, folder
 
-    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+    def begin(self, name: str, columns: Columns) -> tuple[str, ColumnTable]:
         """See ``Tables``."""
         file = f"{name}.{self._suffix}"
         return file, self._kind(self._folder / file, columns)
@@ -43,7 +45,7 @@ class TableFiles:
         """See ``Tables``."""
 
 
-class CsvTable(Table):
+class CsvTable(ColumnTable):
     """UTF-8 with a header; floats in the fewest digits that give the same number again; an empty cell for NaN."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
@@ -96,7 +98,7 @@ def _cells(column: NDArray[Any]) -> list[Any]:
     return values
 
 
-class NpzTable(Table):
+class NpzTable(ColumnTable):
     """One array per title, readable by ``numpy.load`` without pickling."""
 
     def __init__(self, path: Path, columns: Columns) -> None:
@@ -136,7 +138,7 @@ class NpzTable(Table):
             shutil.copyfileobj(file, member, 1 << 20)
 
 
-class ParquetTable(Table):
+class ParquetTable(ColumnTable):
     """Parquet written by pyarrow, which is an optional dependency: ``pip install 'truearm[parquet]'``."""
 
     def __init__(self, path: Path, columns: Columns) -> None:

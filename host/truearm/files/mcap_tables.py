@@ -16,7 +16,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from truearm.files.column_tables import Columns, Placement, Table
+from truearm.files.column_tables import Columns, ColumnTable, Placement
 from truearm.units import NS
 
 FILE = "session.mcap"
@@ -40,7 +40,7 @@ class McapTables:
         )
         self.writer.start(profile="", library="truearm export-session")
 
-    def begin(self, name: str, columns: Columns) -> tuple[str, Table]:
+    def begin(self, name: str, columns: Columns) -> tuple[str, ColumnTable]:
         """Return the name under which a table is stored, and the table."""
         return f"{FILE} /{name}", McapTable(self, name, columns)
 
@@ -50,7 +50,7 @@ class McapTables:
         self._file.close()
 
 
-class McapTable(Table):
+class McapTable(ColumnTable):
     """A table as a channel of the file."""
 
     def __init__(self, tables: McapTables, name: str, columns: Columns) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truearm.kinds.registry import kinds
 from truearm.report import svg
 from truearm.report.page_text import figures, number
-from truearm.report.residual_rows import Rows, law_of
+from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.results import Estimate
 from truearm.text import counted, outcome
 from truearm.types import Floats, rms
@@ -41,9 +41,9 @@ class Figure(NamedTuple):
     wide: bool = False
 
 
-def figures_of(rows: Rows) -> list[Figure]:
+def figures_of(rows: ResidualRows) -> list[Figure]:
     """Return all pictures of the rows of one kind, except those for which data are missing."""
-    makers: tuple[Callable[[Rows], Figure | None], ...] = (
+    makers: tuple[Callable[[ResidualRows], Figure | None], ...] = (
         histogram,
         by_longitude,
         before_after,
@@ -56,7 +56,7 @@ def figures_of(rows: Rows) -> list[Figure]:
     return [figure for figure in (make(rows) for make in makers) if figure is not None]
 
 
-def histogram(rows: Rows) -> Figure:
+def histogram(rows: ResidualRows) -> Figure:
     """Return the residuals of the fitted rows with the fitted distribution (Goswami 1993, Fig. 4)."""
     r, law = rows.residual[rows.fitted], law_of(rows)
     edges = _bin_edges(r)
@@ -97,7 +97,7 @@ def _grid(edges: Floats) -> Floats:
     return np.linspace(edges[0], edges[-1], 161)
 
 
-def by_order(rows: Rows) -> Figure:
+def by_order(rows: ResidualRows) -> Figure:
     """Return residuals in the order of measurement, with sessions and mounts, to show drift or slip."""
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
@@ -132,7 +132,7 @@ def _stretch_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
     return [(float(x[at].mean()), float(y[at].mean()), float(y[at].std(ddof=1) / math.sqrt(at.size))) for at in parts]
 
 
-def by_longitude(rows: Rows) -> Figure | None:
+def by_longitude(rows: ResidualRows) -> Figure | None:
     """Return residuals against the longitude of the sphere about its chuck (Goswami 1993, Fig. 3)."""
     known = np.isfinite(rows.longitude)
     if not (known & rows.fitted).any():
@@ -179,7 +179,7 @@ def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
     return found
 
 
-def _sets(rows: Rows) -> list[tuple[str, str, NDArray[np.bool_]]]:
+def _sets(rows: ResidualRows) -> list[tuple[str, str, NDArray[np.bool_]]]:
     """Return class, name and mask of the fitted and the validation rows, for those that exist."""
     sets = [("fit", "fitting rows", rows.fitted), ("val", "validation rows", ~rows.fitted)]
     return [entry for entry in sets if entry[2].any()]
@@ -205,7 +205,7 @@ def _points(plot: svg.Plot, x: Floats, y: Floats, css: str, source: NDArray[np.s
     return svg.scatter(plot, x, y, css, tips)
 
 
-def before_after(rows: Rows) -> Figure:
+def before_after(rows: ResidualRows) -> Figure:
     """Return the share of the rows with |residual| below a length, before and after."""
     lines = [(css, name + ", after", rows.residual[at]) for css, name, at in _sets(rows)]
     lines = [("old", "all rows, before", rows.before), *lines]
@@ -224,7 +224,7 @@ def before_after(rows: Rows) -> Figure:
     return drawn(plot, "Before and after", f"95 % of the rows lie below {', '.join(p95)}.", parts)
 
 
-def by_group(rows: Rows) -> Figure | None:
+def by_group(rows: ResidualRows) -> Figure | None:
     """Return quartile boxes for each pairing of chuck and sphere, or each place, to show whether one stands out."""
     names, inverse = np.unique(rows.group, return_inverse=True)
     if names.size < 2:
@@ -273,7 +273,7 @@ def _box(plot: svg.Plot, row: float, values: Floats, css: str, name: str, unit: 
     )
 
 
-def quantiles(rows: Rows) -> Figure | None:
+def quantiles(rows: ResidualRows) -> Figure | None:
     """Return sorted residuals against the quantiles of the distribution (normal probability plot)."""
     r, law = np.sort(rows.residual[rows.fitted]), law_of(rows)
     if r.size < 10 or law.sigma < svg.SMALLEST:

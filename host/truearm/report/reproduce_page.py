@@ -47,7 +47,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table whose cells are already text; the first column names its row."""
 
     title: str
@@ -62,7 +62,7 @@ class Chapter:
     title: str
     text: str
     claims: tuple[Claim, ...] = ()
-    tables: tuple[Table, ...] = ()
+    tables: tuple[PageTable, ...] = ()
     figures: tuple[Figure, ...] = ()
 
 
@@ -164,7 +164,7 @@ def _number(value: float | None) -> str:
     return str(round(value)) if whole else figures(value)
 
 
-def _table(table: Table) -> str:
+def _table(table: PageTable) -> str:
     title = escape(table.title)
     return f"<h3>{title}</h3>" + table_of(
         list(map(escape, table.head)), [list(map(escape, row)) for row in table.rows], title

@@ -25,7 +25,7 @@ from truearm.types import Floats, ObservationTable
 from truearm.units import DEG, shown, symbol, title
 
 
-class Rows(NamedTuple):
+class ResidualRows(NamedTuple):
     """Observations of one kind, only finite ones."""
 
     kind: str
@@ -106,7 +106,7 @@ class Summary(NamedTuple):
     validation: float  # RMS of the held-out rows after
 
 
-def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[Rows]:
+def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats) -> list[ResidualRows]:
     """Return the observations of each kind and unit for display, without rows that have no finite residual."""
     group, source, found = _groups(table), np.array([row_name(s) for s in table.source], dtype=np.str_), []
     order = np.arange(1, len(table) + 1), sessions(table), mountings(table)
@@ -122,7 +122,7 @@ def rows_by_kind(estimate: Estimate, table: ObservationTable, longitude: Floats)
             after, before = (shown(residual[si][at], si) for residual in (estimate.residual, estimate.residual_before))
             part = PARTS.get(si, si) if len(units) > 1 else ""
             rest = (wrapped[at], estimate.fitted[at], group[at], source[at], *(of[at] for of in order), part)
-            found.append(Rows(str(kind), si, after, before, *rest))
+            found.append(ResidualRows(str(kind), si, after, before, *rest))
     return found
 
 
@@ -157,7 +157,7 @@ def summaries(estimate: Estimate, table: ObservationTable) -> list[Summary]:
     return found
 
 
-def law_of(rows: Rows) -> Law:
+def law_of(rows: ResidualRows) -> Law:
     """Return the distribution fitted to the residuals of the fitted rows."""
     r = rows.residual[rows.fitted]
     if rows.signed:

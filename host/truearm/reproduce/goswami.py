@@ -174,7 +174,7 @@ def few_poses(made: Bench, count: int, rng: np.random.Generator) -> Estimate:
     return identify(made.chain, made.rig, table, free=made.robot.free, hold_out=held)
 
 
-class Errors(NamedTuple):
+class FitErrors(NamedTuple):
     """One fit compared with the truth; lengths in m."""
 
     near: float  # RMS on the fitted shells
@@ -184,7 +184,7 @@ class Errors(NamedTuple):
     iterations: int
 
 
-def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Errors:
+def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> FitErrors:
     """Run one experiment with ``noise`` [m] on lengths and gear errors of amplitude ``gear`` [rad] in the joints."""
     value = lengths(made, made.table.q + gear_error(made.table.q, gear, rng)) if gear else made.table.value
     table = _noisy(made, value, noise, rng)
@@ -193,7 +193,7 @@ def run(made: Bench, noise: float, gear: float, rng: np.random.Generator) -> Err
     free = made.robot.free
     found = fit(problem, free, problem.start, Options())
     error = found.information.root @ (found.x - made.truth)[free]
-    return Errors(
+    return FitErrors(
         Figures.of(found.information.residual["m"]).rms,
         Figures.of(observe(far, found.x, free).residual["m"]).rms,
         float(error @ error),

@@ -11,10 +11,10 @@ import numpy as np
 from truearm.report import svg
 from truearm.report.figures import by_longitude, convergences, drawn, histogram
 from truearm.report.page_text import figures, number
-from truearm.report.reproduce_page import Chapter, Claim, Table
+from truearm.report.reproduce_page import Chapter, Claim, PageTable
 from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
-from truearm.reproduce.goswami import NOISE, Bench, Errors
+from truearm.reproduce.goswami import NOISE, Bench, FitErrors
 from truearm.results import Estimate
 from truearm.types import Floats, rms
 from truearm.units import MM, UNITS
@@ -32,13 +32,13 @@ GEARS = (0.0, 0.5e-4, 1e-4, 1.5e-4, 2e-4, 2.2e-4)  # rad; larger ones would leav
 GEAR = GEARS.index(2e-4)
 
 
-class Step(Protocol):
+class ReportStep(Protocol):
     """Report the current step to the user, and its duration."""
 
     def __call__(self, name: str, /) -> AbstractContextManager[None]: ...
 
 
-def chapters(made: Bench, quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
+def chapters(made: Bench, quick: bool, seed: int, step: ReportStep) -> Iterator[Chapter]:
     """Yield chapter after chapter; ``quick`` uses fewer Monte Carlo runs."""
     with step("Table I: ranks of all 511 subsets of the pairings"):
         yield _ranks(made)
@@ -208,7 +208,7 @@ def _residuals(made: Bench, estimate: Estimate, every: Estimate, few: Estimate) 
     return Chapter("Fig. 3 and 4: residuals", text, claims, figures=pictures)
 
 
-def _monte_carlo(made: Bench, runs: list[Errors]) -> Chapter:
+def _monte_carlo(made: Bench, runs: list[FitErrors]) -> Chapter:
     count, free = len(runs), int(made.robot.free.sum())
     freedom = int((made.table.bar == goswami.NEAR).sum()) - free
     nees, chi2 = (float(np.mean([getattr(r, k) for r in runs])) for k in ("nees", "chi2"))
@@ -244,7 +244,7 @@ def _monte_carlo(made: Bench, runs: list[Errors]) -> Chapter:
     return Chapter("Is the covariance correct?", text, claims)
 
 
-def _validation(made: Bench, runs: list[Errors], gears: list[tuple[float, float, float]]) -> Chapter:
+def _validation(made: Bench, runs: list[FitErrors], gears: list[tuple[float, float, float]]) -> Chapter:
     near, far, _ = (MM.of(np.array(part)) for part in zip(*gears, strict=True))
     explains = f"An amplitude of {float(np.interp(VALIDATION, far, GEARS)) * 1e4:.1f}·10⁻⁴ rad would give 0.110 mm. "
     theory = MM.of(goswami.validation_of_noise(made))
@@ -338,7 +338,7 @@ def _table_two(made: Bench, estimate: Estimate) -> Chapter:
         "The simulated robot has the paper's optimised values, so this tests the estimator. It does not test the paper's "
         "measurements, which are not published. The same 18 parameters are held."
     )
-    return Chapter("Table II", text, claims, (Table("Table II", head, tuple(rows)),))
+    return Chapter("Table II", text, claims, (PageTable("Table II", head, tuple(rows)),))
 
 
 def _stewart(made: Bench, estimate: Estimate) -> Chapter:
@@ -409,7 +409,7 @@ def _left_out() -> Chapter:
     return Chapter(
         "Not on this page",
         text,
-        tables=(Table("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
+        tables=(PageTable("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
     )
 
 

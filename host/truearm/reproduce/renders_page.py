@@ -10,9 +10,9 @@ import numpy as np
 from truearm.model.chain import Chain
 from truearm.model.robot import builtin_robot
 from truearm.report.page_text import figures, number
-from truearm.report.reproduce_page import Chapter, Claim, Table
+from truearm.report.reproduce_page import Chapter, Claim, PageTable
 from truearm.reproduce import renders
-from truearm.reproduce.goswami_page import Step
+from truearm.reproduce.goswami_page import ReportStep
 from truearm.reproduce.line_bench import ANGLE_SIGMA, LENGTH_SIGMA, measured_lines
 from truearm.reproduce.prediction_page import figure_four
 from truearm.reproduce.renders import CASE_E, CASE_F, GEAR, N_LINES, N_POINTS, PRINTED_E, PRINTED_F, WIDE, Case
@@ -33,7 +33,7 @@ FROZEN = ("joint1.offset", "joint1.d", "joint2.d", "joint6.alpha")
 UNSTATED = "The paper does not say where its lines were; the number is a median over sets of lines."
 
 
-def chapters(quick: bool, seed: int, step: Step) -> Iterator[Chapter]:
+def chapters(quick: bool, seed: int, step: ReportStep) -> Iterator[Chapter]:
     """Yield chapter after chapter; ``quick`` uses fewer line sets and Monte Carlo runs."""
     chain = builtin_robot("ulb").chain
     sets = 3 if quick else 12
@@ -95,7 +95,7 @@ def _left_out() -> Chapter:
     return Chapter(
         "Not on this page",
         text,
-        tables=(Table("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
+        tables=(PageTable("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
     )
 
 
@@ -167,7 +167,7 @@ def _identified(chain: Chain, name: str, sets: int, seed: int) -> Chapter:
     )
     title = "III-E: errors of the joint encoders' zeroes" if name == "E" else "III-F: offsets and four lengths"
     head = ("placement of a line", "mean error before [mm]")
-    table = Table(
+    table = PageTable(
         "What “before” depends on", head, tuple((_placed_by(rule), number(value, 2)) for rule, value in placed.items())
     )
     paper = np.array(PAPER_E if name == "E" else [PAPER_E[0], *PAPER_F.values()])

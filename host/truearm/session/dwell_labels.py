@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truearm.session.dwells import MOUNTING, Dwell
-from truearm.session.plan_matching import Marks, Plan, match_plan, near_poses, nearest_pose
+from truearm.session.plan_matching import Marks, PlannedPoses, match_plan, near_poses, nearest_pose
 from truearm.types import BAR_MOUNTED, DwellLabel
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
@@ -64,7 +64,7 @@ def said_of_dwells(dwells: Sequence[Dwell], marks: Marks, tolerance: float) -> l
 
 
 def _of_plan(
-    dwells: Sequence[Dwell], plan: Plan | None, tolerance: float
+    dwells: Sequence[Dwell], plan: PlannedPoses | None, tolerance: float
 ) -> tuple[list[list[int]], list[tuple[Pairing, ...]]]:
     """Return the poses near each dwell, the matched one first, and the pairings planned for it."""
     nothing: list[tuple[Pairing, ...]] = [()] * len(dwells)

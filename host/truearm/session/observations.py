@@ -33,7 +33,7 @@ from truearm.session.line_passes import WANTED, LegSamples, LineRules, Listener,
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.plan_matching import Marks, Plan, contradict, match_plan, nearest_pose, passes_of
+from truearm.session.plan_matching import Marks, PlannedPoses, contradict, match_plan, nearest_pose, passes_of
 from truearm.session.sample_noise import Allan, allan, mean_variance
 from truearm.session.samples import ChannelSamples, bar_length, extension
 from truearm.session.trigger_edges import Output, with_edges
@@ -304,7 +304,7 @@ def _settled(found: Survey, rig: Rig, labels: Sequence[DwellLabel]) -> list[Dwel
 
 
 def _unmatched(
-    dwell: Dwell, plan: Plan, rows: list[int], rules: DwellRules, said: Mapping[str, str]
+    dwell: Dwell, plan: PlannedPoses, rows: list[int], rules: DwellRules, said: Mapping[str, str]
 ) -> tuple[str, str]:
     """Return the reason why a dwell is not a pose of the plan, and its distance."""
     nearest, distance = nearest_pose(dwell.q, plan)

@@ -44,7 +44,7 @@ WIDER = 1.0 + 1e-9  # times the tolerance: rounding must not exclude a pose that
 
 
 @dataclass(frozen=True)
-class Plan:
+class PlannedPoses:
     """The poses at which the ball-bar is read, or the ends of lines, in order: q (p, j) and what is mounted at each."""
 
     q: Floats
@@ -99,12 +99,12 @@ class Marks:
         """Return the rows at which the ball-bar is read."""
         return [number for number, row in enumerate(self.rows) if row.move == Move.DWELL]
 
-    def plan(self) -> Plan | None:
+    def plan(self) -> PlannedPoses | None:
         """Return the poses of ``dwells``; None if there are none."""
         poses = [self.rows[number] for number in self.dwells]
         if not poses:
             return None
-        return Plan(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
+        return PlannedPoses(np.array([row.q for row in poses]), tuple(row.mounted for row in poses))
 
     @property
     def names_lines(self) -> bool:
@@ -136,7 +136,7 @@ class _Pair(NamedTuple):
     closeness: float
 
 
-def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
+def match_plan(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[Mapping[str, str]]) -> Matches:
     """Assign a planned pose to each dwell.
 
     ``q`` (d, j): mean readings in order. ``tolerance`` [rad or m] applies to every joint. ``said``: what events said to
@@ -152,7 +152,7 @@ def match_plan(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[s
     return Matches(tuple(matched), _ambiguous(pairs, plan))
 
 
-def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
+def nearest_pose(q: Floats, plan: PlannedPoses) -> tuple[int, float]:
     """Return the planned pose nearest to one mean reading (j,), and the largest joint distance to it."""
     if q.shape[0] != plan.q.shape[1]:
         return -1, float("nan")
@@ -160,7 +160,7 @@ def nearest_pose(q: Floats, plan: Plan) -> tuple[int, float]:
     return int(np.argmin(distance)), float(np.min(distance))
 
 
-def near_poses(q: Floats, plan: Plan, tolerance: float) -> Iterator[tuple[Indices, Floats]]:
+def near_poses(q: Floats, plan: PlannedPoses, tolerance: float) -> Iterator[tuple[Indices, Floats]]:
     """Yield the planned poses within ``tolerance`` of each mean reading q (d, j), in the plan's order, and their distances.
 
     The distance is that of the joint that is farthest away. There are none if the plan has another number of joints.
@@ -179,7 +179,7 @@ def near_poses(q: Floats, plan: Plan, tolerance: float) -> Iterator[tuple[Indice
         yield poses[near], away[near]
 
 
-def _near_pairs(q: Floats, plan: Plan, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
+def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[Mapping[str, str]]) -> list[_Pair]:
     """Return the near pairs by dwell, then by pose."""
     scale = REPEAT / (tolerance * (len(q) + 1))
     pairs = []
@@ -222,7 +222,7 @@ def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tup
     return worth, before
 
 
-def _ambiguous(pairs: list[_Pair], plan: Plan) -> dict[int, tuple[str, ...]]:
+def _ambiguous(pairs: list[_Pair], plan: PlannedPoses) -> dict[int, tuple[str, ...]]:
     """Return the dwells to which paths of the highest value assign different fittings, and these fittings."""
     poses = len(plan.q)
     exact = [0.0] * len(pairs)  # multiples of 1/8: their sums are exact
@@ -270,17 +270,19 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     return [replace(one, reason="too long") if _too_long(one.leg) else one for one in found]
 
 
-def planned_lines(marks: Marks) -> tuple[Plan | None, list[int]]:
+def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
     """Return the lines of the plan and their rows; None if there are none. q (p, 2j) holds the joints at both ends."""
     rows = [k for k, row in enumerate(marks.rows) if row.move == Move.LINE and k > 0 and "line" in row.mounted]
     if not rows:
         return None, rows
     ends = np.array([[*marks.rows[k - 1].q, *marks.rows[k].q] for k in rows])
-    return Plan(ends, tuple({key: marks.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)), rows
+    return PlannedPoses(
+        ends, tuple({key: marks.rows[k].mounted.get(key, "") for key in LINE_MOUNTED} for k in rows)
+    ), rows
 
 
 def _matched(
-    legs: Sequence[Leg], plan: Plan, rows: list[int], tolerance: float, said: Sequence[Mapping[str, str]]
+    legs: Sequence[Leg], plan: PlannedPoses, rows: list[int], tolerance: float, said: Sequence[Mapping[str, str]]
 ) -> list[Pass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
     matches = match_plan(ends, plan, tolerance, said)

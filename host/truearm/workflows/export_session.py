@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import InputError, WriteError
-from truearm.files.column_tables import Columns, Placement, Table
+from truearm.files.column_tables import Columns, ColumnTable, Placement
 from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
@@ -135,7 +135,7 @@ class _Tables:
 
     def __init__(self, folder: Path, format: str, placement: Placement) -> None:
         self._all = FORMATS[format](folder, placement)
-        self._tables: dict[str, tuple[str, Table, list[str]]] = {}
+        self._tables: dict[str, tuple[str, ColumnTable, list[str]]] = {}
 
     def write(self, name: str, columns: Columns) -> None:
         if name not in self._tables:

@@ -17,7 +17,7 @@ SEEDS = 8  # number of seeds tried
 LEFT = 0.5  # at least this share of the rows of each combination
 
 
-class Proposal(NamedTuple):
+class HoldOutProposal(NamedTuple):
     """A share of the rows, drawn by a seed.
 
     It holds out ``rows`` rows and leaves at least half of each of the ``combinations`` of names.
@@ -29,7 +29,7 @@ class Proposal(NamedTuple):
     combinations: int
 
 
-def proposed_hold_out(table: ObservationTable) -> Proposal | None:
+def proposed_hold_out(table: ObservationTable) -> HoldOutProposal | None:
     """Return the first share of the rows that leaves enough of everything to fit; None if there are too few poses."""
     of_row = _combinations(table)
     size, n_poses = np.bincount(of_row), np.unique(poses(table)).size
@@ -39,7 +39,7 @@ def proposed_hold_out(table: ObservationTable) -> Proposal | None:
         for seed in range(SEEDS):
             held = held_out_rows(table, [str(fraction)], seed)
             if held is not None and np.all(np.bincount(of_row[~held], minlength=size.size) >= LEFT * size):
-                return Proposal(fraction, seed, int(held.sum()), size.size)
+                return HoldOutProposal(fraction, seed, int(held.sum()), size.size)
     return None
 
 

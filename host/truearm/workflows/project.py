@@ -88,7 +88,7 @@ class Created(NamedTuple):
     plan: dict[str, Any] | None
 
 
-class Step(Enum):
+class NextStep(Enum):
     """The next step of a project.
 
     This is to describe its rig, to plan, to record, to recover a recording that was cut off, to fit, or to check a
@@ -134,7 +134,7 @@ class ProjectState:
     poses: int
     sessions: tuple[SessionState, ...]
     results: tuple[ResultState, ...]
-    next: Step
+    next: NextStep
 
 
 def sessions_of(folder: Path) -> list[Path]:
@@ -300,20 +300,20 @@ def state_of(path: Path) -> ProjectState:
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
     sessions = tuple(map(_session, sessions_of(home / project.sessions)))
     results = tuple(map(_result, results_of(home / project.results)))
-    state = ProjectState(project, home, rig, plan, _poses(plan), sessions, results, Step.DESCRIBE)
+    state = ProjectState(project, home, rig, plan, _poses(plan), sessions, results, NextStep.DESCRIBE)
     return replace(state, next=_next(state))
 
 
-def _next(state: ProjectState) -> Step:
+def _next(state: ProjectState) -> NextStep:
     if state.rig is None:
-        return Step.DESCRIBE
+        return NextStep.DESCRIBE
     if not state.sessions:
-        return Step.PLAN if state.plan is None else Step.RECORD
+        return NextStep.PLAN if state.plan is None else NextStep.RECORD
     if any(not one.complete for one in state.sessions):
-        return Step.RECORD if any(one.written for one in state.sessions) else Step.RECOVER
+        return NextStep.RECORD if any(one.written for one in state.sessions) else NextStep.RECOVER
     if not state.results or state.results[-1].path.stat().st_mtime < state.sessions[-1].path.stat().st_mtime:
-        return Step.IDENTIFY
-    return Step.CORRECT if state.results[-1].status == "converged" else Step.INSPECT
+        return NextStep.IDENTIFY
+    return NextStep.CORRECT if state.results[-1].status == "converged" else NextStep.INSPECT
 
 
 def _poses(plan: Path | None) -> int:

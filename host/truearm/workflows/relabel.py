@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, RigError, SessionError
-from truearm.estimate.mounted_pairings import FITS, SURE, Mountings, Readings, Words, label_support, mountings
+from truearm.estimate.mounted_pairings import FITS, SURE, MountingChances, Readings, Words, label_support, mountings
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -223,7 +223,7 @@ def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
     return Readings(np.array([dwell.q for dwell in dwells]), extension, beyond.astype(bool))
 
 
-def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> Mountings:
+def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> MountingChances:
     from truearm.workflows.selection import default_free
 
     words = Words([one.planned for one in said], [one.typed for one in said])
@@ -239,7 +239,9 @@ def _check_joints(robot: Robot, readings: Readings) -> None:
         )
 
 
-def _chosen(parts: Sequence[Part], said: Sequence[Said], found: Mountings | None, options: RelabelOptions) -> Chosen:
+def _chosen(
+    parts: Sequence[Part], said: Sequence[Said], found: MountingChances | None, options: RelabelOptions
+) -> Chosen:
     """Return the pairing of each dwell."""
     sure: list[Pairing | None] = [None] * len(said) if found is None else found.sure()
     match options.trust:
@@ -259,7 +261,7 @@ def _asked(
     parts: Sequence[Part],
     said: Sequence[Said],
     sure: Sequence[Pairing | None],
-    found: Mountings | None,
+    found: MountingChances | None,
     ask: Answer | None,
 ) -> Chosen:
     if ask is None:
@@ -294,7 +296,7 @@ def _asked(
 
 
 def _label(
-    part: Part, k: int, pairing: Pairing | None, found: Mountings | None, at: int, unanswered: bool
+    part: Part, k: int, pairing: Pairing | None, found: MountingChances | None, at: int, unanswered: bool
 ) -> DwellLabel:
     detail = "not answered" if unanswered else "left out"
     p = float("nan")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, assert_never
 if TYPE_CHECKING:
     from truearm.report.reproduce_page import ReproducePage
     from truearm.reproduce.goswami import Bench
-    from truearm.reproduce.goswami_page import Step
+    from truearm.reproduce.goswami_page import ReportStep
 
 
 class Paper(StrEnum):
@@ -20,7 +20,7 @@ class Paper(StrEnum):
     renders = "renders"
 
 
-def reproduced(paper: Paper, quick: bool, seed: int, step: Step) -> ReproducePage:
+def reproduced(paper: Paper, quick: bool, seed: int, step: ReportStep) -> ReproducePage:
     """Return all chapters of a paper, without their durations.
 
     ``quick``: with fewer experiments. ``step`` is entered as a context for each step.

@@ -166,7 +166,7 @@ def validated(
         unseen = np.concatenate([unseen, lost], axis=1)
     test = consistency(after, table, covariance, unseen)
     errors = {
-        si: Errors(before.error[si], error, due[si], judging & np.isfinite(error))
+        si: RegionErrors(before.error[si], error, due[si], judging & np.isfinite(error))
         for si, error in after.error.items()
         if np.isfinite(error[judging]).any()
     }
@@ -247,7 +247,7 @@ def _placed(
     return raw if (raw.judging & ~found.judging).any() else found
 
 
-class Errors(NamedTuple):
+class RegionErrors(NamedTuple):
     """Errors of n rows in one SI unit, without and with the calibration; ``rows`` that have such an error and judge."""
 
     before: Floats
@@ -256,7 +256,7 @@ class Errors(NamedTuple):
     rows: Mask
 
 
-def _unexplained(of: Errors, rows: Mask) -> float:
+def _unexplained(of: RegionErrors, rows: Mask) -> float:
     """Return the RMS of the errors not explained by declared noise and covariance; NaN if the explained part is not
     known.
     """
@@ -265,13 +265,13 @@ def _unexplained(of: Errors, rows: Mask) -> float:
     return math.sqrt(max(float(left.mean()), 0.0)) if left.size else math.nan
 
 
-def _is_better(of: Errors) -> bool:
+def _is_better(of: RegionErrors) -> bool:
     """Return whether the errors are smaller with the calibration than without, beyond chance."""
     gain = of.before[of.rows] ** 2 - of.after[of.rows] ** 2
     return bool(gain.mean() * math.sqrt(gain.size) > BETTER * gain.std())
 
 
-def _worst_region(errors: Mapping[str, Errors], judging: Mask, regions: Sequence[tuple[str, Mask]]) -> str | None:
+def _worst_region(errors: Mapping[str, RegionErrors], judging: Mask, regions: Sequence[tuple[str, Mask]]) -> str | None:
     """Return the region where the errors exceed the expected ones most, if by more than elsewhere, beyond chance."""
     worst: tuple[float, str] | None = None
     for of in errors.values():
@@ -288,7 +288,7 @@ def _worst_region(errors: Mapping[str, Errors], judging: Mask, regions: Sequence
     return worst[1] if worst else None
 
 
-def _figures(errors: Mapping[str, Errors], rows: Mask) -> tuple[ByUnit, ByUnit]:
+def _figures(errors: Mapping[str, RegionErrors], rows: Mask) -> tuple[ByUnit, ByUnit]:
     """Return figures of some rows in each unit, without and with the calibration."""
     before = {si: Figures.of(of.before[rows & of.rows]) for si, of in errors.items()}
     return before, {si: Figures.of(of.after[rows & of.rows]) for si, of in errors.items()}
@@ -316,7 +316,7 @@ def _root_mean(square: Floats) -> float:
     return float(np.sqrt(np.mean(square))) if square.size else math.nan
 
 
-def _expected(errors: Mapping[str, Errors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
+def _expected(errors: Mapping[str, RegionErrors]) -> tuple[dict[str, float], dict[str, float | None] | None]:
     """Return the RMS expected in each unit if the robot is as identified, empty if there are no such rows.
 
     It is also returned for display, with its parts and the actual errors; None if there are no such rows.
@@ -345,7 +345,7 @@ def _reference(document: Mapping[str, Any], si: str) -> float | None:
 
 
 def _regions(
-    calibration: Calibration, table: ObservationTable, errors: Mapping[str, Errors], judging: Mask
+    calibration: Calibration, table: ObservationTable, errors: Mapping[str, RegionErrors], judging: Mask
 ) -> tuple[ValidationRegion, ...]:
     """Return the groups named by the rows, and four parts of the space by the position of the end."""
     squares = {si: np.where(of.due.unseen, np.nan, of.due.by_noise + of.due.by_parameters) for si, of in errors.items()}

@@ -15,7 +15,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.record.robots.joint_table import Reading
+from truearm.record.robots.joint_table import AddedReading
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
 from truearm.session.session_file import Session
 from truearm.types import Message
@@ -60,7 +60,7 @@ class Anchors:
 
 def add_readings(
     session: Session,
-    readings: Iterator[Reading],
+    readings: Iterator[AddedReading],
     out: Path,
     zero_s: float | None,
     said: Mapping[str, str],

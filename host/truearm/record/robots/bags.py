@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.record.robots.joint_table import NO_ARRIVAL, Reading
+from truearm.record.robots.joint_table import NO_ARRIVAL, AddedReading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading
@@ -35,7 +35,7 @@ SUFFIXES = (".mcap", ".db3")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
 
-def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
+def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     """Yield the joint states on a topic in the order of the bag, with the given ``joints`` in this order.
 
     Raises InputError if there is no such bag, topic or joint, or rosbags is not installed; SessionError if a file is
@@ -143,7 +143,7 @@ def _decoder() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all releases
 
 
-def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: Sequence[str]) -> Reading:
+def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: Sequence[str]) -> AddedReading:
     """Return the reading of a message. Raises InputError."""
     from rosbags.serde import SerdeError
 
@@ -173,7 +173,7 @@ def _reading(path: Path, number: int, decoder: Typestore, data: bytes, joints: S
         raise SessionError(
             f"{where}: has the stamp {stamp.sec} s and {stamp.nanosec} ns, which is not a valid time; correct the stamps, or leave this message out of the bag"
         )
-    return Reading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
+    return AddedReading(t, format_reading(t, None, q, qd=qd, effort=effort, **NO_ARRIVAL))
 
 
 def _picked(values: Any, n: int, places: Sequence[int]) -> list[float] | None:

@@ -18,7 +18,7 @@ from truearm.record.robots.sources import FileOptions
 from truearm.session.joint_format import parse_reading
 
 
-class Reading(NamedTuple):
+class AddedReading(NamedTuple):
     """Controller time [s] and the line of a reading that was added afterwards."""
 
     t: float
@@ -28,7 +28,7 @@ class Reading(NamedTuple):
 NO_ARRIVAL = {"arrival": False}  # in every such line: its arrival was not observed
 
 
-def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
+def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     """Yield the readings of a table in order of time. Raises TableError with file and row, InputError if joints are
     named.
     """
@@ -44,7 +44,7 @@ def readings(path: Path, options: FileOptions) -> Iterator[Reading]:
     return _readings(path, options.columns)
 
 
-def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[Reading]:
+def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
     if path.exists() and not path.is_file():
         raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
@@ -56,7 +56,7 @@ def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[Readin
         raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
 
 
-def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iterator[Reading]:
+def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
     lines = _lines(path, file)
     header = next(lines, "")
     separator = separator_of(header)
@@ -79,7 +79,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
                     "make two tables if the controller was restarted"
                 )
             last = reading.t
-            yield Reading(reading.t, line)
+            yield AddedReading(reading.t, line)
     except TableError:
         raise
     except InputError as exc:

@@ -19,7 +19,7 @@ from truearm.errors import InputError
 if TYPE_CHECKING:
     from truearm.record.links import Clock, Link
     from truearm.record.reopening import Reopening
-    from truearm.record.robots.joint_table import Reading
+    from truearm.record.robots.joint_table import AddedReading
 
 
 class SourceEntry(NamedTuple):
@@ -103,13 +103,13 @@ def open_source(url: str, clock: Clock) -> Reopening:
     return Reopening(open_link)
 
 
-def readings_of_file(path: Path, options: FileOptions) -> Iterator[Reading]:
+def readings_of_file(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     """Return the readings of a file by its suffix, in order; a file with an unknown suffix is read as a table.
 
     Raises InputError if there is no such file, topic or joint, SessionError or TableError if a file is damaged.
     """
     entry = next((e for e in FILES if path.suffix.lower() in e.suffixes or (e.folder and path.is_dir())), TABLE)
-    readings: Iterator[Reading] = _module(entry.module).readings(path, options)
+    readings: Iterator[AddedReading] = _module(entry.module).readings(path, options)
     return readings
 
 
