@@ -267,10 +267,6 @@ class Rig:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for of in ("chucks", "spheres", "bars", "targets", "lines", "trackers", "planes"):
-            for name, item in getattr(self, of).items():
-                if item.name != name:
-                    raise InputError(Argument(of), f": {name!r} holds {item.name!r}; name both alike")
 
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""

@@ -428,7 +428,6 @@ REFUSED = [
     *(("allow", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, options=options(allow=(v,))))
       for v in ("chuck.c1@9999", "chuck.c1.thermal_drift")),
     ("bars", InputError, lambda a: planned(a.robot, a.bench, poses=8, bars=("b99",))),
-    ("chucks", InputError, lambda a: truearm.Rig(chucks={"c1": truearm.Point("c2", (0.0, 0.0, 0.0))})),
     *(("q", error, lambda a, v=v: a.result.outside(v)) for v, error in ((None, TypeError), ("home", TypeError), ([0.0] * 6, InputError), ([[0.0] * 5], InputError))),
     *(("residual", TypeError, lambda a, v=v: truearm.Figures.of(v)) for v in (None, "1.0")),
     *(("residuals", TypeError, lambda a, v=v: truearm.Figures.by_unit(v)) for v in (None, [1.0])),
