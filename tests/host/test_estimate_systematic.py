@@ -9,7 +9,7 @@ import pytest
 from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, lengths, random_poses, random_table, table
 
 import truearm
-from truearm.errors import ProblemError
+from truearm.errors import InputError
 from truearm.estimate.identify import SolverOptions, identify, modelled_of
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
@@ -319,10 +319,10 @@ def test_a_drift_is_named_by_what_it_is_linear_in(name):
 
 def test_a_drift_needs_what_it_is_linear_in():
     rows = worlds.clean(worlds.plan(), np.random.default_rng(0))
-    with pytest.raises(ProblemError, match=r"thermal_drift: rows 1 to 360 have no temperature, or it does not change"):
+    with pytest.raises(InputError, match=r"thermal_drift: rows 1 to 360 have no temperature, or it does not change"):
         worlds.identified(rows, [parse_effect("bar.bar46.zero.thermal_drift")])
     still = replace(rows, temperature=np.full(len(rows), 24.5))
-    with pytest.raises(ProblemError, match="have no temperature, or it does not change"):
+    with pytest.raises(InputError, match="have no temperature, or it does not change"):
         worlds.identified(still, [parse_effect("bar.bar46.zero.thermal_drift")])
     by_order = worlds.identified(rows, [parse_effect("bar.bar46.zero.drift")])
     timed = replace(rows, time=1e9 + DWELL_S * np.arange(len(rows)))
