@@ -224,7 +224,7 @@ CERTIFICATE = Certificate(
     ),
     files=tuple(("observations", f"monday{i}.mcap", f"{i}" * 64) for i in range(12)),
     method=(
-        ("solver", "lm, linear loss, prior default, joint laws none"),
+        ("solver", "lm, linear loss, prior where-needed, joint laws none"),
         ("observations", "800 fitted, 800 held out (bar=bar61)"),
     ),
 )

@@ -69,8 +69,12 @@ def test_what_the_prior_holds_is_still_called_hardly_seen():
     [
         ("none", (), "All free parameters are identifiable."),
         ("wide", (), "The observations alone, without the prior, identify all free parameters."),
-        ("default", ("joint5.d",), "these, 1 of them is weakly identifiable and held by the weak prior."),
-        ("default", ("joint5.d", "joint5.a"), "these, 2 of them are weakly identifiable and held by the weak prior."),
+        ("where-needed", ("joint5.d",), "these, 1 of them is weakly identifiable and held by the weak prior."),
+        (
+            "where-needed",
+            ("joint5.d", "joint5.a"),
+            "these, 2 of them are weakly identifiable and held by the weak prior.",
+        ),
     ],
 )
 def test_what_is_identifiable_is_so_by_the_observations_alone(prior, believed, text):

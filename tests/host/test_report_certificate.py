@@ -81,6 +81,19 @@ def test_a_result_that_was_changed_is_refused(made, tmp_path, run, spoil, compla
     assert not (tmp_path / "page.html").exists()
 
 
+def test_the_name_of_a_prior_in_earlier_results_is_read(made, tmp_path, run):
+    """Before 0.4.0 the prior ``where-needed`` was called ``default``."""
+    poses, *given = made[2:7]
+    asked = ["--solver", "lm", "--joint-laws", "none", "--prior", "where-needed"]
+    assert run("identify", poses, *given, *asked, "--out", tmp_path / "r.json", "--force").code == 0
+    document = json.loads((tmp_path / "r.json").read_text())
+    assert document["made_with"]["prior"] == "where-needed"
+    document["made_with"]["prior"] = document["prior"] = "default"
+    (tmp_path / "r.json").write_text(json.dumps(with_checksum(document)))
+    assert run(*made).code == 0
+    assert "prior none" in words((tmp_path / "page.html").read_text("utf-8"))  # these rows need none
+
+
 def test_files_that_were_changed_since_are_refused(made, tmp_path, run):
     text = (tmp_path / "rig.toml").read_text()
     (tmp_path / "rig.toml").write_text(text + "# a word more\n")

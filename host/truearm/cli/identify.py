@@ -89,8 +89,8 @@ def identify(
         Prior | None,
         typer.Option(
             help=f"Prior about the nominal values. weak: sigma of {' and '.join(tolerances('weak')[:2])}. wide: {' and '.join(tolerances('wide')[:2])}. "
-            "default: like weak, but for weakly identifiable parameters only (the name means the default of lm and recursive). Without this option: weak for a "
-            "URDF; otherwise wide for --solver map, default for lm and recursive, none for ls."
+            "where-needed: like weak, but for weakly identifiable parameters only. Without this option: none for --solver ls; otherwise "
+            "weak for a URDF; otherwise where-needed for lm and recursive, wide for map, none for renders-1991."
         ),
     ] = None,
     solver: Annotated[

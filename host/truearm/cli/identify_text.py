@@ -154,7 +154,7 @@ def _prior(document: Document) -> str:
     match Prior(document["prior"]):
         case Prior.NONE:
             return "without a prior"
-        case Prior.DEFAULT:
+        case Prior.WHERE_NEEDED:
             believed = document["defaults"]["believed"]
             return f"with a weak prior on {_names(believed)}, weakly identifiable here (off: --prior none)"
         case Prior.WEAK | Prior.WIDE as name:

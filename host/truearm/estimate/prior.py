@@ -44,9 +44,9 @@ def wide_prior(chain: Chain) -> Floats:
 
 
 def prior_named(chain: Chain, prior: Prior) -> Floats | None:
-    """Return the standard deviations (p,) of a prior; None for no prior and for the default, which depends on the data."""
+    """Return the standard deviations (p,) of a prior; None for no prior and for one where needed, which depends on the data."""
     match prior:
-        case Prior.NONE | Prior.DEFAULT:
+        case Prior.NONE | Prior.WHERE_NEEDED:
             return None
         case Prior.WEAK:
             return weak_prior(chain)

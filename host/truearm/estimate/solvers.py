@@ -16,10 +16,13 @@ if TYPE_CHECKING:
 
 
 class Prior(StrEnum):
-    """The robot's prior before any measurement. DEFAULT: the weak one, where the data determine less (``defaults``)."""
+    """The robot's prior before any measurement.
+
+    WHERE_NEEDED: the weak one, only for parameters that the data determine less accurately than a drawing (``defaults``).
+    """
 
     NONE = "none"
-    DEFAULT = "default"
+    WHERE_NEEDED = "where-needed"
     WEAK = "weak"
     WIDE = "wide"
 
@@ -44,7 +47,7 @@ class SolverEntry(NamedTuple):
     module: str
     summary: str
     has_loss: bool = False
-    prior: Prior | None = Prior.DEFAULT
+    prior: Prior | None = Prior.WHERE_NEEDED
     starts_from_rig: bool = False
     reads_noise: bool = False
     ends_by_recipe: bool = False

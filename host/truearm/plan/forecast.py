@@ -229,9 +229,9 @@ def _as_identified(known: Known, planned: ObservationTable) -> tuple[Known, Floa
     if known.prior is None:
         return known, robot_prior(known.chain, None), Defaults()
     rows, named = _all_rows(known, planned), np.zeros(known.free.size, dtype=bool)
-    by_default = known.prior is Prior.DEFAULT
-    free, weak, chosen = choose_defaults(known.chain, known.rig, rows, known.free, named, by_default)
-    sigma = weak if by_default else robot_prior(known.chain, prior_named(known.chain, known.prior))
+    where_needed = known.prior is Prior.WHERE_NEEDED
+    free, weak, chosen = choose_defaults(known.chain, known.rig, rows, known.free, named, where_needed)
+    sigma = weak if where_needed else robot_prior(known.chain, prior_named(known.chain, known.prior))
     return replace(known, free=free), sigma, chosen
 
 

@@ -252,8 +252,8 @@ def _prior(name: str) -> str:
     match Prior(name):
         case Prior.NONE:
             return "none"
-        case Prior.DEFAULT:
-            return f"default: nominal to {', '.join(tolerances('weak'))} where the observations determine less"
+        case Prior.WHERE_NEEDED:
+            return f"where needed: nominal to {', '.join(tolerances('weak'))} where the observations determine less"
         case Prior.WEAK | Prior.WIDE as of_all:
             return f"{of_all}: nominal to {', '.join(tolerances(of_all))}"
         case never:

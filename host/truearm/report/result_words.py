@@ -89,7 +89,7 @@ def all_identifiable(prior: str, believed: Sequence[str]) -> str:
             return "All free parameters are identifiable."
         case Prior.WEAK | Prior.WIDE:
             return "The observations alone, without the prior, identify all free parameters."
-        case Prior.DEFAULT:
+        case Prior.WHERE_NEEDED:
             are = "1 of them is" if len(believed) == 1 else f"{len(believed)} of them are"
             return (
                 f"With the declared noise, the observations alone identify all free parameters. With residuals as large as "

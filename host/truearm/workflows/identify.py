@@ -67,8 +67,8 @@ class IdentifyOptions:
     freeze : tuple of str
         Patterns of parameters to hold fixed.
     prior : str or None
-        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "default": the weak one, but only
-        for parameters that the observations determine less accurately. None: chosen by robot and solver.
+        "none", "weak" (1 mm, 5 mrad) or "wide" (10 mm, 52 mrad), about the nominal values, or "where-needed": the weak one,
+        but only for parameters that the observations determine less accurately. None: chosen by robot and solver.
     solver : str
         {solver}.
     loss : str
@@ -310,9 +310,11 @@ def identified(
     fitted = table.select(~unused)
     effects = tuple(map(parse_effect, options.allow))
     allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
-    free, weak, chosen = choose_defaults(chain, rig, fitted, selection.free, named, prior is Prior.DEFAULT, allowed)
-    sigma = weak if prior is Prior.DEFAULT else prior_named(chain, prior)
-    if prior is Prior.DEFAULT and not chosen.believed:
+    free, weak, chosen = choose_defaults(
+        chain, rig, fitted, selection.free, named, prior is Prior.WHERE_NEEDED, allowed
+    )
+    sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
+    if prior is Prior.WHERE_NEEDED and not chosen.believed:
         prior = Prior.NONE
     estimate = estimate_parameters(
         chain,

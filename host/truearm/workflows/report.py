@@ -11,6 +11,7 @@ import numpy as np
 
 from truearm import __version__
 from truearm.errors import InputError
+from truearm.estimate.solvers import Prior
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project
 from truearm.files.robot_file import load_robot
@@ -24,6 +25,7 @@ from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
 
+EARLIER_NAME = "default"  # of the prior "where-needed", in results of truearm before 0.4.0
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
 
@@ -100,6 +102,8 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in made.items() if key in names
     }
+    if given.get("prior") == EARLIER_NAME:
+        given["prior"] = Prior.WHERE_NEEDED.value
     hold_out = made.get("hold_out", [])
     if (
         set(made) - names - {"hold_out"}
