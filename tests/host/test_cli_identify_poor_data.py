@@ -179,7 +179,7 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
         "3 combinations of parameters are weakly identifiable, less accurately than from a drawing (1 mm, 5 mrad"
         in text
     )
-    assert f"Next: {POSES} to identify 3 more parameters" in text
+    assert f"Next: {POSES} to determine 3 more parameters better than a drawing" in text
     varied, plain = identified(random_table(200, np.random.default_rng(9), SIGMA))
     assert (varied["hardly_seen"], varied["additions"]) == ([], [])
     assert "All free parameters are identifiable." in plain

@@ -225,10 +225,13 @@ def test_what_to_measure_next():
         Addition("pairing", ("c3", "s2"), 35, ("link2.x",), "measure with chuck c3, sphere s2 too"),
         Addition("place", (), 34, tuple(f"p{i}" for i in range(15)), "seat the ball at a new place"),
     )
-    text = render(replace(page, estimate=replace(page.estimate, additions=additions)))
+    rank = page.estimate.rank
+    text = render(replace(page, estimate=replace(page.estimate, additions=additions, rank=rank - 1)))
     assert "<li>Measure with chuck c3, sphere s2 too to identify 1 more parameter: link2.x.</li>" in text
     assert "Seat the ball at a new place to identify 15 more parameters: p0, p1" in text
     assert "p11 and 3 others." in text
+    identifiable = render(replace(page, estimate=replace(page.estimate, additions=additions, rank=rank)))
+    assert "sphere s2 too to determine 1 more parameter better than a drawing: link2.x." in identifiable
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ class Address(Words):
 
     def check(self, wire: Any) -> str:
         if not isinstance(wire, str) or not re.fullmatch("[0-9a-f]{16}", wire):
-            raise SchemaError("must be 16 hexadecimal digits, small letters, in quotes")
+            raise SchemaError("must be 16 hexadecimal digits in lower case, in quotes")
         return wire
 
 

@@ -76,7 +76,7 @@ def demo(
             metavar="N",
             min=90,
             max=5000,
-            help="Dwells with each of two bars. Those of the first bar are fitted, those of the second validate.",
+            help="Dwells with each of two bars. Those of the first bar are fitted, those of the second are held out.",
         ),
     ] = 800,
     seed: SeedOption = 1,
@@ -103,8 +103,8 @@ def demo(
 ) -> None:
     """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
 
-    The box runs the real firmware in MicroPython, in virtual time. Without MicroPython the firmware runs in CPython, and the
-    output says so.
+    The box runs the real firmware in MicroPython, in virtual time. Without MicroPython the firmware runs in CPython, with
+    a note.
 
     \b
     Example:

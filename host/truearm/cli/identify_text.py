@@ -22,6 +22,7 @@ from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
     all_identifiable,
     drawing,
+    gain_words,
     kind_name,
     parts_words,
     pose_error_words,
@@ -464,9 +465,9 @@ def further_measurements(document: Document) -> list[str]:
     best: dict[str, Mapping[str, Any]] = {}
     for addition in document["additions"]:  # the most useful first
         best.setdefault(addition["kind"], addition)
+    full_rank = document["rank"] == document["n_free"]
     return [
-        f"Next: {one_line(a['text'])} to identify {counted(len(a['parameters']), 'more parameter')}: {_few(a)}."
-        for a in best.values()
+        f"Next: {one_line(a['text'])} {gain_words(len(a['parameters']), full_rank)}: {_few(a)}." for a in best.values()
     ]
 
 

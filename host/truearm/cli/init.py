@@ -46,7 +46,11 @@ def init(
         str | None, typer.Option(metavar="URL", help=f"Source of the robot's joint readings: {sources_help()}.")
     ] = None,
     box: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="Port of the box. Default: the box that is plugged in.")
+        str | None,
+        typer.Option(
+            metavar="DEVICE",
+            help="Port of the box. Without it, truearm record uses the box that is plugged in, and truearm box needs --box.",
+        ),
     ] = None,
     chucks: Annotated[
         int | None,

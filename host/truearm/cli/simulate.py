@@ -153,9 +153,9 @@ def simulate(
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
-    The true robot differs from the nominal one by a hidden truth that is drawn from tolerances (--truth-out writes it). The
+    The true robot differs from the nominal one by random errors, which are drawn from tolerances and hidden (--truth-out writes them). The
     simulation runs in real time behind local ports, or with --fast in virtual time straight into a session file. The box runs the
-    real firmware in MicroPython (without it in CPython, and the output says so), or with --level chip in an emulated RP2040, which
+    real firmware in MicroPython (without it in CPython, with a note), or with --level chip in an emulated RP2040, which
     may be slower than real time. Time starts with the first connection. The simulation ends when the robot's program has ended and
     the recorder has disconnected, or with Ctrl-C.
 

@@ -156,7 +156,7 @@ def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
     for table in tables[1:]:
         if table.q.shape[1] != tables[0].q.shape[1]:
             raise TableError(
-                f"{table.source[0]}: has {table.q.shape[1]} joints, {tables[0].source[0]} has {tables[0].q.shape[1]}"
+                f"{table.source[0]}: has {table.q.shape[1]} joints, {tables[0].source[0]} has {tables[0].q.shape[1]}; give rows of one robot"
             )
     return ObservationTable.joined(tables)
 

@@ -15,7 +15,7 @@ from truearm.kinds.registry import NAMES
 from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
-from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
+from truearm.report.result_words import OBSERVABILITY, gain_words, kind_name, residual_words
 from truearm.results import Addition, Estimate, Figures, PredictedError
 from truearm.text import counted
 from truearm.types import ObservationTable
@@ -73,14 +73,12 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
     """Return the fitted rows that disagree with all others, the farthest first."""
     rows = np.flatnonzero(e.suspect)
     if not rows.size:
-        return (
-            "<p>No fitted row is an outlier. By chance, one in a million rows without a fault would count as one.</p>"
-        )
+        return "<p>No fitted row is an outlier. By chance, one in a million rows without a fault would be called an outlier.</p>"
     rows = rows[np.argsort(-e.distance[rows], kind="stable")]
     left_out = int(np.sum(e.weight[rows] == 0.0))
     units = Figures.by_unit(e.residual, rows)
     verb = "is an outlier" if rows.size == 1 else "are outliers"
-    words = f"{counted(rows.size, 'fitted row')} {verb} (by chance, one in a million rows without a fault would count as one)"
+    words = f"{counted(rows.size, 'fitted row')} {verb} (by chance, one in a million rows without a fault would be called an outlier)"
     words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
     cells = [
         [
@@ -122,15 +120,15 @@ def _suggested(e: Estimate, names: Sequence[str]) -> str:
     return f"<details><summary>the {counted(len(names), 'parameter')} that can be distinguished</summary><p>{listed}</p></details>"
 
 
-def addition_list(additions: Sequence[Addition]) -> str:
-    """Return the suggested further measurements, the most useful first; "" if everything is identifiable."""
+def addition_list(additions: Sequence[Addition], full_rank: bool) -> str:
+    """Return the suggested further measurements, the most useful first; "" if nothing is missing."""
     if not additions:
         return ""
     items = []
     for a in additions:
         names = ", ".join(a.parameters[:MAX_NAMES])
         more = f" and {counted(len(a.parameters) - MAX_NAMES, 'other')}" if len(a.parameters) > MAX_NAMES else ""
-        words = f"{a.text[0].upper()}{a.text[1:]} to identify {counted(len(a.parameters), 'more parameter')}: {names}{more}."
+        words = f"{a.text[0].upper()}{a.text[1:]} {gain_words(len(a.parameters), full_rank)}: {names}{more}."
         items.append(f"<li>{escape(words, 900)}</li>")
     return f'<h3>What to measure next</h3><ul class="directions">{"".join(items)}</ul>'
 

@@ -220,14 +220,15 @@ def _pictures(page: CalibrationPage) -> str:
 
 
 def _sight(e: Estimate) -> str:
-    return visibility(e) + observability_table(e) + addition_list(e.additions)
+    full_rank = e.rank == int(e.free[: e.n_robot_parameters].sum())
+    return visibility(e) + observability_table(e) + addition_list(e.additions, full_rank)
 
 
 def _parameters(e: Estimate) -> str:
     robot, rig = range(e.law_parameters.start), range(e.n_robot_parameters, len(e.parameter_names))
     parts = [
         "<p>A single parameter may differ from the drawing because of how the fixtures are mounted, or because it "
-        "takes over the error of one held fixed; judge the arm by its predictions.</p>",
+        "takes over the error of a parameter that is held fixed; judge the arm by its predictions.</p>",
         parameter_table(e, robot),
     ]
     if rig:

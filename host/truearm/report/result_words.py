@@ -104,6 +104,12 @@ def drawing() -> str:
     return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
 
 
+def gain_words(n: int, full_rank: bool) -> str:
+    """Return what a further measurement gains for ``n`` parameters: with ``full_rank``, they are weakly identifiable already."""
+    found = counted(n, "more parameter")
+    return f"to determine {found} better than a drawing" if full_rank else f"to identify {found}"
+
+
 def kind_name(kind: str) -> str:
     """Return the name of a kind; a kind of a later version is its own name."""
     return kinds()[kind].name if kind in NAMES else kind

@@ -434,8 +434,8 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
         left = 0.5 * abs(bar.gain) * bar.travel - reserve - spread
         if left < LEFT:
             raise InputError(
-                f"bar {bar.name}: its travel is ±{MM.text(0.5 * bar.travel)}; less {MM.text(reserve)} of reserve and "
-                f"{MM.text(spread)} of spread, at least {MM.text(LEFT)} must remain; lower ",
+                f"bar {bar.name}: its travel of ±{MM.text(0.5 * bar.travel)}, less a reserve of {MM.text(reserve)} and a spread of "
+                f"{MM.text(spread)}, leaves less than {MM.text(LEFT)}; lower ",
                 *(Argument("reserve"), " or ", Argument("spread")),
             )
 
