@@ -184,7 +184,9 @@ TICK_S = 8e-9
 
 
 def _rows(rows: Iterable[tuple[str, float, str]]) -> str:
-    return table(("source", "µm", "how"), [(name, f"{metre * 1e6:.2g}", how) for name, metre, how in rows])
+    return table(
+        ("source", "µm", "how"), [(name, f"{float(f'{metre * 1e6:.2g}'):g}", how) for name, metre, how in rows]
+    )
 
 
 def lvdt_budget(circuit: Netlist) -> str:

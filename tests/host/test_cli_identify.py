@@ -39,7 +39,7 @@ def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: l
     outcome = run(*good, "--all-free", "--hold-out", "outer")
     assert outcome.code == 0
     for words in (
-        "puma560: 70 ball_bar rows to fit, 20 held out; converged",
+        "puma560: 70 ball_bar rows fitted, 20 held out; converged",
         "rank 36 of 54 free",
         "unidentifiable",
         "18 combinations of parameters are unidentifiable",
@@ -305,7 +305,7 @@ def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
         ("mon", "ball_bar", 90),
         ("tue", "pose", 60),
     ]
-    assert "puma560: 90 ball_bar, 60 pose rows to fit" in text
+    assert "puma560: 90 ball_bar, 60 pose rows fitted" in text
     assert re.search(r"^  mon: ball-bar +\d+\.\d{4} +\d+\.\d{4} +90$", text, re.M)
     assert re.search(r"^  tue: tracked pose +\d+\.\d{4} +\d+\.\d{4} +60$", text, re.M)
     # 2e-4 rad about three axes is 0.0198 deg; 180 of these angles, 6 % of which the fit takes up: 5.3 % each σ, four of them

@@ -87,7 +87,7 @@ def test_identify_says_how_late_the_readings_are(folder, solver, said):
 def test_identify_in_words_and_on_its_page(folder, said):
     command = ("identify", folder / "both.mcap", "--model", "puma560", "--solver", "map", "--line-points", "8")
     text = said(*command, "--hold-out", "shell=l2-down", "--report", folder / "page.html")
-    assert "24 line rows to fit, 8 held out" in text
+    assert "24 line rows fitted, 8 held out" in text
     late, sigma = map(
         float, re.search(r"time_offset: the joint readings are (\S+) ms late \(σ (\S+) ms\)", text).groups()
     )

@@ -40,5 +40,5 @@ def test_what_noise_alone_may_leave_is_not_called_unexplained():
     assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
     assert found.document["rms_unexplained_mm"] > 0.0
     text = " ".join(identify_text.chi2_notes(found.document))
-    assert re.search(r"and 0\.0\d+ mm is within chance", text)
+    assert re.search(r"and 0\.0\d+ mm may be chance", text)
     assert "unexplained" not in text

@@ -140,7 +140,7 @@ def headline(document: Document) -> str:
         fitted[entry["kind"]] = fitted.get(entry["kind"], 0) + entry["fitted"]
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
-    rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} to fit" + (f", {held} held out" if held else "")
+    rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} fitted" + (f", {held} held out" if held else "")
     end = f"{outcome(document['status'], document['iterations'])}"
     return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 

@@ -69,9 +69,9 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
     )
     if not parts:
         return ""
-    chance = "within chance" if loss == Loss.LINEAR else f"chance, or in rows that the {loss} loss weights down"
-    rest = chance if by_chance else "unexplained"
-    return f"Of the RMS after, declared noise explains {declared}, and {left} is {rest} (squares add up)."
+    weighted = "" if loss == Loss.LINEAR else f" or lie in rows that the {loss} loss weights down"
+    rest = f"may be chance{weighted}" if by_chance else "is unexplained"
+    return f"Of the RMS after, declared noise explains {declared}, and {left} {rest} (squares add up)."
 
 
 def pose_error_words(error: PoseError) -> str:
