@@ -189,11 +189,11 @@ class Device:
 
 @dataclass(frozen=True)
 class Plane:
-    """A flat that the tool touches.
+    """A plane that the tool touches.
 
     ``xyz`` [m] is a point on it and ``normal`` points to the side of positive distances, both in the base frame.
     ``sigma`` [m] is the standard deviation of one touch. ``offset_sigma`` [m] and ``tilt_sigma`` [rad] are those of the
-    flat's position along its normal and of its two tilts: 0 if known exactly, finite for a prior, None if unknown.
+    plane's position along its normal and of its two tilts: 0 if known exactly, finite for a prior, None if unknown.
 
     Examples
     --------
@@ -215,10 +215,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers and flats.
+    """The rig around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers and planes.
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
-    points that lines and trackers measure and that touch flats) are given in the end frame of the chain. ``seat_sigma``
+    points that lines and trackers measure and that touch planes) are given in the end frame of the chain. ``seat_sigma``
     [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base frame) holds the
     sockets with prior information; all others are placed by their own seats.
 
@@ -291,7 +291,7 @@ class ObservationTable:
     """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 
     - ``kind``: one of ``kinds.registry.NAMES``.
-    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the flat of a plane row (NaN: touched,
+    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row (NaN: touched,
       0). NaN for other kinds.
     - ``xyz`` [m]: the measured point of a line, position or pose row, in the device's axes.
     - ``rotation`` [rad]: the measured rotation vector of a pose row.

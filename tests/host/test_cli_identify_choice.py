@@ -39,7 +39,7 @@ def test_only_some_groups_are_fitted() -> None:
     both = held_out_rows(TABLE, ["a"], 0, ["a", "b"])
     assert both is not None
     assert both.tolist() == [True] * 3 + [False] * 5 + [True] * 2
-    with pytest.raises(InputError, match="leaves no row to fit"):
+    with pytest.raises(InputError, match="so none is left to fit"):
         held_out_rows(TABLE, ["b"], 0, ["b"])
     assert held_out_rows(TABLE, [], 0, ["a", "b", "c"]) is None
 

@@ -61,7 +61,7 @@ def test_everything_at_once_is_one_sound_page():
     for said in (
         "This explains the observations",
         "χ² per degree of freedom",
-        "touched flat",
+        "touched plane",
         "What to measure next",
         "an error of 0.0640 mm",
     ):

@@ -1,4 +1,4 @@
-"""A flat touched by a target on the tool: its signed distance from the plane, 0 or the radius of a touching ball.
+"""A plane touched by a target on the tool: its signed distance from the plane, 0 or the radius of a touching ball.
 
 The prediction is n·(T(q)·s − c) − offset, with a point c and a normal n₀ declared in the rig and n = exp([t₁e₁ +
 t₂e₂]×)·n₀. The three unknowns of a plane are its ``offset`` along n [m] and its two tilts t₁, t₂ [rad] about e₁ and e₂,
@@ -71,13 +71,13 @@ def frame_of(normal: Floats) -> Floats:
 
 
 def plane_numbers(name: str, flat: Plane) -> list[Number]:
-    """Return offset and tilts of a flat relative to its declared pose."""
+    """Return offset and tilts of a plane relative to its declared pose."""
     tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(flat.tilt_sigma)) for k in (1, 2)]
     return [Number(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:
-    """Return what the rows use of the rig: targets and flats."""
+    """Return what the rows use of the rig: targets and planes."""
     table, rig = scope.table, scope.rig
     targets = use_points(scope, rows, "target", rig.targets)
     flats = use(scope, rows, "plane", rig.planes, plane_numbers)
@@ -88,7 +88,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     distance = np.nan_to_num(table.value[rows], nan=0.0)
     sigma = np.array([flat.sigma for flat in known])[flats.which]
     variance = sigmas(scope, rows, sigma[:, None]) ** 2
-    # A flat of which only the approximate direction is known starts at the mean height of its touches.
+    # A plane of which only the approximate direction is known starts at the mean height of its touches.
     height = ((nominal_points(scope, rows, targets) - point) * frames[:, 2]).sum(axis=1) - distance
     for i, (offset, *_) in enumerate(flats.numbers):
         if np.isinf(offset.sigma):
@@ -128,7 +128,7 @@ KIND = Kind(
     labels=("plane", "target"),
     grouped_by=("plane",),
     regions=("plane",),
-    name="touched flat",
+    name="touched plane",
     residual={"m": "distance of the touching point from the flat, with its sign"},
-    groups="flat",
+    groups="plane",
 )

@@ -45,7 +45,7 @@ def held_out_rows(
         held = others if also is None else others | also
         if held.all():
             raise InputError(
-                FIT_ONLY, f" {fit_only[0]} leaves no row to fit apart from those held out; name other rows"
+                FIT_ONLY, f" {fit_only[0]} names only rows that are held out, so none is left to fit; name others"
             )
         return held if held.any() else None
     if not wanted:
