@@ -82,7 +82,7 @@ def test_a_result_that_was_changed_is_refused(made, tmp_path, run, spoil, compla
 
 
 def test_the_name_of_a_prior_in_earlier_results_is_read(made, tmp_path, run):
-    """Before 0.4.0 the prior ``where-needed`` was called ``default``."""
+    """Earlier versions called the prior ``where-needed`` ``default``."""
     poses, *given = made[2:7]
     asked = ["--solver", "lm", "--joint-laws", "none", "--prior", "where-needed"]
     assert run("identify", poses, *given, *asked, "--out", tmp_path / "r.json", "--force").code == 0

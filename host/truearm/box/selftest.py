@@ -39,7 +39,7 @@ class _Item:
     shown_as: str = "d"
 
 
-_HARDWARE = page("Build the box: order, build, wire, accuracy")
+_HARDWARE = page("Build the box: parts, wiring, accuracy")
 _NOISE = _Item(
     "noise of converter input {0}, shorted",
     "check the analogue ground and the 3.3 V supply; keep USB and motor cables away from the converter",

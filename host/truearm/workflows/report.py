@@ -25,7 +25,7 @@ from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
 
-EARLIER_NAME = "default"  # of the prior "where-needed", in results of truearm before 0.4.0
+EARLIER_NAME = "default"  # of the prior "where-needed", in earlier results
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
 
