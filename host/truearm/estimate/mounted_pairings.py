@@ -274,17 +274,17 @@ def posterior(transitions: Sequence[Floats], told: Floats, came: Floats, stayed:
     forward[0] = transitions[0].mean(axis=0) * came[0]
     scale[0] = forward[0].sum()
     forward[0] /= scale[0]
-    steps = [transitions[0]]
+    steps = np.array(transitions)
+    same = steps.diagonal(axis1=1, axis2=2) * stayed
+    steps *= came[:, None]
+    steps[:, range(states), range(states)] = same
     for i in range(1, n):
-        step = transitions[i] * came[i]
-        step[range(states), range(states)] = transitions[i].diagonal() * stayed[i]
-        steps.append(step)
-        forward[i] = forward[i - 1] @ step
-        scale[i] = forward[i].sum()
-        forward[i] /= scale[i]
+        step = forward[i - 1] @ steps[i]
+        scale[i] = step.sum()
+        forward[i] = step / scale[i]
     for i in range(n - 2, -1, -1):
-        backward[i] = steps[i + 1] @ backward[i + 1]
-        backward[i] /= backward[i].sum()
+        step = steps[i + 1] @ backward[i + 1]
+        backward[i] = step / step.sum()
     both = forward * backward
     return np.asarray(both / both.sum(axis=1, keepdims=True)), float(np.log(scale).sum() + top.sum())
 
@@ -403,7 +403,9 @@ class _Fit:
             less = jac[out] * weight[out, None]
             root = np.linalg.inv(np.linalg.cholesky(info - less.T @ jac[out]))
             delta = root.T @ (root @ (rhs - less.T @ residual[out]))
-            return self.residual[used] - self.jac[used] @ delta, self.jac[used] @ root.T
+            used_jac = self.jac[used].reshape(-1, delta.size)  # one product, not one for each dwell
+            misfit = self.residual[used] - (used_jac @ delta).reshape(-1, self.k)
+            return misfit, (used_jac @ root.T).reshape(-1, self.k, delta.size)
 
         seen = _Seen(*(np.full((self.n, self.k), np.nan) for _ in range(4)))
         label = self.number[rows, best]
