@@ -125,6 +125,7 @@ class WrongInput(StrEnum):
     LABELS = "labels"
     SET_UP = "set-up"
     STUCK = "stuck joint"
+    CONSTANT = "constant of the rig"
     HELD = "held parameters"  # not a mistake: too few were free
 
 
@@ -141,8 +142,8 @@ class Explanation(NamedTuple):
     """Another interpretation of the inputs that explains the observations far better.
 
     ``rms_given`` and ``rms`` are the RMS residuals of quick fits of some rows, by SI unit, with the inputs as given and
-    as reinterpreted. ``apply`` lists rows to leave out, "" if that does not help. ``chance`` is the probability that
-    correct inputs appear this wrong.
+    as reinterpreted. ``apply`` lists rows to leave out, "" if that does not help, and ``allow`` is an error to allow.
+    ``chance`` is the probability that correct inputs appear this wrong.
     """
 
     what: WrongInput
@@ -152,6 +153,7 @@ class Explanation(NamedTuple):
     rms_given: Mapping[str, float]
     rms: Mapping[str, float]
     chance: float
+    allow: str = ""
 
 
 class DriftWith(StrEnum):

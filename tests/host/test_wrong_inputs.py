@@ -182,6 +182,66 @@ def test_half_a_mount_with_a_wrong_name_is_named_row_by_row(seed):
     assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
 
 
+def wrong_in_rig(what, size, seed):
+    """A session of the true rig, and a rig file in which a chuck or sphere has other coordinates, or a bar another zero."""
+    rng, rig = np.random.default_rng(seed), worlds.RIG
+    rows = worlds.clean(worlds.plan(), rng)
+    if what == "bar":
+        (name, bar), *_ = rig.bars.items()
+        wrong = replace(rig, bars={name: replace(bar, zero=bar.zero + size)})
+        return replace(rows, value=rows.value + size), wrong, f"bar.{name}.zero"  # the reading plus the rig's zero
+    items = getattr(rig, f"{what}s")
+    name = str(rng.choice(list(items)))
+    moved = tuple((np.array(items[name].xyz) + size * worlds.direction(rng)).tolist())
+    return rows, replace(rig, **{f"{what}s": {**items, name: replace(items[name], xyz=moved)}}), f"{what}.{name}"
+
+
+@pytest.mark.parametrize(("what", "size"), [("chuck", 20e-3), ("sphere", 8e-3), ("bar", -20e-3)])
+def test_a_wrong_number_in_the_rig_is_named_and_once_allowed_the_fit_is_usable(what, size):
+    """Seed 51. The sizes of a chuck and sphere are seen as far as turning the fixture about the others leaves them."""
+    rows, rig, name = wrong_in_rig(what, size, 51)
+    robot = truearm.load_robot("puma560")
+    given = truearm.identify(robot, rows, rig)
+    first = given.estimate.explanations[0]
+    assert given.estimate.unusable is Unusable.WRONG_INPUTS
+    assert (first.what, first.allow, first.apply) == (WrongInput.CONSTANT, name, "")
+    sentence = usability_sentences(given.document, lambda argument: f"--{argument}")[1]
+    assert f"{name} differs from the rig by " in sentence
+    assert sentence.endswith(f"; --allow {name}.")
+    allowed = truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(allow=(name,)))
+    assert allowed.estimate.unusable is None
+    assert allowed.estimate.systematic is None
+    assert allowed.estimate.chi2_reduced < 1.3 < given.estimate.chi2_reduced / 100.0
+    if what == "bar":
+        assert allowed.parameters[name].value == pytest.approx(-size, abs=1e-4)
+
+
+def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels():
+    """The fixture turned by a third and one chuck displaced fit such rows too, if chucks are renamed alone (seed 52)."""
+    rng, rig, plan = np.random.default_rng(52), worlds.RIG, worlds.plan()
+    uneven = {
+        column: {
+            name: replace(point, xyz=tuple((np.array(point.xyz) + rng.normal(0.0, 0.02, 3)).tolist()))
+            for name, point in getattr(rig, column).items()
+        }
+        for column in ("chucks", "spheres")
+    }
+    rig = replace(rig, **uneven)
+    chucks, spheres = (
+        np.array([points[name].xyz for name in names])
+        for points, names in ((rig.chucks, plan.chuck), (rig.spheres, plan.sphere))
+    )
+    length = np.linalg.norm(point_forward(worlds.CHAIN, worlds.TRUTH, plan.q, spheres) - chucks, axis=1)
+    rows = worlds.table(plan, length + SIGMA * rng.normal(size=len(plan)))
+    cycle = {"c1": "c2", "c2": "c3", "c3": "c1", "s1": "s2", "s2": "s3", "s3": "s1"}
+    chuck, sphere = (np.array([cycle[name] for name in names]) for names in (rows.chuck, rows.sphere))
+    for wrong in (replace(rows, chuck=chuck), replace(rows, chuck=chuck, sphere=sphere)):
+        estimate = found(wrong, rig=rig)
+        assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
+        assert [one.what for one in estimate.explanations] == [WrongInput.LABELS]
+        assert "the names of the chucks are permuted in all rows" in estimate.explanations[0].text
+
+
 def test_a_clean_session_is_not_doubted():
     """So nothing is tried: the rate of false alarms on data that fit is that of a fit whose RMS is twelve times its noise."""
     estimate = found(session())

@@ -5,8 +5,8 @@ finished table. Let S_g(l) be the sum of squares of group g's residuals under th
 did not influence: the nominal one, or one fitted to other groups. With the given names, S = Σ S_g(named). Two sorts of
 alternative labellings are compared with that:
 
-1. **Permutations.** The names of one column are permuted everywhere: all permutations of up to MOST_PERMUTED names; for
-   more names, the exchanges of two and the cycles.
+1. **Permutations.** The names of one column, or of two, are permuted everywhere: all permutations of up to MOST_PERMUTED
+   names; for more names, the exchanges of two and the cycles.
 2. **Groups.** Each group takes the labels that it fits best, if they fit it better by CLEARLY.
 
 **Chance.** If the names are correct, another labelling can seem to fit better only because the robot is inaccurate.
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
-from itertools import combinations, permutations
+from itertools import chain, combinations, permutations, product
 from typing import NamedTuple
 
 from scipy import special
@@ -83,18 +83,23 @@ def renamings(names: Sequence[str]) -> Iterator[dict[str, str]]:
 def permuted(
     could: Sequence[Collection[Labels]], named: Sequence[Labels], scope: Sequence[Hashable]
 ) -> Iterator[tuple[Labels, ...]]:
-    """Return the labels of all groups, with the names of one column exchanged throughout a scope; ``could``: the others."""
+    """Return the labels of all groups, with the names of one column, or of two, exchanged throughout a scope.
+
+    ``could``: the labels that each group can have.
+    """
     for one in dict.fromkeys(scope):
         mine = [g for g, other in enumerate(scope) if other == one]
-        for column in range(len(named[mine[0]])):
-            names = list(dict.fromkeys(labels[column] for g in mine for labels in could[g]))
-            for new in renamings(names):
-                changed = [list(labels) for labels in named]
-                for g in mine:
-                    changed[g][column] = new.get(changed[g][column], changed[g][column])
-                labels = tuple(map(tuple, changed))
-                if labels != tuple(named) and all(one in of for one, of in zip(labels, could, strict=True)):
-                    yield labels
+        columns = range(len(named[mine[0]]))
+        names = [list(dict.fromkeys(labels[column] for g in mine for labels in could[g])) for column in columns]
+        single = [[{column: new} for new in renamings(names[column])] for column in columns]
+        both = ({**a, **b} for i, j in combinations(columns, 2) for a, b in product(single[i], single[j]))
+        for new in (*chain.from_iterable(single), *both):
+            changed = list(named)
+            for g in mine:
+                changed[g] = tuple(new.get(k, {}).get(name, name) for k, name in enumerate(named[g]))
+            labels = tuple(changed)
+            if labels != tuple(named) and all(one in of for one, of in zip(labels, could, strict=True)):
+                yield labels
 
 
 def _each_best(squares: Squares, named: Sequence[Labels]) -> tuple[Labels, ...]:

@@ -6,7 +6,8 @@ Anything that a wrong interpretation would need beyond that is implausible. All 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +20,10 @@ from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, of_data
+from truearm.estimate.systematic_effects import Circumstances, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
-from truearm.results import Figures
+from truearm.results import Effect, Figures
 from truearm.types import Floats, ObservationTable, Residuals
 from truearm.units import UNITS
 
@@ -34,7 +36,7 @@ class Trial(NamedTuple):
     """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
 
     ``moved`` is the displacement of base or tool from the described pose, and ``shifted`` that of any other parameter
-    of the robot, in tolerances of manual mounting.
+    of the robot, in tolerances of manual mounting. ``off`` is how far each fitted parameter is from its start.
     """
 
     reduced: float
@@ -43,6 +45,9 @@ class Trial(NamedTuple):
     known: Mapping[str, float]
     moved: float
     shifted: float
+    names: tuple[str, ...]  # k fitted parameters
+    off: Mapping[str, float]
+    root: Floats  # (k, r): its product with its transpose is their covariance
 
 
 def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
@@ -50,17 +55,45 @@ def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
     return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None)
 
 
-def fitted(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Trial:
-    """Return the fit of the robot's ``free`` (p,) parameters, base, tool and rig to the rows. Raises ProblemError."""
-    return _trial(chain, rig, table, free, placed(chain, rig, table))
+def fitted(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: NDArray[np.bool_],
+    effects: Sequence[Effect] = (),
+    start: Trial | None = None,
+) -> Trial:
+    """Return the fit of the robot's ``free`` (p,) parameters, base, tool and rig to the rows. Raises ProblemError.
+
+    ``effects`` are errors that are fitted too, without a limit on their size.
+    """
+    return _trial(chain, rig, table, free, start or placed(chain, rig, table), effects)
 
 
-def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], start: Trial | None) -> Trial:
-    params = chain.params_nominal
-    mounted = mounting(chain, params).either
+def trial_problem(
+    chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_], effects: Sequence[Effect] = ()
+) -> tuple[Problem, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the problem, its fitted columns (P,), and the robot's parameters (p,) that place base or tool."""
+    mounted = mounting(chain, chain.params_nominal).either
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
-    problem = build_problem(chain, rig, table, prior)
+    modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table))
+    problem = build_problem(chain, rig, table, prior, modelled)
+    named = np.isin(problem.names, [one.effect.parameter(one.column) for one in modelled])
+    vague = np.where(named, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)
     columns = np.concatenate([free | mounted, np.ones(len(problem.names) - free.size, dtype=bool)])
+    return replace(problem, prior_sigma=vague), columns, mounted
+
+
+def _trial(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: NDArray[np.bool_],
+    start: Trial | None,
+    effects: Sequence[Effect] = (),
+) -> Trial:
+    params = chain.params_nominal
+    problem, columns, mounted = trial_problem(chain, rig, table, free, effects)
     if start is None:
         x = problem.start
         only = columns & (np.arange(columns.size) >= free.size)
@@ -70,14 +103,15 @@ def _trial(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bo
     else:
         x = at(problem, start.known)
         found = fit(problem, columns, x, TRIAL)
-    shares = prior_shares(half(spectrum(found.information.root)), found.prior_sigma)
-    quality = goodness(*of_data(problem, columns, found), shares)
+    root = half(spectrum(found.information.root))
+    quality = goodness(*of_data(problem, columns, found), prior_shares(root, found.prior_sigma))
     rms = {unit: figures.rms for unit, figures in Figures.by_unit(found.information.residual).items()}
     moves = np.abs(found.x[: free.size] - params) / wide_prior(chain)
     known = dict(zip(problem.names, found.x.tolist(), strict=True))
-    return Trial(
-        quality.reduced, quality.freedom, rms, known, *(float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
-    )
+    off = dict(zip(problem.names, (found.x - problem.start).tolist(), strict=True))
+    names = tuple(name for name, one in zip(problem.names, columns, strict=True) if one)
+    moved, shifted = (float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
+    return Trial(quality.reduced, quality.freedom, rms, known, moved, shifted, names, off, root)
 
 
 def at(problem: Problem, known: Mapping[str, float]) -> Floats:
@@ -101,11 +135,18 @@ def square(residual: Residuals) -> Floats:
     return np.asarray(np.nansum(parts, axis=0))
 
 
-def tried(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[np.bool_]) -> Trial | None:
+def tried(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    free: NDArray[np.bool_],
+    effects: Sequence[Effect] = (),
+    start: Trial | None = None,
+) -> Trial | None:
     """Return the result of ``fitted``; None if rows and robot do not define a problem, or nothing is fitted."""
     try:
         with np.errstate(all="ignore"):
-            found = fitted(chain, rig, table, free)
+            found = fitted(chain, rig, table, free, effects, start)
     except (ProblemError, np.linalg.LinAlgError):
         return None
     return found if np.isfinite(found.reduced) else None

@@ -12,6 +12,7 @@ iteration was stopped early.) The usual mistakes in a lab are tried:
 - stuck joint: the reading of one joint is identical to the last digit in a run of rows while others move
   (``rows_apart``, as the next one);
 - set-up: the first or the last rows belong to another one;
+- rig: one chuck, sphere, socket or bar is not where, or as long as, the rig says (``wrong_constants``);
 - held parameters: too few were free, and those that are free by default explain the rest, even if only by less. Then
   the inputs are correct and the fit is as requested.
 
@@ -25,7 +26,7 @@ the residuals; rows that an interpretation leaves out count with the variance of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,8 +38,10 @@ from truearm.estimate.other_readings import Candidate, Interpretation, Mask, of_
 from truearm.estimate.problem import Rigs
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
+from truearm.estimate.systematic import GROSS
 from truearm.estimate.trial_fit import Trial, tried
 from truearm.estimate.uncertainty import LEAST_FREEDOM
+from truearm.estimate.wrong_constants import wrong_constants
 from truearm.model.chain import Chain
 from truearm.results import Estimate, Explanation, Figures, Relabelling, Unusable, WrongInput
 from truearm.text import counted
@@ -48,6 +51,7 @@ from truearm.units import UNITS
 MOST_NAMED = 3
 MOST_HELD = 6  # names of parameters
 AS_LIKELY = 4.0  # χ² of explanations that are reported with the best
+FAR_FETCHED = 1.0  # score of a wrong constant that is not reported beside a better explanation
 
 
 def diagnosed(
@@ -58,19 +62,23 @@ def diagnosed(
     free: Mask,
     robots: Mapping[str, Candidate] | None = None,
     usual: Mask | None = None,
+    allowed: Collection[str] = (),
 ) -> Estimate:
     """Return the estimate with explanations if it is doubtful, and with the reason if it is not usable.
 
     ``free`` (p,) are the parameters requested for identification, before any were fixed by default; ``usual`` (p,)
-    those that the robot has free by default; ``robots`` are others to try.
+    those that the robot has free by default; ``robots`` are others to try. Items that are ``allowed`` to be off were
+    fitted.
     """
     explanations: tuple[Explanation, ...] = ()
     labels = Search((), "not needed")
     finished = _finished(chain, rig, table, estimate.fitted, free) if _unconverged(estimate) else None
     if absurd(estimate) and finished is None:
-        explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual)
+        explanations, labels = explanations_of(chain, rig, table, estimate.fitted, free, robots or {}, usual, allowed)
     elif elsewhere(estimate) or (finished is not None and max(finished.moved, finished.shifted) > FAR):
         explanations, labels = _as_described(chain, rig, table, estimate.fitted, free, robots or {})
+    elif estimate.chi2_reduced > GROSS**2:  # within a drawing's tolerances: only a constant can be so little wrong
+        explanations = _constants(chain, rig, table, estimate.fitted, free, allowed)
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     if any(one.what is not WrongInput.HELD for one in explanations):
         # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
@@ -86,6 +94,7 @@ def explanations_of(
     free: Mask,
     robots: Mapping[str, Candidate],
     usual: Mask | None = None,
+    allowed: Collection[str] = (),
 ) -> tuple[tuple[Explanation, ...], Search]:
     """Return explanations of the ``rows`` (n,) of a table better than the given inputs, the most probable first; and labels."""
     n = int(rows.sum())
@@ -104,6 +113,9 @@ def explanations_of(
         before = tried(chain, rig, given, free)
         if found or before is None or before.freedom < 1.0:
             return _ranked(found), labels
+    constants = list(wrong_constants(chain, rig, given, free, before, allowed))
+    if any(of.fit.moved < NEAR for of in constants):
+        return _ranked(constants), labels
     for what, readings in other_readings(chain, rig, given, free, robots):
         found += _explaining(what, readings, before)
         if found:
@@ -114,6 +126,7 @@ def explanations_of(
         found += other_set_up(chain, rig, table, np.flatnonzero(rows), free, before)
         labels = relabellings(chain, rig, table, rows, free, [of.fit for of in found])
         found += _by_labels(labels, table, n)
+    found += constants
     return _ranked(found), labels
 
 
@@ -141,6 +154,17 @@ def _as_described(
                 found.append(found_in(WrongInput.ROBOT, one.text, len(given), before, after, 1))
     labels = relabellings(chain, rig, table, rows, free)
     return _ranked([*found, *_by_labels(labels, table, int(rows.sum()))]), labels
+
+
+def _constants(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, allowed: Collection[str]
+) -> tuple[Explanation, ...]:
+    """Return the constants of the rig that explain some ``rows`` (n,)."""
+    given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
+    before = tried(chain, rig, given, free)
+    if before is None or before.freedom < 1.0:
+        return ()
+    return _ranked(list(wrong_constants(chain, rig, given, free, before, allowed)))
 
 
 def absurd(estimate: Estimate) -> bool:
@@ -195,6 +219,10 @@ def _ranked(found: Sequence[Found]) -> tuple[Explanation, ...]:
         return ()
     best = min(found, key=lambda of: of.score)
     beside = [of for of in found if of.fit.reduced <= AS_LIKELY * best.fit.reduced]
+    # An item far from its place, with base and tool rotated to it, is what wrong labels look like.
+    beside = [
+        of for of in beside if of.explanation.what is not WrongInput.CONSTANT or of.score < best.score + FAR_FETCHED
+    ]
     if best.explanation.what is not WrongInput.SET_UP:
         beside = [of for of in beside if of.explanation.what is not WrongInput.SET_UP]
     ranked = sorted({id(of): of for of in (best, *beside)}.values(), key=lambda of: of.score)

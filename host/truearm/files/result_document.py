@@ -219,7 +219,7 @@ def _explanation(one: Explanation) -> dict[str, Any]:
     return {
         "what": one.what.value,
         "text": one.text,
-        "apply": {"leave_out": one.apply} if one.apply else None,
+        "apply": {"leave_out": one.apply} if one.apply else {"allow": one.allow} if one.allow else None,
         "n": one.n,
         **{key("rms_given", si): shown_or_null(rms, si) for si, rms in one.rms_given.items()},
         **{key("rms", si): shown_or_null(rms, si) for si, rms in one.rms.items()},

@@ -10,6 +10,7 @@ from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS
 
 Document = Mapping[str, Any]
+NUMBERED = " (rows numbered from 1 over all inputs)"
 
 
 def few_freedom(freedom: float | None, rank: int) -> bool:
@@ -39,7 +40,7 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
         text = one_line(one["text"])
         fits = f"in a quick fit: RMS {_sizes(one, 'rms')} with this change, {_sizes(one, 'rms_given')} as given"
         apply = "".join(
-            f"; {argument(name)} {value} (rows numbered from 1 over all inputs)"
+            f"; {argument(name)} {one_line(value)}{NUMBERED if name == 'leave_out' else ''}"
             for name, value in (one["apply"] or {}).items()
         )
         lines.append(f"{lead}: {text} ({fits}){apply}.")

@@ -36,7 +36,7 @@ from truearm.model.chain import Chain, forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
-from truearm.results import Estimate, PredictedError
+from truearm.results import Effect, Estimate, PredictedError
 from truearm.types import Floats, ObservationTable
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
@@ -338,7 +338,8 @@ def identified(
     chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
     others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
     with step("trying other interpretations of the inputs"):
-        estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot))
+        offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
+        estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot), offsets)
     with step("fitting joint laws"):
         chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
