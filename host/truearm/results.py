@@ -392,6 +392,13 @@ class PredictedError(NamedTuple):
     n: int  # poses
     relative: bool
 
+    def exceeds(self, unexplained: Mapping[str, MeanError]) -> bool:
+        """Return whether it is larger than the mean error of poses that were not fitted.
+
+        Those show only the errors that the rows measure: a tool error along a direction that no row sees is not in them.
+        """
+        return "m" in unexplained and self.rms > unexplained["m"].mean
+
 
 @dataclass(frozen=True)
 class Estimate:

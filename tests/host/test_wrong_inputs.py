@@ -15,6 +15,7 @@ from ur10_bench import RIG as UR10_RIG
 from ur10_bench import ROBOT as UR10
 
 import truearm
+from truearm.cli import identify_text
 from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.other_readings import Candidate
@@ -214,6 +215,25 @@ def test_a_wrong_number_in_the_rig_is_named_and_once_allowed_the_fit_is_usable(w
     assert allowed.estimate.chi2_reduced < 1.3 < given.estimate.chi2_reduced / 100.0
     if what == "bar":
         assert allowed.parameters[name].value == pytest.approx(-size, abs=1e-4)
+
+
+def test_the_error_to_expect_includes_what_no_row_sees():
+    """One of three chucks is unknown, so the arm can turn about the other two with it: no length sees that.
+
+    The bar repeats three times worse than declared, so the error of poses that were not fitted is said. It is 0.3 mm,
+    and the true error of the tool is several (seed 53).
+    """
+    rng, plan = np.random.default_rng(53), worlds.plan()
+    rows = worlds.table(plan, worlds.lengths(plan) + 3.0 * SIGMA * rng.normal(size=len(plan)))
+    rig = replace(worlds.RIG, chucks={**worlds.RIG.chucks, "c1": replace(worlds.RIG.chucks["c1"], sigma=20e-3)})
+    options = truearm.IdentifyOptions(joint_laws="none")
+    result = truearm.identify(truearm.load_robot("puma560"), rows, rig, options=options)
+    held_out = result.document["unexplained"]["mean_mm"]
+    assert held_out < 0.4 < 1.0 < result.document["predicted_error"]["rms_mm"]
+    first, second = identify_text.predicted(result.document)
+    assert first.startswith("The declared noise does not explain the residuals. Expect tool errors of ")
+    assert f"{result.document['predicted_error']['rms_mm']:.3g}"[:3] in first
+    assert second.startswith(f"What they measure errs by {held_out:.4f}"[:-2])
 
 
 def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels():

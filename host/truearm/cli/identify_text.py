@@ -28,7 +28,6 @@ from truearm.report.result_words import (
     pose_error_words,
     time_offset,
     unexplained_words,
-    without_systematic_words,
 )
 from truearm.report.systematic_words import systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
@@ -286,8 +285,8 @@ def predicted(document: Document) -> list[str]:
     if document["status"] != "converged" or not document["usable"]:
         return []
     if document["unexplained"] is not None:
-        beside = [without_systematic_words(MM.to_si(error["rms_mm"]), error["n"])] if error else []
-        return [_unexplained(document["unexplained"], bool(document["systematic"])), *beside]
+        tool = (MM.to_si(error["rms_mm"]), error["n"]) if error else None
+        return unexplained_words(_unexplained(document["unexplained"]), bool(document["systematic"]), tool)
     if error is None:
         return [
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
@@ -299,13 +298,13 @@ def predicted(document: Document) -> list[str]:
     ]
 
 
-def _unexplained(error: Document, systematic: bool) -> str:
-    """Return the mean error of poses that were not fitted, if the declared noise does not explain it."""
+def _unexplained(error: Document) -> dict[str, MeanError]:
+    """Return the mean errors of poses that were not fitted, by SI unit."""
     found = {}
     for unit in (SUFFIXES[name[5:]] for name in error if name.startswith("mean_")):
         mean, low, high = (from_shown(error[f"{name}_{unit.suffix}"], unit.si) for name in ("mean", "low", "high"))
         found[unit.si] = MeanError(mean, low, high, error[f"n_{unit.suffix}"], error["by"] == "held out")
-    return unexplained_words(found, systematic)
+    return found
 
 
 def seen(document: Document) -> list[str]:

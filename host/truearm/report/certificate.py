@@ -161,7 +161,7 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
             pairs.append(
                 ("RMS on observations that were not fitted", f"{size(error.rms, si)}, largest {size(error.max, si)}")
             )
-    if predicted and not e.unexplained:
+    if predicted and (not e.unexplained or predicted.exceeds(e.unexplained)):
         pairs.append(
             (
                 f"expanded uncertainty of the tool, from the parameters (k = {K:g})",

@@ -36,10 +36,11 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     )
 
 
-def unexplained_words(errors: Mapping[str, MeanError], systematic: bool) -> str:
-    """Return the mean error by SI unit of poses that were not fitted, if the declared noise does not explain it.
+def unexplained_words(errors: Mapping[str, MeanError], systematic: bool, tool: tuple[float, int] | None) -> list[str]:
+    """Return the error to expect if the declared noise does not explain the residuals, from poses that were not fitted.
 
-    ``systematic``: systematic errors were found.
+    ``errors`` are their mean errors by SI unit. ``systematic``: systematic errors were found. ``tool`` is the error of
+    the tool that the covariance predicts [m], over a number of poses. The larger of the two is the one to expect.
     """
     parts = []
     for si, error in errors.items():
@@ -48,13 +49,18 @@ def unexplained_words(errors: Mapping[str, MeanError], systematic: bool) -> str:
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
     of = f"{counted(n, 'pose')} held out" if held_out else f"{counted(n, 'pose')}, each predicted without its own rows"
     because = "The fit has systematic errors" if systematic else "The declared noise does not explain the residuals"
-    return f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."
-
-
-def without_systematic_words(rms: float, n: int) -> str:
-    """Return the error of the tool that the covariance predicts [m] over n poses, beside systematic errors."""
-    error = f"{number(rms, 'm')} {symbol('m')}"
-    return f"Without the systematic errors, these sigmas predict a tool error of {error} RMS over {counted(n, 'pose')}."
+    if tool is None:
+        return [f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."]
+    predicted = f"{number(tool[0], 'm')} {symbol('m')} RMS over {counted(tool[1], 'pose')}"
+    if "m" in errors and tool[0] > errors["m"].mean:
+        return [
+            f"{because}. Expect tool errors of {predicted}, by these sigmas: the rows measure only part of the tool's error.",
+            f"What they measure errs by {' and '.join(parts)}, the mean of {of}.",
+        ]
+    return [
+        f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}.",
+        f"Without the systematic errors, these sigmas predict a tool error of {predicted}.",
+    ]
 
 
 def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str = Loss.LINEAR) -> str:

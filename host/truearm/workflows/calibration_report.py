@@ -14,7 +14,7 @@ from truearm.files.disk import write_atomic
 from truearm.files.strict_json import number_or_null
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
-from truearm.results import Estimate
+from truearm.results import Estimate, PredictedError
 from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES
 
@@ -55,7 +55,7 @@ def write_page(
         longitude=longitudes(found.chain, found.rig, table, estimate),
         command=command,
         prior=found.prior,
-        predicted=None if estimate.unexplained else found.predicted,
+        predicted=found.predicted if found.predicted and _leads(found.predicted, estimate) else None,
         laws=tuple(law_sentences(found.document)),
         law_steps=tuple(
             (SUFFIXES[suffix].symbol, *step)
@@ -85,13 +85,18 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
 
 def _error_elsewhere(found: Identification) -> list[str]:
     """Describe the error where nothing was measured, if it does not follow from the parameters' covariance."""
-    from truearm.report.result_words import unexplained_words, without_systematic_words
+    from truearm.report.result_words import unexplained_words
 
     estimate, predicted = found.estimate, found.predicted
     if estimate.unexplained:
-        beside = [without_systematic_words(predicted.rms, predicted.n)] if predicted else []
-        return [unexplained_words(estimate.unexplained, estimate.systematic is not None), *beside]
+        tool = (predicted.rms, predicted.n) if predicted else None
+        return unexplained_words(estimate.unexplained, estimate.systematic is not None, tool)
     return [] if found.predicted else [UNPREDICTED]
+
+
+def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
+    """Return whether the covariance says which error of the tool to expect."""
+    return not estimate.unexplained or predicted.exceeds(estimate.unexplained)
 
 
 def _timing(estimate: Estimate) -> list[str]:

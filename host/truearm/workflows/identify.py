@@ -146,7 +146,7 @@ class Identification(Calibration):
     rig: Rigs
     table: ObservationTable
     estimate: Estimate
-    # The expected error of the tool; None if the residuals hold more than the declared noise.
+    # The expected error of the tool; None if the residuals hold more than the declared noise and it is smaller than that.
     predicted: PredictedError | None
 
     @property
@@ -347,8 +347,10 @@ def identified(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or declare the sigmas of the rig"
         )
     predicted = None
-    if estimate.status == "converged" and not estimate.unusable and estimate.covariance_explains:
+    if estimate.status == "converged" and not estimate.unusable:
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
+        if predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained):
+            predicted = None
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
