@@ -12,6 +12,7 @@ from result_schema import check_schema
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.report.systematic_words import hardly_matters, systematic_sentences
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +113,32 @@ def test_a_fit_that_did_not_converge_is_not_tested(run: Run, slip) -> None:
     outcome = run("identify", *files, "--max-iterations", "1", "--json")
     assert outcome.code == 3
     assert json.loads(outcome.out)["systematic"] == []
+
+
+def entry(rows, first_within, last_within):
+    """A finding of result.json."""
+    found = {"what": "target.reflector", "form": "offset", "rows": rows, "from": "a.csv row 1", "to": "a.csv row 232"}
+    within = {"first_within": first_within, "last_within": last_within}
+    size = {"unit": "m", "size": 8e-5, "sigma": 5e-6, "chi2_drop": 60.0, "freedom": 3, "rivals": []}
+    return {**found, **within, **size, "apply": {"allow": "target.reflector@1:232"}}
+
+
+def document(moves_mm, one):
+    """The parts of result.json that say what is systematic: 0.4 mm are to expect."""
+    would_be = {"chi2_reduced": 64.0, "tool_moves_mm": moves_mm, "held_out_ratio": 0.99}
+    return {"systematic": [one], "without_systematic": would_be, "unexplained": {"mean_mm": 0.4}}
+
+
+@pytest.mark.parametrize(("moves_mm", "little"), [(0.004, True), (0.2, False)])
+def test_a_finding_that_hardly_moves_the_tool_says_so(moves_mm, little):
+    of = document(moves_mm, entry([1, 232], [1, 1], [220, 244]))
+    assert hardly_matters(of) is little
+    finding, apply = systematic_sentences(of, str)
+    assert "rows 1 to 232±12 (in the files: a.csv row 1 to a.csv row 232)" in finding
+    assert ("less than a tenth of the error to expect" in apply) is little
+
+
+def test_a_finding_whose_last_row_may_be_anywhere_is_not_located():
+    finding, _ = systematic_sentences(document(0.2, entry([1, 232], [1, 1], [90, 744])), str)
+    assert "in some of rows 1 to 744 (it cannot be located; rows 1 to 232 fit best)" in finding
+    assert "±" not in finding

@@ -29,7 +29,7 @@ from truearm.report.result_words import (
     time_offset,
     unexplained_words,
 )
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
 from truearm.session.dwells import NEED_DECISION
@@ -63,7 +63,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
         console.print(line)
-    for line in systematic_sentences(document, _option):
+    for line in () if hardly_matters(document) else systematic_sentences(document, _option):
         console.print(line)
     for line in dwell_lines(document, files.inputs):
         console.print(line)
@@ -78,6 +78,9 @@ def show_result(document: Document, files: ResultFiles) -> None:
         console.print(_error_table(document, suffix))
         if steps := law_steps(document, suffix):
             console.print(_law_table(steps, SUFFIXES[suffix].symbol))
+    if hardly_matters(document):
+        for line in systematic_sentences(document, _option):
+            console.print(line)
     notes = (law_sentences, raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)

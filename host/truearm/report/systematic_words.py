@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, assert_never
 
 from truearm.results import DriftWith, ErrorForm
 from truearm.text import counted, one_line
 from truearm.units import DEGC, MM, UNITS
+
+LITTLE = 0.1  # of the error to expect: a tool motion below it changes nothing that the calibration is used for
+
+
+def hardly_matters(document: Mapping[str, Any]) -> bool:
+    """Return whether the tool moves by less than LITTLE of the error to expect if the systematic errors are applied."""
+    would_be, expected = document["without_systematic"], (document.get("unexplained") or {}).get("mean_mm")
+    if would_be is None or would_be["tool_moves_mm"] is None or expected is None:
+        return False
+    return bool(would_be["tool_moves_mm"] < LITTLE * expected)
 
 
 def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], str] | None = None) -> list[str]:
@@ -34,15 +44,12 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     )
     given = [item for entry in found for item in entry["apply"].items()]
     apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
-    return [*lines, f"To apply {them}: {apply}.{after}{moved}.{held}"]
+    little = " This is less than a tenth of the error to expect." if hardly_matters(document) else ""
+    return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
 
 
 def _sentence(entry: Mapping[str, Any]) -> str:
-    first, last = entry["rows"]
-    places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
-    rows = (
-        f"rows {_about(first, entry['first_within'])} to {_about(last, entry['last_within'])} (in the files: {places})"
-    )
+    rows = _rows(entry)
     freedom = counted(entry["freedom"], "degree of freedom", "degrees of freedom")
     gain = f"χ² falls by {entry['chi2_drop']:.4g} with {freedom}"
     match ErrorForm(entry["form"]):
@@ -61,10 +68,22 @@ def _sentence(entry: Mapping[str, Any]) -> str:
     return line
 
 
-def _about(row: int, within: Sequence[int]) -> str:
-    """Return a row's number, and how far off it may be."""
-    off = max(row - within[0], within[1] - row)
-    return f"{row}±{off}" if off else str(row)
+def _rows(entry: Mapping[str, Any]) -> str:
+    """Return the rows that an error concerns, and how far off the first and the last may be.
+
+    If one may be off by more rows than these are, the error is not located.
+    """
+    first, last = entry["rows"]
+    off = [
+        max(row - within[0], within[1] - row)
+        for row, within in ((first, entry["first_within"]), (last, entry["last_within"]))
+    ]
+    if max(off) > last - first:
+        of = f"rows {entry['first_within'][0]} to {entry['last_within'][1]}"
+        return f"some of {of} (it cannot be located; rows {first} to {last} fit best)"
+    places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
+    begins, ends = (f"{row}±{by}" if by else str(row) for row, by in zip((first, last), off, strict=True))
+    return f"rows {begins} to {ends} (in the files: {places})"
 
 
 def _along(entry: Mapping[str, Any]) -> str:
