@@ -212,7 +212,10 @@ def damage(bench, tmp_path, change):
 CHANGES = {
     "no value": (lambda d: d["parameters"][3].update(value=None), "missing or implausible"),
     "other names": (
-        lambda d: d["parameters"][3].update(name="link9.x", free=False),
+        lambda d: (
+            d["parameters"][3].update(name="link9.x", free=False),
+            d.update(free=[p["name"] for p in d["parameters"] if p["free"]], suggested_free=[]),
+        ),
         "differ from those of robot puma560",
     ),
     "other nominal": (lambda d: d["parameters"][3].update(nominal=0.5), "was identified from another"),

@@ -3,6 +3,7 @@
 import json
 import math
 import random
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from puma_bench import RIG, SIGMA, random_table
 
+import truearm
 from truearm.errors import InputError
 from truearm.files.observation_table import parse_table
 from truearm.files.result_document import document_of
-from truearm.files.result_file import RobotFrames, format_document, input_of, write_result
-from truearm.files.stored_result import parse_result, read_result
+from truearm.files.result_file import RobotFrames, format_document, input_of, with_checksum, write_result
+from truearm.files.stored_result import read_result, stored_result
 from truearm.kinds.registry import identifiers
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
@@ -90,9 +93,7 @@ def refuse(constant: str) -> None:
 @given(estimates())
 def test_any_estimate_is_strict_json_and_comes_back(estimate: Estimate) -> None:
     text = format_document(document_of(estimate, TABLE, ROBOT, []))
-    document = json.loads(text, parse_constant=refuse)
-    stored = parse_result(text, "r.json")
-    assert stored.document == document
+    stored = stored_result(json.loads(text, parse_constant=refuse))  # not checked: its numbers are drawn independently
     assert stored.robot == ROBOT
     assert stored.parameter_names == estimate.parameter_names
     np.testing.assert_array_equal(stored.nominal, estimate.nominal)
@@ -196,3 +197,54 @@ def test_a_damaged_result_is_refused_or_the_same(tmp_path: Path, n: int) -> None
             np.testing.assert_array_equal(found.covariance, whole.covariance)
             same += 1
     assert same < 0.1 * n
+
+
+IMPOSSIBLE = {
+    "a negative error": (("rms_after_mm",), -0.1, "rms_after_mm: '-0.1' is not a size"),
+    "an error in words": (("rms_after_mm",), "small", "rms_after_mm: 'small' is not a size"),
+    "half an observation": (("n_observations",), 88.5, "n_observations: '88.5' is not a count"),
+    "a parameter that is free in one list only": (("parameters", 0, "free"), False, "free: is not the list"),
+    "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameter link1.x: its unit is not known"),
+    "a suggestion to free what the robot does not have": (("suggested_free", 0), "link9.x", "suggested_free: names"),
+    "a negative variance": (("covariance", "matrix", 0, 0), -1e-9, "covariance: exceeds its variances"),
+    "a sigma of another covariance": (("parameters", 0, "sigma"), 1.0, "parameter link1.x: its sigma is not that"),
+    "a range from the end to the beginning": (
+        ("joint_range", "lower", 0),
+        9.0,
+        "joint_range: joint 1: are not in order",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result.json of 90 lengths of the PUMA (seed 71)."""
+    rows = random_table(90, np.random.default_rng(71), SIGMA)
+    result = truearm.identify(truearm.load_robot("puma560"), rows, RIG)
+    path = tmp_path_factory.mktemp("written") / "result.json"
+    write_result(path, result.document)
+    return path
+
+
+@pytest.mark.parametrize("what", IMPOSSIBLE)
+def test_numbers_that_no_result_can_have_are_refused_though_the_checksum_is_right(what, written, tmp_path) -> None:
+    """As from a program that edits results, and writes the checksum anew."""
+    place, value, message = IMPOSSIBLE[what]
+    document = json.loads(written.read_text())
+    at = document
+    for key in place[:-1]:
+        at = at[key]
+    at[place[-1]] = value
+    path = tmp_path / "r.json"
+    path.write_text(json.dumps(with_checksum(document)))
+    with pytest.raises(InputError, match=re.escape(message)):
+        read_result(path)
+
+
+def test_a_value_that_a_person_may_write_is_read(written, tmp_path) -> None:
+    document = json.loads(written.read_text())
+    document["parameters"][0]["value"] += 1e-4
+    document["message"] = "link1.x was measured by hand"
+    path = tmp_path / "r.json"
+    path.write_text(json.dumps(with_checksum(document)))
+    assert read_result(path).value[0] == document["parameters"][0]["value"]

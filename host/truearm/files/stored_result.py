@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from truearm.errors import InputError
 from truearm.files.disk import read_text
 from truearm.files.law_document import LAWS
+from truearm.files.result_consistency import check_consistent, check_covariance
 from truearm.files.result_file import CHECKSUM, FORMAT, FORMAT_VERSION, SINCE_CHECKSUM, RobotFrames, checksum
 from truearm.results import NullDirection, StillJoint
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import Floats, Law, Payload
 
-ROUNDING = 1e-6  # relative, of numbers that are computed in two ways
 MAX_BYTES = 64 * 2**20
 MAX_PARAMETERS = 20_000
 MAX_TEXT = 500  # characters; a parameter's name has at most 150
@@ -83,8 +83,9 @@ def parse_result(text: str, name: str) -> StoredResult:
         stored = stored_result(document)
         if version >= SINCE_CHECKSUM or CHECKSUM in document:
             _check_whole(document)
-        else:
-            _check_redundant(stored)
+        sigma = dict(zip(stored.parameter_names, stored.sigma.tolist(), strict=True))
+        check_covariance(stored.covariance_names, stored.covariance, sigma)
+        check_consistent(document)
         return stored
 
 
@@ -96,26 +97,6 @@ def _check_whole(document: Mapping[str, Any]) -> None:
         whole = False
     if not whole:
         raise SchemaError("was changed or damaged: its checksum does not match; copy it again or identify again")
-
-
-def _check_redundant(stored: StoredResult) -> None:
-    """Raise SchemaError if numbers that a result without a checksum holds twice differ, or no covariance can have them.
-
-    The values themselves stand there once, so damage to them is not found.
-    """
-    covariance = np.nan_to_num(stored.covariance)
-    bound = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.outer(bound, bound)
-    if (np.abs(covariance - covariance.T) > ROUNDING * scale).any():
-        raise SchemaError("covariance: is not symmetric, so the file is damaged; copy it again or identify again")
-    if (np.diag(covariance) < 0.0).any() or (np.abs(covariance) > (1.0 + ROUNDING) * scale).any():
-        raise SchemaError("covariance: exceeds its variances, so the file is damaged; copy it again or identify again")
-    sigma = dict(zip(stored.parameter_names, stored.sigma, strict=True))
-    for name, expected in zip(stored.covariance_names, bound, strict=True):
-        if abs(sigma[name] - expected) > ROUNDING * expected:  # False for a NaN, of a parameter that is unidentifiable
-            raise SchemaError(
-                f"parameter {name}: its sigma is not that of the covariance, so the file is damaged; copy it again or identify again"
-            )
 
 
 def _json_object(text: str, name: str) -> dict[str, Any]:
