@@ -23,8 +23,8 @@ from truearm.estimate.solution import prior_error
 from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.trial_fit import Trial, at, trial_problem, tried
 from truearm.model.chain import Chain
-from truearm.text import counted
 from truearm.results import Effect, WrongInput
+from truearm.text import counted
 from truearm.types import Floats, ObservationTable
 from truearm.units import UNITS, Unit
 

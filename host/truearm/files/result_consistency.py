@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from truearm.results import ErrorForm
 from truearm.schema import SchemaError
-from truearm.types import ErrorForm, Floats
+from truearm.types import Floats
 from truearm.units import SUFFIXES, UNITS
 
 ROUNDING = 1e-6  # relative, of numbers that are computed in two ways
