@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from tests.host.controllers import ProgramFault, pose_from
 
 TOKEN = re.compile(
-    r"""(?P<comment>![^\n]*)|(?P<string>"[^"\n]*")|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)
+    r"""(?P<comment>![^\n]*|%%%[^%]*%%%|<[A-Z]{3}>)|(?P<string>"(?:[^"\n]|"")*")|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)
         |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},;:\\.=<>?])|(?P<space>\s+)""",
     re.VERBOSE,
 )
 RESERVED = {"module", "endmodule", "proc", "endproc", "var", "pers", "const", "if", "then", "endif", "while", "do", "endwhile", "for",
             "return", "true", "false", "local", "task", "func", "trap", "record", "alias", "connect", "error", "undo", "main", "test", "endtest",
-            "case", "default", "else", "elseif", "endfor", "from", "to", "step", "endfunc", "endrecord", "not", "and", "or", "xor", "div", "mod"}  # fmt: skip
+            "case", "default", "else", "elseif", "endfor", "from", "to", "step", "endfunc", "endrecord", "not", "and", "or", "xor", "div", "mod", "goto", "raise", "retry", "trynext", "backward"}  # fmt: skip
 SPEEDS = {
     f"v{n}": [float(n), 500.0, 5000.0, 1000.0]
     for n in (5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 1000)
@@ -32,6 +32,7 @@ DATA = {
     **SPEEDS,
     "fine": "fine",
     "z10": "z10",
+    "load0": [0.001],
     "wobj0": [False, True, "", NO_FRAME, NO_FRAME],
     "tool0": TOOL0,
 }
@@ -45,6 +46,20 @@ OPERATORS = {
     "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
 }  # fmt: skip
 LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
+SIGNALS = (
+    "high",
+    "low",
+    "doglue",
+    "dogrip",
+    "dolamp",
+    "dipart",
+    "dipress",
+    "distop",
+    "diprobe",
+    "inpos50",
+    "errno",
+    "err_wait_maxtime",
+)
 TURNS = 10_000  # of all loops together: a program that runs longer is not a test
 
 
@@ -222,10 +237,11 @@ class Machine:
         local = []
         while self.word() in ("var", "pers", "const"):
             local.append(self.declaration(self.local_name))
-        body = self.block(f"end{kind}", "error", "undo")
+        ends = f"end{kind}", "error", "undo", "backward"
+        body = self.block(*ends)
         while not self.taken(f"end{kind}"):  # no error is raised here
-            self.take("error", "undo")
-            self.block(f"end{kind}", "error", "undo")
+            self.take("error", "undo", "backward")
+            self.block(*ends)
         self.routines[name] = parameters, local, body
 
     def block(self, *ends):
@@ -243,6 +259,10 @@ class Machine:
         if word in known:
             self.take()
             return known[word]()
+        if word in ("connect", "raise", "retry", "trynext"):  # of traps and errors, which do not occur here
+            while not self.taken(";"):
+                self.take()
+            return lambda frame: None
         if self.tokens[self.at + 1][1] in (":=", "{", "."):
             place = self.place()
             self.take(":=")
@@ -438,6 +458,8 @@ class Machine:
                 return self.data[name]
             if name in ("dotruearm", "ditruearm"):
                 return Cell(name)
+            if name in SIGNALS:
+                return Cell(0.0)
             raise ProgramFault(f"{name!r} is not known here")
 
         found = root
@@ -543,11 +565,11 @@ class Machine:
         self.use(tool)
         self.controller.move_joints(self.jointtarget(target), t)
 
-    def MoveJ(self, target, speed, zone, tool, wobj=None):
+    def MoveJ(self, target, speed, zone, tool, wobj=None, **options):
         pose = self.use(tool, wobj) @ self.robtarget(target)
         self.controller.move_joints(self.controller.solved(pose, self.controller.q))
 
-    def MoveL(self, target, speed, zone, tool, wobj=None):
+    def MoveL(self, target, speed, zone, tool, wobj=None, **options):
         frame = self.use(tool, wobj)
         if self.configurations["ConfL"] and isinstance(target, Computed):
             raise ProgramFault("a computed target while configurations are watched")
@@ -570,7 +592,10 @@ class Machine:
         self.MoveL(target.value, value_of(speed), "fine", value_of(tool), work)
         found.value = copy.deepcopy(target.value)
 
-    def ArcL(self, target, speed, seam, weld, zone, tool, weave=None, wobj=None):
+    def MoveLDO(self, target, speed, zone, tool, signal, level, wobj=None):
+        self.MoveL(target, speed, zone, tool, wobj)
+
+    def ArcL(self, target, speed, seam, weld, zone, tool, weave=None, wobj=None, seamname=""):
         self.MoveL(target, speed, zone, tool, wobj)
 
     def ArcC(self, circle, target, speed, seam, weld, zone, tool, weave=None, wobj=None):
@@ -589,14 +614,20 @@ class Machine:
         self.configurations["ConfL"] = not off
 
     def SetDO(self, signal, level):
-        if signal != "dotruearm" or level not in (0.0, 1.0):
+        if level not in (0.0, 1.0):
             raise ProgramFault("an output is 0 or 1")
-        self.controller.put_out(level == 1.0)
+        if signal == "dotruearm":
+            self.controller.put_out(level == 1.0)
+
+    def settled(self, *values, **options):
+        """Do what neither moves nor changes data."""
 
     def WaitTime(self, seconds, inpos=False):
         self.controller.t += seconds
 
     def WaitDI(self, signal, level, maxtime=None, timeflag=""):
+        if signal == 0.0:  # not the box's
+            return
         if signal != "ditruearm" or maxtime is None or timeflag is not False:  # a bool
             raise ProgramFault("an input that may never come is waited for with MaxTime and TimeFlag")
         self.controller.wait_for(level == 1.0, maxtime)
@@ -656,6 +687,9 @@ class Machine:
     def DInput(self, signal):
         return float(self.choices.pop(0)) if self.choices else 0.0
 
+    def Present(self, value):
+        return value is not None
+
     def Dim(self, array, dimension):
         return float(len(array))
 
@@ -671,10 +705,15 @@ def value_of(of):
 INSTRUCTIONS = {
     name.lower(): getattr(Machine, name)
     for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "TriggL", "TriggJ", "SearchL", "ArcL", "ArcC", "SpotL", "SpotJ", "ConfJ", "ConfL", "SetDO", "WaitTime",
-                 "WaitDI", "TPWrite", "Stop", "Add", "Incr", "Decr", "Clear")
+                 "WaitDI", "TPWrite", "Stop", "Add", "Incr", "Decr", "Clear", "MoveLDO")
 }  # fmt: skip
+INSTRUCTIONS |= {"arclstart": Machine.ArcL, "arclend": Machine.ArcL}
+INSTRUCTIONS |= dict.fromkeys(
+    ("accset", "velset", "gripload", "singarea", "isignaldi", "idelete", "triggio", "pdispoff", "eoffsoff"),
+    Machine.settled,
+)
 FUNCTIONS = {
     name.lower(): getattr(Machine, name)
-    for name in ("CalcRobT", "CRobT", "Offs", "OrientZYX", "RelTool", "DInput", "Dim")
+    for name in ("CalcRobT", "CRobT", "Offs", "OrientZYX", "RelTool", "DInput", "Dim", "Present")
 }
 WRITES = ("searchl", "add", "incr", "decr", "clear")  # arguments that they change

@@ -544,6 +544,33 @@ def test_what_would_fill_the_memory_is_refused_with_its_line(what):
         parsed(text, "urscript")
 
 
+def test_a_choice_among_thousands_of_conditions_that_call_is_followed():
+    """Each is reached only if none before it holds, so each is a layer deeper than the one before."""
+    text = "\n".join(
+        [
+            "def f(k):",
+            "return k > 1",
+            "end",
+            f"W={P}",
+            "if f(0):",
+            f"W={Q}",
+            *["elif f(1):\nn=1"] * 2000,
+            "end",
+            "movel(W)",
+        ]
+    )
+    assert len(parsed(text, "urscript").motions[0].goals) == 2
+
+
+def test_what_an_assignment_without_a_word_changes():
+    """The program's variable if there is one, so it no longer has its old value; in a function within a function, perhaps that function's."""
+    program, targets = script("global W = p[0,0,0.1,0,0,0]", f"W = {P}", "movel(W)")
+    assert lines_of(program, targets) == [3]
+    inner = ["def f():", f"W = {P}", "def g():", f"W = {Q}", "end", "g()", "movel(W)", "end", "f()"]
+    program, targets = script(*inner)
+    assert lines_of(program, targets) == [3, 5]
+
+
 @pytest.mark.parametrize(
     "grown", ["x=pose_trans(x,p[0,0,0.1,0,0,0])", "x=struct(a=x)", "x=[x]", "x=pose_trans(pose_inv(x),x)"]
 )

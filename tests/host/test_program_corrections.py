@@ -256,6 +256,24 @@ def test_one_point_under_two_tools_is_split(tmp_path):
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
+@pytest.mark.parametrize("known", ["W = V", "W = pose_trans(V, p[0,0,0.01,0,0,0])"])
+def test_a_move_that_may_go_elsewhere_stays_as_it_is(tmp_path, known):
+    """Numbers of its own in place of its argument would send it to the taught point where the run measures another."""
+    lines = (f"V = {six(POSES[1])}", "movej(V)", f"set_tcp(p{written(TOOLS[1])})", f"  {known}", "if random() > 0.5:", "  W = get_actual_tcp_pose()", "end", "movel(W)")  # fmt: skip
+    text = program(*lines)
+    found = outcome(tmp_path, text, split=True, partial=True)
+    after = found.text.decode("latin-1")
+    assert {one.line for one in found.refused} == {9}
+    assert after.splitlines()[2:] == text.splitlines()[2:]
+    assert after != text
+
+
+def test_a_waypoint_that_is_driven_to_again_from_itself_is_corrected(tmp_path):
+    """Its joints are given the first time; the second time the arm is there, wherever home is."""
+    text = program(f"W = {six(POSES[9])}", f"movej(get_inverse_kin(W, qnear={written(Q[9])}))", "movel(W)", f"movel({six(POSES[10])})")  # fmt: skip
+    assert misses(text, corrected(tmp_path, text, home=flipped(Q[9]))).max() < 1e-6
+
+
 def test_a_move_that_needs_several_values_has_no_remedy(tmp_path):
     """One move under two tools, whichever was set: numbers of its own would not help."""
     text = program("if random() > 0.5:", f"set_tcp(p{written(TOOLS[1])})", "end", f"W = {six(POSES[1])}", "movej(W)")

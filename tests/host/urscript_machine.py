@@ -6,6 +6,7 @@ independent of ``truearm.plan.route_urscript`` and of ``truearm.files.programs``
 implemented again.
 """
 
+import contextlib
 import re
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,10 +17,10 @@ from tests.host.controllers import ProgramFault, pose_from
 
 TOKEN = re.compile(
     r"""(?P<string>"[^"\n]*"|'[^'\n]*')|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<pose>p(?=\[))|(?P<name>[A-Za-z_]\w*)
-        |(?P<sign>==|!=|<=|>=|[-+*/()\[\],:=<>.])|(?P<space>[ \t]+)""",
+        |(?P<sign>==|!=|<=|>=|[-+*/%()\[\],:=<>.])|(?P<space>[ \t]+)""",
     re.VERBOSE,
 )
-KEYWORDS = {"def", "end", "while", "if", "else", "elif", "global", "local", "and", "or", "not", "True", "False", "return", "thread", "sec"}  # fmt: skip
+KEYWORDS = {"def", "end", "while", "if", "else", "elif", "global", "local", "and", "or", "not", "True", "False", "return", "thread", "sec", "run", "join", "kill", "halt", "xor"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,21 +64,26 @@ def logical_lines(text):
 
 
 def run_urscript(text, controller):
-    """Execute a program as the receiving controller does."""
+    """Execute a program as the receiving controller does. Its threads, which neither move nor assign, do not run."""
     lines = logical_lines(text)
     if not re.fullmatch(r"def [A-Za-z_]\w*\(\):", lines[0][1]):
         raise ProgramFault("the first line is not a def in the first column")
     if lines[0][1][4:-3] in KEYWORDS | set(BUILTINS):
         raise ProgramFault(f"{lines[0][1]} redefines what the language has")
-    if lines[-1][1] != "end" or any(not line.startswith(" ") for _, line in lines[1:-1]):
+    if lines[-1][1] != "end" or any(not line.startswith((" ", "\t")) for _, line in lines[1:-1]):
         raise ProgramFault("all lines but the first def and the last end have to be indented")
     machine = Machine(controller)
-    machine.block([(i, tokens_of(line)) for i, line in lines[1:-1]])
+    with contextlib.suppress(Halted):
+        machine.block([(i, tokens_of(line)) for i, line in lines[1:-1]])
     return machine
 
 
 class Returned(Exception):
     """The end of a routine with a value."""
+
+
+class Halted(Exception):
+    """The end of the program."""
 
 
 class Left(Exception):
@@ -129,7 +135,10 @@ class Machine:
             raise Returned(self._whole(tokens[1:]) if len(tokens) > 1 else None)
         if word in ("break", "continue"):
             raise Left(word)
-        self._simple(tokens)
+        if word == "halt":
+            raise Halted
+        if word not in ("join", "kill", "enter_critical", "exit_critical"):
+            self._simple(tokens)
         return i + 1
 
     def _end(self, lines, start):
@@ -222,12 +231,12 @@ class Machine:
 
     def _either(self, tokens, at):
         value, at = self._comparison(tokens, at)
-        while at < len(tokens) and tokens[at][1] in ("and", "or"):
+        while at < len(tokens) and tokens[at][1] in ("and", "or", "xor"):
             word = tokens[at][1]
             other, at = self._comparison(tokens, at + 1)
             if type(value) is not bool or type(other) is not bool:
                 raise ProgramFault(f"{word} of what is not True or False")
-            value = (value and other) if word == "and" else (value or other)
+            value = {"and": value and other, "or": value or other, "xor": value != other}[word]
         return value, at
 
     def _comparison(self, tokens, at):
@@ -263,11 +272,19 @@ class Machine:
         return value, at
 
     def _sum(self, tokens, at):
-        value, at = self._postfix(tokens, at)
+        value, at = self._product(tokens, at)
         while at < len(tokens) and tokens[at][1] in ("+", "-"):
             sign = -1.0 if tokens[at][1] == "-" else 1.0
-            other, at = self._postfix(tokens, at + 1)
+            other, at = self._product(tokens, at + 1)
             value = value + sign * other
+        return value, at
+
+    def _product(self, tokens, at):
+        value, at = self._postfix(tokens, at)
+        while at < len(tokens) and tokens[at][1] in ("*", "/", "%"):
+            sign = tokens[at][1]
+            other, at = self._postfix(tokens, at + 1)
+            value = value * other if sign == "*" else value / other if sign == "/" else value % other
         return value, at
 
     def _atom(self, tokens, at):
@@ -280,9 +297,11 @@ class Machine:
             return word[1:-1], at + 1
         if word in ("True", "False"):
             return word == "True", at + 1
-        if word == "-":
+        if word in ("-", "+"):
             value, at = self._atom(tokens, at + 1)
-            return -value, at
+            return (-value if word == "-" else value), at
+        if word == "run":  # the thread's handle
+            return 0.0, len(tokens)
         if kind == "pose":
             six, at = self._list(tokens, at + 1)
             if len(six) != 6:
@@ -438,6 +457,15 @@ class Machine:
     def set_tcp(self, pose, tcp_name=""):
         self.controller.tcp = pose.matrix()
 
+    def length(self, of):
+        return float(len(of))
+
+    def d2r(self, d):
+        return np.deg2rad(d)
+
+    def settled(self, *values, **named):
+        """Do what neither moves nor returns anything."""
+
     def sleep(self, t):
         self.controller.t += t
 
@@ -464,5 +492,12 @@ BUILTINS = {
     name: getattr(Machine, name)
     for name in ("movej", "movel", "movep", "movec", "servoj", "servoc", "optimovej", "optimovel", "get_inverse_kin", "pose_trans", "pose_inv", "pose_add", "rpy2rotvec",
                  "pose_sub", "get_actual_tcp_pose", "get_tcp_offset", "random", "set_payload", "set_tcp", "sleep", "popup", "textmsg", "set_standard_digital_out",
-                 "get_standard_digital_in")
+                 "get_standard_digital_in", "length", "d2r")
 }  # fmt: skip
+BUILTINS["get_list_length"] = Machine.length
+BUILTINS |= dict.fromkeys(
+    ("sync", "stopj", "stopl", "set_gravity", "set_target_payload", "set_tool_voltage", "set_tool_communication", "set_tool_output_mode", "set_tool_digital_output_mode",
+     "set_standard_analog_input_domain", "set_tool_analog_input_domain", "set_analog_outputdomain", "set_input_actions_to_default", "set_safety_mode_transition_hardness",
+     "end_freedrive_mode", "end_force_mode", "end_screw_driving", "path_offset_disable"),
+    Machine.settled,
+)  # fmt: skip

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, product
+from itertools import chain, pairwise, product
 from math import prod
 from typing import NamedTuple, Protocol, assert_never
 
@@ -51,10 +51,12 @@ from truearm.files.programs.tree_walks import (
 from truearm.files.programs.values import (
     MAX_NESTED,
     MOST_LISTS,
+    MOST_NUMBERS,
     Begin,
     Fields,
     Goal,
     Listed,
+    Pose,
     Unknown,
     Value,
     Values,
@@ -66,7 +68,7 @@ from truearm.files.programs.values import (
     merged,
     most_choices,
 )
-from truearm.files.programs.work import CALL, ELEMENT, GEOMETRY, GOAL, LETTERS, MOVE, SEVERAL, Work
+from truearm.files.programs.work import CALL, ELEMENT, GEOMETRY, GOAL, LETTERS, MOVE, OPENED, SEVERAL, Work
 
 MAX_CALLS = 20  # nesting depth of routines
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
@@ -79,13 +81,7 @@ Names = set[str]
 
 
 class Language(Protocol):
-    """The functions and operators of a language.
-
-    ``outer_names``: an assignment in a routine refers to the outer name, if there is one.
-    """
-
-    @property
-    def outer_names(self) -> bool: ...
+    """The functions and operators of a language."""
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
         """Apply a built-in function and return its result; None for any other function."""
@@ -220,7 +216,11 @@ class Flow:
         return self.environment.get((GLOBAL, name))
 
     def set(self, name: str, values: Values, scope: str = "") -> None:
-        """Assign to a name. If a routine assigns to an outer name undeclared, either variable may be meant."""
+        """Assign to a name.
+
+        If a routine assigns to a name without declaring it, that is the program's variable of this name if there is
+        one. If an enclosing routine has a variable of this name, either may be meant.
+        """
         if any(isinstance(one, Listed | Fields) and one.depth > MAX_NESTED for one in values):
             values = (Unknown(f"{name} has too many nested lists to trace", 0),)
         own = (self.stack[-1].scope, name)
@@ -241,7 +241,7 @@ class Flow:
             outside = [(one.scope, name) for one in _upward(at)] + [(GLOBAL, name)]
             for key in outside:
                 if key != own and (before := self.environment.get(key)) is not None:
-                    self.environment.set(key, values if self.language.outer_names else joined(before, values))
+                    self.environment.set(key, values if key[0] == GLOBAL else joined(before, values))
                     return
         self.environment.set(own, values)
 
@@ -289,6 +289,7 @@ class Flow:
 
     def _since(self, depth: int) -> dict[Key, Values]:
         """Return what was assigned since a depth: a copy, which each further end of a loop or routine has."""
+        self.work.spend((self.environment.depth - depth) // SEVERAL)
         way = self.environment.since(depth)
         self.work.spend(len(way))
         return way
@@ -300,7 +301,7 @@ class Flow:
         of = self.value(target.of)
         places = (target.at,) if isinstance(target.at, str) else self.value(target.at)
         changed: Values = ()
-        self.work.spend(len(of) * len(places))
+        self.work.spend(len(places) * sum(OPENED if isinstance(one, Taught | Pose) else ELEMENT for one in of))
         for place in places:
             each = tuple(self.language.changed(one, place, values, target.start) for one in of)
             self.work.spend(sum(len(one.items) for one in each if isinstance(one, Listed)) // SEVERAL)
@@ -313,12 +314,25 @@ class Flow:
     def _choose(self, choice: If) -> bool:
         """Execute the blocks of a choice. A condition that calls a routine is reached only if none before it holds."""
         conditions, blocks, whole = choice
-        later = next((k for k, one in enumerate(conditions) if k and self._runs_routine(one)), len(conditions))
-        for condition in conditions[:later]:
-            self.value(condition)
-        if later < len(conditions):
-            blocks, whole = (*blocks[:later], (If(conditions[later:], blocks[later:], whole),)), True
-        return self._branch(blocks, whole)
+        parts = [k for k, one in enumerate(conditions) if k and self._runs_routine(one)]
+        ways: list[list[dict[Key, Values]]] = []  # of each part of the choice, a layer deeper than the part before
+        for start, end in pairwise([0, *parts, len(conditions)]):
+            if start:
+                self.environment.begin({})
+            for condition in conditions[start:end]:
+                self.value(condition)
+            ways.append(self._ways(blocks[start : end if end < len(conditions) else None]))
+        if not whole:
+            ways[-1].append({})
+        while True:
+            reached = ways.pop()
+            if reached:
+                self.environment.join(reached)
+            if not ways:
+                return bool(reached)
+            end_of_part = self.environment.end()
+            if reached:
+                ways[-1].append(end_of_part)
 
     def _runs_routine(self, expression: Expression) -> bool:
         """Return whether the value of an expression calls a routine of the program, which may change variables."""
@@ -328,17 +342,16 @@ class Flow:
             self.running_routines[id(expression)] = found
         return found
 
-    def _branch(self, blocks: Sequence[Block], whole: bool) -> bool:
-        ways: list[Mapping[Key, Values]] = [] if whole else [{}]
+    def _ways(self, blocks: Sequence[Block]) -> list[dict[Key, Values]]:
+        """Execute blocks, of which one is taken; return what each assigns whose end is reached."""
+        ways = []
         for block in blocks:
             self.environment.begin({})
             reached = self.run(block)
             way = self.environment.end()
             if reached:
                 ways.append(way)
-        if ways:
-            self.environment.join(ways)
-        return bool(ways)
+        return ways
 
     def _loop(self, loop: Loop) -> None:
         environment = self.environment
@@ -387,7 +400,8 @@ class Flow:
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found: list[Value] = []
                 for one, place in product(lists, places):
-                    self.work.spend(ELEMENT if isinstance(place, str | Number) else _size(one))
+                    whole = OPENED if isinstance(one, Taught | Pose) else ELEMENT
+                    self.work.spend(whole if isinstance(place, str | Number) else _size(one))
                     reached = self.language.item(one, place, start)
                     self.work.spend(len(reached) // SEVERAL)
                     found += reached
@@ -399,7 +413,10 @@ class Flow:
                 given = [self.value(operand) for operand in operands]
                 self.work.spend(length_of_texts(given) // LETTERS)
                 self.work.spend(ELEMENT * min(prod(map(len, given)), most_choices(given)))
-                return combined(start, operator_of(sign, start), given)
+                results = combined(start, operator_of(sign, start), given)
+                if len(results) > MOST_NUMBERS and isinstance(results[0], Number):
+                    return (Unknown("it has too many possible values to trace", start),)
+                return results
             case _:
                 assert_never(expression)
 
@@ -407,7 +424,7 @@ class Flow:
         """Evaluate ``and`` or ``or``: the second operand is evaluated if the first does not decide."""
         first, second = of.operands
         self.value(first)
-        self._branch(((Do(second),),), False)
+        self.environment.join([{}, *self._ways(((Do(second),),))])
         return (Unknown(f"the result of {of.sign} cannot be traced", of.start),)
 
     def _call(self, call: Call) -> Values:

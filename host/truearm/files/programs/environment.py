@@ -97,7 +97,10 @@ class Environment:
     def set(self, key: Key, values: Values) -> None:
         """Give values to a name."""
         self.work.spend((1 + len(self.records)) * (1 + len(values) // SEVERAL))
-        known = places_known(values) if key == HERE else values
+        known = values
+        if key == HERE:
+            values = few(values)
+            known = places_known(values)
         self.trace(key, known)
         self.record(key, known)
         self._write(key, values)

@@ -94,18 +94,18 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     """Follow the moves of a program. Raises ProgramError."""
     source = Source(data.decode("latin-1"), name)
     _check_text(source, data)
+    work = Work(source)
     try:
-        flow = _followed(source, language, surroundings)
+        flow = _followed(work, language, surroundings)
     except RecursionError as exc:  # thousands of operators in one expression
-        raise ProgramError(f"{name}: an expression is nested too deeply; split it") from exc
+        raise work.wrong("an expression is nested too deeply; split it") from exc
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
         raise ProgramError(f"{name}: contains no move; there is nothing to correct")
     return Program(language, source, motions)
 
 
-def _followed(source: Source, language: ProgramLanguage, surroundings: Surroundings) -> Flow:
-    work = Work(source)
+def _followed(work: Work, language: ProgramLanguage, surroundings: Surroundings) -> Flow:
     match language:
         case "urscript":
             tool = surroundings.tool or Unknown("no set_tcp comes before it, so its tool is not known", 0, "tool")

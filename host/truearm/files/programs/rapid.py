@@ -30,8 +30,9 @@ from truearm.files.programs.syntax import (
     Statement,
     Truth,
 )
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import STATEMENT, Work
 
+PLACEHOLDERS = ("<tdn>", "<ddn>", "<rdn>", "<smt>")  # where an editor has no declaration or statement yet
 LATE_BOUND = "%"  # represents %expression%: the procedure of that name
 
 
@@ -87,7 +88,9 @@ class _Reader(ExpressionReader):
     ) -> None:
         if self.is_word("local", "task"):
             self.step()
-        if self.is_word("var", "pers", "const"):
+        if self.text in PLACEHOLDERS:
+            self.step()
+        elif self.is_word("var", "pers", "const"):
             data.append(self.datum())
         elif self.is_word(*ENDS):
             routines.append(self.routine())
@@ -128,7 +131,10 @@ class _Reader(ExpressionReader):
         name = self.word("a name")
         parameters = self.parameters() if self.text == "(" else ()
         body: list[Statement] = []
-        while self.is_word("var", "pers", "const", "local"):
+        while self.is_word("var", "pers", "const", "local") or self.text == "<ddn>":
+            if self.text == "<ddn>":
+                self.step()
+                continue
             if self.is_word("local"):
                 self.step()
             datum = self.datum()
@@ -181,6 +187,7 @@ class _Reader(ExpressionReader):
         return tuple(found)
 
     def statement(self) -> list[Statement]:
+        self.work.left -= STATEMENT
         start = self.start
         word = self.text if self.kind == "word" else ""
         if word in _STATEMENTS:
@@ -195,7 +202,7 @@ class _Reader(ExpressionReader):
             self.step()
             self.step()
             return [Jump(start)]
-        if self.text == "<smt>":  # where an editor has no statement yet
+        if self.text in PLACEHOLDERS:
             self.step()
             return []
         return [self.simple()]

@@ -31,8 +31,8 @@ def _list(n: int) -> str:
 TOKENS = re.compile(
     rf"""(?:\s++|![^\r\n]*+|\xef\xbb\xbf|%%%[^%]*+%%%)*+
     (?:(?P<robtarget>\[{_list(3)},{_list(4)},{_list(4)},{_list(6)}\])|(?P<jointtarget>\[{_list(6)},{_list(6)}\])
-    |(?P<number>0x[0-9a-f]+|0o[0-7]+|0b[01]+|{NUMBER})|(?P<word>[a-z\x80-\xff][\w\x80-\xff]*+)|(?P<string>"(?:[^"\r\n]|"")*")
-    |(?P<sign><smt>|:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|])|{NO_MORE})""",
+    |(?P<number>0x[0-9a-f]+|0o[0-7]+|0b[01]+|{NUMBER})|(?P<word>[a-z\x80-\xff][\w\x80-\xff]*+)|(?P<string>"[^"\r\n]*+(?:""[^"\r\n]*+)*+")
+    |(?P<sign><(?:[tdr]dn|smt)>|:=|<>|<=|>=|[-+*/()\[\]{{}},:;=<>.\\?%|])|{NO_MORE})""",
     re.VERBOSE | re.ASCII,
 )
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}

@@ -52,6 +52,7 @@ from truearm.files.programs.work import LETTERS, Work
 DISPLACED = "program displacement"
 LOCKED = "axis 4 locked"
 CONFIGURATIONS = ("confj", "confl")  # whether they are monitored in joint moves, and in the others
+_STATES = (DISPLACED, LOCKED, *CONFIGURATIONS)  # of the controller
 
 
 _FIELDS: Mapping[str, int] = {
@@ -75,11 +76,6 @@ class Rapid:
     fields: Mapping[str, int]
     harmless: frozenset[str] = frozenset()
     constants: frozenset[str] = frozenset()
-
-    @property
-    def outer_names(self) -> bool:
-        """Return that a name not declared in a routine is the module's."""
-        return True
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
         """Return the arguments to which an instruction may assign: all except constants and read-only ones."""
@@ -244,9 +240,10 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
                 begin[datum.name] = flow.value(datum.value)
             flow.environment.set((0, datum.name), begin[datum.name])
     kept = _assigned_elsewhere(modules)
-    used = {
-        call.function for one in routines for call in calls_in((one.body, one.handlers)) if call.function != one.name
-    }
+    called = {one.name: {call.function for call in calls_in((one.body, one.handlers))} for one in routines}
+    used = {name for one in routines for name in called[one.name] if name != one.name}
+    # A run from the beginning resets them. One that continues after the last statement or ExitCycle does not.
+    resets = not any(one.handlers or "exitcycle" in called[one.name] for one in routines)
     entries = sorted(
         (one for one in routines if one.name not in used or one.name == "main"),
         key=lambda one: (one.name in used, one.name != "main"),
@@ -262,12 +259,13 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
             flow.environment.records.append(own)
             flow.environment.begin({})
             flow.enter(routine, None, (), {})
+            ends = {(0, name): flow.environment.get((0, name)) or () for name in _STATES} if resets else {}
             flow.environment.end()
             flow.environment.records.pop()
             for key in kept_keys.intersection(own):
                 # All values it ever had: the run may be stopped anywhere, or ended by ExitCycle.
                 before = flow.environment.get(key)
-                after = joined(before, tuple(own[key]))
+                after = joined(before, ends.get(key, tuple(own[key])))
                 if turn and counts(before, after):
                     after = (Unknown(f"{key[1]} changes from one run of the program to the next", 0),)
                 grown |= after != before
@@ -300,7 +298,5 @@ def _assigned_elsewhere(modules: Sequence[Module]) -> tuple[str, ...]:
     """
     return (
         *(datum.name for module in modules for datum in module.data if datum.kind != "const"),
-        DISPLACED,
-        LOCKED,
-        *CONFIGURATIONS,
+        *_STATES,
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import chain, islice, repeat
 
 from truearm.errors import ProgramError
-from truearm.files.programs.work import TOKEN, Work
+from truearm.files.programs.work import DEEPER, TOKEN, Work
 from truearm.schema import quoted
 
 MAX_DEPTH = 60  # nesting depth of brackets and blocks
@@ -44,10 +44,10 @@ class Reader:
     in lower case.
     """
 
-    __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text")
+    __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text", "work")
 
     def __init__(self, work: Work, pattern: re.Pattern[str], text: str) -> None:
-        self.source, self.depth, self.last, self.end = work.source, 0, 0, 0
+        self.work, self.source, self.depth, self.last, self.end = work, work.source, 0, 0, 0
         self._tokens = tokens_of(work, pattern, text)
         self.kind, self.text, self.start = next(self._tokens)
         self._next = next(self._tokens)
@@ -86,6 +86,7 @@ class Reader:
     def deeper(self) -> None:
         """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""
         self.depth += 1
+        self.work.left -= DEEPER
         if self.depth > MAX_DEPTH:
             raise self.wrong(f"is nested more than {MAX_DEPTH} deep")
 

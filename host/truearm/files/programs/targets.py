@@ -145,13 +145,8 @@ def _ways(
     """Return the robot's position before it first goes to each pose, and the further paths to it."""
     origins: dict[int, int | Taught] = {}
     further: dict[tuple[object, ...], Revisit] = {}
+    arrived: set[tuple[object, ...]] = set()  # poses and what selects the configuration, where a path to them is known
     for motion in program.motions:
-        for goal in motion.goals:
-            to = index.get(goal)
-            if to is None or goal is (first := poses[to].goal):
-                continue
-            if _chooses(goal) != _chooses(first):
-                further.setdefault((to, _chooses(goal)), Revisit(to, goal, None, motion.start))
         for starts, ends in motion.legs:
             places = [place for start in starts if (place := _origin(start, index)) is not None]
             for end in ends if places else ():
@@ -159,10 +154,19 @@ def _ways(
                 if to is None or not isinstance(end, Goal):
                     continue
                 origins.setdefault(to, next((one for one in places if one != to), places[0]))
+                arrived.add((to, _chooses(end)))
                 if end.near is None:
+                    same = _chooses(end) == _chooses(poses[to].goal)
                     for place in places:
-                        if place not in (to, origins[to]):
+                        if place != to and not (same and place == origins[to]):
                             further.setdefault((to, _chooses(end), place), Revisit(to, end, place, motion.start))
+    for motion in program.motions:
+        for goal in motion.goals:
+            to = index.get(goal)
+            if to is None or goal is (first := poses[to].goal) or _chooses(goal) == _chooses(first):
+                continue
+            if not (_by_origin(goal) and (to, _chooses(goal)) in arrived):
+                further.setdefault((to, _chooses(goal)), Revisit(to, goal, None, motion.start))
     return tuple(origins.get(i) for i in range(len(poses))), tuple(further.values())
 
 
@@ -174,6 +178,11 @@ def _chooses(goal: Goal) -> tuple[float, ...] | bool:
     if goal.near is None:
         return isinstance(goal.target, Pose) and goal.target.free
     return goal.near.values if isinstance(goal.near, Taught) else goal.near
+
+
+def _by_origin(goal: Goal) -> bool:
+    """Return whether the robot's previous position alone selects a goal's arm configuration."""
+    return goal.near is None and isinstance(goal.target, Pose) and (goal.target.free or goal.target.like is None)
 
 
 def _origin(start: Value, index: Mapping[Goal, int | None]) -> int | Taught | None:
@@ -188,7 +197,7 @@ def _assigned(
     """Return the targets, with a literal for each goal (those with one candidate first), and each goal's target."""
     goals, motions = list(users), list(users.values())
     fixtures = {literal.start for goal in goals for pose in goal[1:3] if pose.factors for literal in literals_in(pose)}
-    candidates = [_candidates(goal, fixtures) for goal in goals]
+    candidates = [_candidates(goal, fixtures, motion) for goal, motion in zip(goals, motions, strict=True)]
     holders: dict[int, int] = {}
     chosen: list[PoseTarget | None] = [None] * len(goals)
     for i in sorted(range(len(goals)), key=lambda k: len(candidates[k])):
@@ -203,7 +212,7 @@ def _assigned(
         else:
             own = _split(goal, motion)
             chosen[i] = own if split else None
-            if chosen[i] is None:
+            if chosen[i] is None and (taken is not None or not motion.problems):
                 why = "its target is not written as plain numbers in one place"
                 if taken is not None:
                     line = program.source.line
@@ -228,9 +237,9 @@ def _assigned(
 
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
-    """Return the goal written into its move, if the argument is used nowhere else."""
+    """Return the goal written into its move, if the argument is used nowhere else and goes to nothing else."""
     alone = sum(1 for other in motion.goals if (other.start, other.end) == (goal.start, goal.end)) == 1
-    return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 else None
+    return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 and not motion.problems else None
 
 
 def _same(a: Goal, b: Goal) -> bool:
@@ -240,9 +249,15 @@ def _same(a: Goal, b: Goal) -> bool:
     return (a.target.factors, a.tool, a.frame) == (b.target.factors, b.tool, b.frame)
 
 
-def _candidates(goal: Goal, fixtures: set[int]) -> list[Taught]:
-    """Return the literals that may receive a goal's correction, the best first."""
+def _candidates(goal: Goal, fixtures: set[int], motion: Motion) -> list[Taught]:
+    """Return the literals that may receive a goal's correction, the best first.
+
+    A move that may also go elsewhere is not corrected, so only a literal that is the whole goal is: a step from one goal
+    to the next stays.
+    """
     assert isinstance(goal.target, Pose)
+    if motion.problems and plain_literal(goal.target) is None:
+        return []
     found = list(literals_in(goal.target))
     if len(found) == 1:
         return found if found[0].start not in fixtures else []

@@ -17,16 +17,24 @@ from truearm.files.programs.syntax import (
     Routine,
     Statement,
     Taught,
+    Text,
+    Truth,
 )
 
+_WITHOUT_CALLS = frozenset({Name, Number, Taught, Text, Truth, Routine})
 
-def calls_in(node: object) -> Iterator[Call]:
+
+def calls_in(node: tuple[object, ...]) -> Iterator[Call]:
     """Yield the calls in a block, a statement or an expression, except those in routines defined there."""
-    if isinstance(node, Call):
-        yield node
-    if isinstance(node, tuple) and not isinstance(node, Number | Taught | Routine):
-        for inner in node:
-            yield from calls_in(inner)
+    waiting: list[tuple[object, ...]] = [
+        node
+    ]  # a stack, as generators within generators would hand on each call through all levels
+    while waiting:
+        here = waiting.pop()
+        if isinstance(here, Call):
+            yield here
+        if type(here) not in _WITHOUT_CALLS:
+            waiting += [inner for inner in reversed(here) if inner and isinstance(inner, tuple)]
 
 
 def places_in(node: object) -> Iterator[int]:
@@ -59,10 +67,12 @@ def routines_in(block: Block) -> Iterator[Routine]:
 
 def statements_in(block: Block) -> Iterator[Statement]:
     """Yield the statements of a block and of the blocks in it, except those in routines defined there."""
-    for statement in block:
+    waiting = [*reversed(block)]
+    while waiting:
+        statement = waiting.pop()
         yield statement
-        for inner in _blocks_of(statement):
-            yield from statements_in(inner)
+        for inner in reversed(_blocks_of(statement)):
+            waiting += reversed(inner)
 
 
 def _blocks_of(statement: Statement) -> Sequence[Block]:

@@ -33,7 +33,7 @@ from truearm.files.programs.syntax import (
     Text,
     Truth,
 )
-from truearm.files.programs.work import Work
+from truearm.files.programs.work import STATEMENT, Work
 
 _SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
 _TOKENS = re.compile(
@@ -83,6 +83,7 @@ class _Reader(Reader):
             found.append(self.statement())
 
     def statement(self) -> Statement:
+        self.work.left -= STATEMENT
         start = self.start
         word = self.text if self.kind == "word" else ""
         if word in ("def", "thread", "sec"):

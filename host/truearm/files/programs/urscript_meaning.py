@@ -51,11 +51,6 @@ class UrScript(NamedTuple):
 
     harmless: frozenset[str] = frozenset()
 
-    @property
-    def outer_names(self) -> bool:
-        """Return that an assignment without ``global`` or ``local`` may be to the function's or the program's variable."""
-        return False
-
     def changed_by(self, call: Call) -> Sequence[Expression]:
         """Return the object of a method call, such as a list (``path.insert(0, p)``); arguments are copies."""
         return call.arguments[:1] if call.function.startswith(".") else ()

@@ -22,6 +22,7 @@ from truearm.types import Floats
 from truearm.units import DEG, MM
 
 MOST = 1_000  # possibilities of a function of several arguments
+MOST_NUMBERS = 64  # possible results of an operator: a number with more, such as a count, is unknown
 MOST_FACTORS = 100  # of a product of poses
 MAX_NESTED = 50  # lists and records within each other
 MOST_LISTS = 16  # versions of a list or record, before the possibilities of its items are joined

@@ -8,11 +8,12 @@ from truearm.files.programs.tree_walks import places_in
 
 WORK, WORK_EACH = 500_000, 0.25  # units for any program, and for each byte of it
 # what something costs, in units
-TOKEN = 1  # of the text
+TOKEN, STATEMENT, DEEPER = 1, 1, 1  # of the text, as it is read: tokens, statements, brackets and blocks
 MOVE, GOAL = 5, 5  # and each of its possible goals
 CALL = 20  # of a routine
 GEOMETRY = 10  # a function of poses
 ELEMENT = 1  # an operator, an element or a list
+OPENED = 4  # an element of a literal, whose numbers are read for it
 # how many of them cost a unit
 SEVERAL = 8  # possibilities
 LETTERS = 100  # of texts
@@ -29,9 +30,13 @@ class Work:
         """Take off units; raises ProgramError where too few are left."""
         self.left -= units
         if self.left < 0:
-            raise self.spent(next(places_in(self.statement), None))
+            raise self.spent()
 
-    def spent(self, at: int | None) -> ProgramError:
-        """Return the error that nothing is left, at a place if it is known."""
-        why = "the program is too complex to trace; split the file"
-        return ProgramError(f"{self.source.name}: {why}") if at is None else self.source.wrong(at, why)
+    def spent(self, at: int | None = None) -> ProgramError:
+        """Return the error that nothing is left, at a place."""
+        return self.wrong("the program is too complex to trace; split the file", at)
+
+    def wrong(self, why: str, at: int | None = None) -> ProgramError:
+        """Return an error at a place; without one at the statement that is followed, if there is one."""
+        place = next(places_in(self.statement), None) if at is None else at
+        return ProgramError(f"{self.source.name}: {why}") if place is None else self.source.wrong(place, why)
