@@ -151,16 +151,26 @@ def polyscope(size):
     points, steps, length = [], [], 0
     for k in count(1):
         x, y, z = (value / 1000 for value in numbers(k))
-        points.append(f"  global Waypoint_{k}_p=p[{x:.15f}, {y:.15f}, {z:.15f}, 2.221437469163187, -2.221437469163187, {k % 7}E-5]")
-        points.append(f"  global Waypoint_{k}_q=[{', '.join(f'{v:.15f}' for v in (x, -1.57 + y, 1.2 - z, -1.1, -1.57, 0.1))}]")
+        points.append(
+            f"  global Waypoint_{k}_p=p[{x:.15f}, {y:.15f}, {z:.15f}, 2.221437469163187, -2.221437469163187, {k % 7}E-5]"
+        )
+        points.append(
+            f"  global Waypoint_{k}_q=[{', '.join(f'{v:.15f}' for v in (x, -1.57 + y, 1.2 - z, -1.1, -1.57, 0.1))}]"
+        )
         step = 6 * k
         steps.append(f'    $ {step} "MoveJ"\n    $ {step + 1} "Waypoint_{k}" "breakAfter"')
         if k % 3:
             steps.append(f"    movel(Waypoint_{k}_p, a=1.2, v=0.25, r=0.0{k % 5})")
         else:
-            steps.append(f"    movej(get_inverse_kin(Waypoint_{k}_p, qnear=Waypoint_{k}_q), a=1.3962634015954636, v=1.0471975511965976)")
-        steps.append(f'    $ {step + 2} "If digital_in[{k % 8}]≟ True "\n    if (get_standard_digital_in({k % 8}) == True ):')
-        steps.append(f'      $ {step + 3} "Set" "noBreak"\n      set_standard_digital_out({k % 8}, True)\n      Counter_{k % 10} = Counter_{k % 10} + 1\n    end')
+            steps.append(
+                f"    movej(get_inverse_kin(Waypoint_{k}_p, qnear=Waypoint_{k}_q), a=1.3962634015954636, v=1.0471975511965976)"
+            )
+        steps.append(
+            f'    $ {step + 2} "If digital_in[{k % 8}]≟ True "\n    if (get_standard_digital_in({k % 8}) == True ):'
+        )
+        steps.append(
+            f'      $ {step + 3} "Set" "noBreak"\n      set_standard_digital_out({k % 8}, True)\n      Counter_{k % 10} = Counter_{k % 10} + 1\n    end'
+        )
         steps.append(f'    $ {step + 4} "Wait: 0.5"\n    sleep(0.5)')
         length = sum(map(len, points)) + sum(map(len, steps)) if k % 50 == 0 else length
         if length > size:

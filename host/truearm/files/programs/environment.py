@@ -10,6 +10,7 @@ from truearm.files.programs.work import SEVERAL, Work
 Key = tuple[int, str]  # the scope, 0 for the program's own, and the name
 GLOBAL = 0
 HERE: Key = (GLOBAL, "where the robot is")  # variable names contain no spaces
+TOOL = "tool in force"
 
 
 class Trace:

@@ -226,7 +226,7 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
     begin: dict[str, Values] = {}
     for module in modules:
         for datum in module.data:
-            if datum.name in begin or datum.name in flow.routines:
+            if datum.name in begin or datum.name in flow.routines.by_name:
                 raise work.source.wrong(
                     datum.start, f"{datum.name} is declared twice in this file; put each module in its own file"
                 )

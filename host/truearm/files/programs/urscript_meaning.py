@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from truearm.files.programs.dataflow import TOOL, Flow, length_of_texts
+from truearm.files.programs.dataflow import Flow, length_of_texts
+from truearm.files.programs.environment import TOOL
 from truearm.files.programs.sent_moves import text_of, why_sent
 from truearm.files.programs.syntax import (
     Block,
@@ -135,10 +136,10 @@ def analyse(work: Work, block: Block, tool: Values, harmless: frozenset[str]) ->
     """Follow a program; ``tool`` is active until it sets another."""
     routines = [one for one in block if isinstance(one, Routine)]
     flow = Flow(work, UrScript(harmless), routines)
-    for name in flow.routines:
+    for name in flow.routines.by_name:
         if name in OVERWRITES:
             raise work.source.wrong(
-                flow.routines[name].start, f"{name} is a function of the language and cannot be defined"
+                flow.routines.by_name[name].start, f"{name} is a function of the language and cannot be defined"
             )
     flow.environment.set((0, TOOL), tool)
     flow.run(block)

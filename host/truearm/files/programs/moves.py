@@ -1,0 +1,86 @@
+"""The moves that are found in a program, each with its goals and with the places where it begins and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+
+from truearm.files.programs.environment import HERE, few
+from truearm.files.programs.motions import Motion, goal_of
+from truearm.files.programs.routines import Routines
+from truearm.files.programs.syntax import Call, Expression
+from truearm.files.programs.values import Begin, Goal, Unknown, Value, Values, distinct, joined
+from truearm.files.programs.variables import Variables
+from truearm.files.programs.work import GOAL, MOVE, SEVERAL, Work
+
+ANYWHERE: Values = (Unknown("the position in which the program starts is not known", 0),)
+
+
+class Moves(Variables):
+    """The moves found, by their places in the text; ``begins``: where the robot was when a routine began, by its scope."""
+
+    def __init__(self, work: Work, routines: Routines) -> None:
+        super().__init__(work, routines)
+        self.motions: dict[int, Motion] = {}
+        self.begins: dict[int, Values] = {}
+
+    def motion(self, name: str, start: int, end: int) -> Motion:
+        """Return the record of a statement that moves the robot."""
+        return self.motions.setdefault(start, Motion(name, start, end))
+
+    def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
+        """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument to resolve it."""
+        self.motion(name, start, end).problems[why, remedy] = None
+        self.environment.set(HERE, (Unknown(why, start),))
+
+    def goes_to(
+        self,
+        call: Call,
+        targets: Sequence[tuple[Values, Expression]],
+        tools: Values,
+        frames: Values,
+        straight: bool = False,
+    ) -> None:
+        """Record a move to every possible target; joints computed for a pose have their own tool.
+
+        ``straight``: along a line from the robot's position.
+        """
+        motion = self.motion(call.function, call.start, call.end)
+        self.work.spend(MOVE + GOAL * len(tools) * len(frames) * sum(len(values) for values, _ in targets))
+        ends: dict[Value, None] = {}
+        for tool in tools:
+            for frame in frames:
+                for k, (values, argument) in enumerate(targets, start=1):
+                    for value in values:
+                        found = goal_of(value, tool, frame, argument)
+                        if isinstance(found, Goal):
+                            motion.goals[found] = None
+                        else:
+                            motion.problems[found] = None
+                        if k == len(targets):
+                            ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
+        reached = few(tuple(ends))
+        motion.straight = straight
+        self._leg(motion, self.environment.get(HERE) or ANYWHERE, tuple(ends))
+        self.environment.set(HERE, joined(self.environment.get(HERE), reached) if self.loose else reached)
+
+    def _leg(self, motion: Motion, starts: Values, ends: Values) -> None:
+        """Record from where and to where a move is made. What begins where a routine does is made for each of its calls."""
+        if any(isinstance(one, Begin) for one in starts):
+            self.environment.traces[-1].legs[motion.start, starts, ends] = None
+        leg = (self._places(starts), ends)
+        if not motion.legs or motion.legs[-1] != leg:
+            self.work.spend(len(leg[0]) * len(ends) // SEVERAL)
+            motion.legs.append(leg)
+
+    def _places(self, values: Values) -> Values:
+        """Return where the robot is, with the places themselves for those where routines begin."""
+        known = chain.from_iterable(self.begins[one.scope] if isinstance(one, Begin) else (one,) for one in values)
+        return distinct(known) if any(isinstance(one, Begin) for one in values) else values
+
+
+def placed(values: Values, here: Values) -> Values:
+    """Return where the robot is after a routine that was called ``here``."""
+    if not any(isinstance(one, Begin) for one in values):
+        return values
+    return distinct(chain.from_iterable(here if isinstance(one, Begin) else (one,) for one in values))
