@@ -59,7 +59,7 @@ from truearm.files.programs.values import (
     most_choices,
 )
 from truearm.files.programs.variables import Turn
-from truearm.files.programs.work import ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
+from truearm.files.programs.work import BLOCK, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
 
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
 
@@ -182,6 +182,7 @@ class Flow(Calls):
     def _ways(self, blocks: Sequence[Block]) -> list[dict[Key, Values]]:
         """Execute blocks, of which one is taken; return what each assigns whose end is reached."""
         ways = []
+        self.work.spend(BLOCK * len(blocks))
         for block in blocks:
             self.environment.begin({})
             reached = self.run(block)
