@@ -16,8 +16,8 @@ at a smaller λ; a step that went back to the valley (below) counts with its ful
 at the largest worthwhile step (docs/decisions/0019-damping.md has a comparison). λ is multiplied by 4 after a step that
 did not reduce χ².
 
-A step that does not reduce χ² may only have left a curved valley: rotating the base about nearly collinear chucks moves
-them on arcs, and their lengths resolve micrometres. Before it is given up, up to CORRECTORS full steps from its end return
+A step that does not reduce χ² may only have left a curved valley: an orbit that ``move`` does not follow, such as that of
+a point about an axis, while the readings resolve micrometres. Before it is given up, up to CORRECTORS full steps from its end return
 to the valley (a watchdog: Chamberlain and others 1982, Mathematical Programming Study 16). Otherwise the damped steps would
 be as short as the deviation of the arcs from their tangents permits, thousands of them.
 

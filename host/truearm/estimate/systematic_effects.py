@@ -236,6 +236,10 @@ class EffectRows(Group):
         """Return those of ``inner``."""
         return self.inner.orientations()
 
+    def beside_base(self) -> Indices:
+        """Return those of ``inner``."""
+        return self.inner.beside_base()
+
     def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> EffectRows:
         """Return some of the observations."""
         row = None if self.row is None else self.row[which]

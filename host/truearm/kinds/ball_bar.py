@@ -50,6 +50,10 @@ class BallBarRows(Group):
     declared: Floats  # (n, 2) zero and gain used to compute ``length``
     warmer: Floats  # (n, 2) K, of bar and sensor; 0 where unknown
 
+    def beside_base(self) -> Indices:
+        """Return the chucks."""
+        return np.unique(self.chuck, axis=0)
+
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)

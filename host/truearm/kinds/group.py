@@ -52,6 +52,10 @@ class Group(ABC):
         """Return the indices (r, 3) of unknown rotation vectors. An estimator rotates these instead of adding to them."""
         return np.zeros((0, 3), dtype=np.intp)
 
+    def beside_base(self) -> Indices:
+        """Return the indices (r, 3) of unknown points that stand beside the robot, in its base frame."""
+        return np.zeros((0, 3), dtype=np.intp)
+
     def take(self, which: slice | NDArray[Any]) -> Self:
         """Return some of the observations."""
         every = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "constants"}

@@ -37,6 +37,10 @@ class SeatRows(Group):
     sphere: Indices  # (n, 3) the ball, in the end frame
     socket: Indices  # (n, 3) in the base frame
 
+    def beside_base(self) -> Indices:
+        """Return the sockets."""
+        return np.unique(self.socket, axis=0)
+
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (3n,) and their derivatives at x (P,)."""
         p = len(chain.parameters)
