@@ -77,7 +77,7 @@ def possible_orders(x: Floats, highest: int = MAX_ORDER) -> range:
 def fit(x: Floats, y: Floats, order: int) -> PolyFit:
     """Fit the least-squares polynomial of this order. Raises ValueError unless it is among ``possible_orders``."""
     if order not in possible_orders(x, max(order, MAX_ORDER)):
-        raise ValueError(f"order {order} needs {order + 1 + SPARE} points at {order + 2} places at least")
+        raise ValueError(f"order {order} needs at least {order + 1 + SPARE} points, at {order + 2} places or more")
     centre, half = 0.5 * float(x.min() + x.max()), 0.5 * float(np.ptp(x))
     basis = legendre.legvander((x - centre) / half, order)
     q, r = np.linalg.qr(basis)

@@ -10,13 +10,16 @@ from typing import Any
 import typer
 
 from truearm.cli.progress_line import CLEAR
+from truearm.cli.project import CommandGroup
 from truearm.files.strict_json import strict_json
 from truearm.text import one_line
 
 
 def command_group(name: str, text: str, epilog: str) -> typer.Typer:
     """Return an app without commands that prints its help if it is called without one."""
-    app = typer.Typer(name=name, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False)
+    app = typer.Typer(
+        name=name, cls=CommandGroup, help=text, epilog=epilog, rich_markup_mode=None, add_completion=False
+    )
 
     @app.callback(invoke_without_command=True)
     def print_help(context: typer.Context) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from truearm.errors import InputError
 from truearm.files.project_folder import find_project
@@ -18,6 +18,7 @@ from truearm.files.project_folder import find_project
 if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
+SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 EXPERIMENTS = ("ballbar", "line", "both")  # of truearm demo, whose option was once --rig
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash")
 Answer = Callable[[], Any]  # the value of an option; None: no default
@@ -25,6 +26,10 @@ Answer = Callable[[], Any]  # the value of an option; None: no default
 
 class ProjectCommand(TyperCommand):
     """A command that prints on standard error what it took from truearm.toml and refuses numbers that are not finite."""
+
+    def get_short_help_str(self, limit: int = SUMMARY) -> str:
+        """Return the whole first sentence of the help page; ``limit`` would cut it."""
+        return super().get_short_help_str(max(limit, SUMMARY))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for an experiment
@@ -51,6 +56,14 @@ class ProjectCommand(TyperCommand):
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(taken)
         return super().invoke(ctx)
+
+
+class CommandGroup(TyperGroup):
+    """A group of commands that is listed with its whole first sentence."""
+
+    def get_short_help_str(self, limit: int = SUMMARY) -> str:
+        """Return the whole first sentence of the help page; ``limit`` would cut it."""
+        return super().get_short_help_str(max(limit, SUMMARY))
 
 
 def typed(context: typer.Context, name: str) -> Any:
