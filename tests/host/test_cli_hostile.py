@@ -203,7 +203,7 @@ ROWS = {
 }
 RIGS = {
     "not a number": (edited("irb120.toml", "0.06]", "nan]"), "finite number"),
-    "no bar": ("", "which has none"),
+    "no bar": ("", "the rig has none"),
     "far": (edited("irb120.toml", "0.06]", "6.0]"), "cannot reach any pose"),
     "an evil name": (edited("irb120.toml", '"c1"', '"c1;rm -rf"'), "is not a name of up to 64 letters"),
 }
