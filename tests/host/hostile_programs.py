@@ -201,6 +201,9 @@ def _urscript() -> dict[str, Kind]:
         "many poses in a loop": Kind("l=[", "p[0,0,0,0,0,{k}],", "p[0,0,0,0,0,0]]\ni=0\nwhile i<9:\nmovel(l[i])\ni=i+1\nend\n"),
         "many lists in a list": Kind("l=[", "[1],", "[1]]\nmovel(p[0,0,0,0,0,0])\n"),
         "many fields": Kind("s=struct(", "a{k}=1,", "b=1)\nmovel(p[0,0,0,0,0,0])\n"),
+        "fields assigned": Kind(
+            f"s=struct({','.join(f'a{i}=0' for i in range(500))})\nmovel(p[0,0,0,0,0,0])\n", "s.a7={k}\n"
+        ),
         "many elifs": Kind("if a:\nb=1\n", "elif a:\nb=1\n", "end\nmovel(p[0,0,0,0,0,0])\n"),
         "many elifs each": Kind("if a:\nb=1\n", "elif a=={k}:\nb={k}\n", "end\nmovel(p[0,0,0,0,0,0])\n"),
         "many elifs with poses": Kind("if a:\nb=1\n", "elif a:\nb=p[0,0,0,0,0,{k}]\n", "end\nmovel(b)\n"),

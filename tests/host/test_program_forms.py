@@ -885,6 +885,15 @@ u(
     "end",
     "movel(look()) ~",
 )
+u("a condition reads its numbers", f"V1 = {A}", "if V1[2] > 0.1:", "  movel(V1) ~", "end")
+u(
+    "a loop's condition reads its numbers",
+    f"V1 = {A}",
+    "movel(V1) ~",
+    "while V1[2] < -5.0:",
+    f"  movel({B})",
+    "end",
+)
 u(
     "a palette",
     "i = 0 ^",
@@ -927,6 +936,13 @@ r(
     r'TPReadNum nHigh,"height?"; ^',
     "MoveL Offs(Target_20,0,0,nHigh),v100,fine,t0; ~",
     data=["VAR num nHigh;"],
+)
+r(
+    "a condition reads its numbers",
+    "MoveL Target_20,v100,fine,t0; ~",
+    "IF Target_20.trans=[1,2,3] OR Target_20.trans.z>100 THEN",
+    "MoveL Target_30,v100,fine,t0;",
+    "ENDIF",
 )
 r("height counted up", "Add nHigh,5; ^", "MoveL Offs(Target_20,0,0,nHigh),v100,fine,t0; ~", data=["PERS num nHigh:=0;"])
 r("where it is", "pNow:=CRobT(\\Tool:=t0); ^", "MoveL Offs(pNow,0,0,50),v100,fine,t0; ~", data=["VAR robtarget pNow;"])

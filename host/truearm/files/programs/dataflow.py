@@ -10,7 +10,7 @@ A ``Language`` defines the meaning of the language's own functions.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise, product
+from itertools import chain, pairwise, product
 from math import prod
 from typing import Protocol, assert_never
 
@@ -41,7 +41,7 @@ from truearm.files.programs.syntax import (
     Text,
     Truth,
 )
-from truearm.files.programs.tree_walks import root_of
+from truearm.files.programs.tree_walks import places_in, root_of
 from truearm.files.programs.values import (
     MOST_LISTS,
     MOST_NUMBERS,
@@ -55,6 +55,7 @@ from truearm.files.programs.values import (
     counts,
     distinct,
     joined,
+    literals_in,
     merged,
     most_choices,
 )
@@ -84,11 +85,18 @@ class Language(Protocol):
 
 
 class Flow(Calls):
-    """A program that is followed; ``motions`` contains the moves found, by place."""
+    """A program that is followed; ``motions`` contains the moves found, by place.
+
+    ``judged``: the literals whose numbers conditions read, by their places, each with the place of the first condition.
+    ``deciding``: the place of the condition that is evaluated now. Functions of poses in conditions do not count: they
+    compare with the robot's own position, or ask for a solution, and either is right for the corrected numbers.
+    """
 
     def __init__(self, work: Work, language: Language, routines: Iterable[Routine]) -> None:
         super().__init__(work, Routines(work, language.changed_by, routines))
         self.language = language
+        self.judged: dict[int, int] = {}
+        self.deciding: int | None = None
 
     # statements
 
@@ -149,7 +157,7 @@ class Flow(Calls):
         self.work.spend(len(places) * sum(OPENED if isinstance(one, Taught | Pose) else ELEMENT for one in of))
         for place in places:
             each = tuple(self.language.changed(one, place, values, target.start) for one in of)
-            self.work.spend(sum(len(one.items) for one in each if isinstance(one, Listed)) // SEVERAL)
+            self.work.spend(sum(_size(one) for one in each) // SEVERAL)
             changed = joined(changed, each)
             if len(changed) > MOST_LISTS:
                 changed = merged(changed)
@@ -165,7 +173,7 @@ class Flow(Calls):
             if start:
                 self.environment.begin({})
             for condition in conditions[start:end]:
-                self.value(condition)
+                self._decide(condition)
             ways.append(self._ways(blocks[start : end if end < len(conditions) else None]))
         if not whole:
             ways[-1].append({})
@@ -200,7 +208,7 @@ class Flow(Calls):
             if loop.counter:
                 self.set(loop.counter, (Unknown(f"{loop.counter} counts", 0),), "local")
             if loop.condition is not None:
-                self.value(loop.condition)
+                self._decide(loop.condition)
             reached = self.run(loop.body)
             self.stack[-1].turns.pop()
             end = environment.end()
@@ -214,10 +222,24 @@ class Flow(Calls):
                 if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
                     environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0),))
         if loop.condition is not None and self.routines.runs_routine(loop.condition):
-            self.value(loop.condition)  # it is evaluated once more often than the body
+            self._decide(loop.condition)  # it is evaluated once more often than the body
         environment.join([{}, *turn.breaks])
 
     # expressions
+
+    def _decide(self, condition: Expression) -> None:
+        """Evaluate a condition and record in ``judged`` which literals' numbers it reads."""
+        outer, self.deciding = self.deciding, next(places_in(condition), 0)
+        self.value(condition)
+        self.deciding = outer
+
+    def _read(self, given: Iterable[Values]) -> None:
+        """Record that the condition that is evaluated now, if there is one, depends on the numbers of values."""
+        if self.deciding is None:
+            return
+        for one in chain.from_iterable(given):
+            for literal in literals_in(one) if isinstance(one, Pose) else (one,) if isinstance(one, Taught) else ():
+                self.judged.setdefault(literal.start, self.deciding)
 
     def value(self, expression: Expression) -> Values:
         """Return the possible values of an expression."""
@@ -237,6 +259,7 @@ class Flow(Calls):
             case Element(of, at, start):
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found: list[Value] = []
+                self._read([lists])
                 for one, place in product(lists, places):
                     whole = OPENED if isinstance(one, Taught | Pose) else ELEMENT
                     self.work.spend(whole if isinstance(place, str | Number) else _size(one))
@@ -249,6 +272,7 @@ class Flow(Calls):
                 if sign in ("and", "or") and self.routines.runs_routine(operands[1]):
                     return self._either(expression)
                 given = [self.value(operand) for operand in operands]
+                self._read(given)
                 self.work.spend(length_of_texts(given) // LETTERS)
                 self.work.spend(ELEMENT * min(prod(map(len, given)), most_choices(given)))
                 results = combined(start, operator_of(sign, start), given)
@@ -272,7 +296,10 @@ class Flow(Calls):
             if routine.kind == "beside" and routine.name not in self.running:
                 self.running[routine.name] = {HERE: dict.fromkeys(self.environment.get(HERE) or ())}
                 self.environment.records.append(self.running[routine.name])
-            return self.enter(routine, call, arguments, named)
+            outer, self.deciding = self.deciding, None
+            returned = self.enter(routine, call, arguments, named)
+            self.deciding = outer
+            return returned
         if (choices := prod(map(len, (*arguments, *named.values())))) > 1:
             self.work.spend(min(choices, most_choices((*arguments, *named.values()))))
         found = self.language.call(self, call, arguments, named)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, NamedTuple, assert_never
@@ -43,11 +43,15 @@ class Surroundings(NamedTuple):
 
 @dataclass(frozen=True)
 class Program:
-    """A program and its moves, in the order of the text."""
+    """A program and its moves, in the order of the text.
+
+    ``judged``: the literals whose numbers a condition reads, and that condition, by their places.
+    """
 
     language: ProgramLanguage
     source: Source
     motions: tuple[Motion, ...]
+    judged: Mapping[int, int] = field(default_factory=dict)
 
     @cached_property
     def motion_at(self) -> Mapping[int, Motion]:
@@ -102,7 +106,7 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
         raise ProgramError(f"{name}: contains no move; there is nothing to correct")
-    return Program(language, source, motions)
+    return Program(language, source, motions, flow.judged)
 
 
 def _followed(work: Work, language: ProgramLanguage, surroundings: Surroundings) -> Flow:

@@ -106,6 +106,8 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
                 users.setdefault(goal, motion)
             elif joint_moves and goal.target.form is Form.COMPUTED:
                 refuse(motion, "its joint readings are computed, not written as six plain numbers", "")
+            elif joint_moves and goal.target.start in program.judged:
+                refuse(motion, _judged(program, goal.target), "")
             elif joint_moves:
                 joints.setdefault(goal.target, motion.start)
     if len(users) + len(joints) > MAX_TARGETS:
@@ -197,6 +199,7 @@ def _assigned(
     """Return the targets, with a literal for each goal (those with one candidate first), and each goal's target."""
     goals, motions = list(users), list(users.values())
     fixtures = {literal.start for goal in goals for pose in goal[1:3] if pose.factors for literal in literals_in(pose)}
+    fixtures |= program.judged.keys()
     candidates = [_candidates(goal, fixtures, motion) for goal, motion in zip(goals, motions, strict=True)]
     holders: dict[int, int] = {}
     chosen: list[PoseTarget | None] = [None] * len(goals)
@@ -213,7 +216,11 @@ def _assigned(
             own = _split(goal, motion)
             chosen[i] = own if split else None
             if chosen[i] is None and (taken is not None or not motion.problems):
+                assert isinstance(goal.target, Pose)
+                read = [one for one in literals_in(goal.target) if one.start in program.judged]
                 why = "its target is not written as plain numbers in one place"
+                if read:
+                    why = _judged(program, read[0])
                 if taken is not None:
                     line = program.source.line
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
@@ -234,6 +241,12 @@ def _assigned(
         if at == len(poses):
             poses.append(one)
     return tuple(poses), index
+
+
+def _judged(program: Program, literal: Taught) -> str:
+    """Return why a literal whose numbers a condition reads cannot be corrected."""
+    line = program.source.line(program.judged[literal.start])
+    return f"the condition in line {line} reads the numbers of its target; it could decide otherwise by corrected ones"
 
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
