@@ -887,6 +887,17 @@ u(
 )
 u("a condition reads its numbers", f"V1 = {A}", "if V1[2] > 0.1:", "  movel(V1) ~", "end")
 u(
+    "a function of a condition reads its numbers",
+    "def above(at):",
+    "  return at[2] > 0.1",
+    "end",
+    f"V1 = {A}",
+    "high = above(V1)",
+    "if above(V1):",
+    "  movel(V1) ~",
+    "end",
+)
+u(
     "a loop's condition reads its numbers",
     f"V1 = {A}",
     "movel(V1) ~",

@@ -88,15 +88,14 @@ class Flow(Calls):
     """A program that is followed; ``motions`` contains the moves found, by place.
 
     ``judged``: the literals whose numbers conditions read, by their places, each with the place of the first condition.
-    ``deciding``: the place of the condition that is evaluated now. Functions of poses in conditions do not count: they
-    compare with the robot's own position, or ask for a solution, and either is right for the corrected numbers.
+    Built-in functions of poses in conditions do not count: they compare with the robot's own position, or ask for a
+    solution, and either is right for the corrected numbers.
     """
 
     def __init__(self, work: Work, language: Language, routines: Iterable[Routine]) -> None:
         super().__init__(work, Routines(work, language.changed_by, routines))
         self.language = language
         self.judged: dict[int, int] = {}
-        self.deciding: int | None = None
 
     # statements
 
@@ -296,10 +295,7 @@ class Flow(Calls):
             if routine.kind == "beside" and routine.name not in self.running:
                 self.running[routine.name] = {HERE: dict.fromkeys(self.environment.get(HERE) or ())}
                 self.environment.records.append(self.running[routine.name])
-            outer, self.deciding = self.deciding, None
-            returned = self.enter(routine, call, arguments, named)
-            self.deciding = outer
-            return returned
+            return self.enter(routine, call, arguments, named)
         if (choices := prod(map(len, (*arguments, *named.values())))) > 1:
             self.work.spend(min(choices, most_choices((*arguments, *named.values()))))
         found = self.language.call(self, call, arguments, named)
