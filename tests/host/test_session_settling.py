@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import binom
 
-from truearm.session.sample_noise import FALSE_ALARM, block_means, block_variance, rings, settled_from
+from truearm.session.sample_noise import FALSE_ALARM, block_means, block_variance, rests_within, rings, settled_from
 
 HZ, BLOCK = 1000.0, 25
 T = np.arange(1800) / HZ
@@ -86,3 +88,19 @@ def test_what_never_rests_is_told_apart():
 def test_constant_signals_rest_at_once():
     settled = found(np.full(T.size, 0.46), floor=1e-12, variance=0.0)
     assert (settled.first, settled.level) == (0, pytest.approx(0.46))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(4, 90), st.floats(0.0, 6.0), st.floats(0.0, 1e3))
+def test_signals_within_the_floor_rest_whatever_their_noise(seed, blocks, floor, block_var):
+    rng = np.random.default_rng(seed)
+    means = 1e3 + rng.standard_normal((3, blocks)) * rng.choice([0.1, 1.0], (3, 1))
+    if rests_within(means, floor):
+        assert not settled_from(means, block_var, floor).first.any()
+
+
+def test_a_signal_beyond_the_floor_is_left_to_the_noise():
+    means = np.zeros(40)
+    means[3] = 1.0
+    assert rests_within(means, 1.001)
+    assert not rests_within(means, 0.999)
+    assert not rests_within(np.full(40, np.nan), 1.0)

@@ -32,6 +32,7 @@ from truearm.session.sample_noise import (
     block_variance,
     mean_of,
     quick_noise,
+    rests_within,
     rings,
     settled_from,
 )
@@ -197,16 +198,17 @@ def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) 
     # A drift within the bar's declared repeatability is already covered by it.
     if not reason and abs(dwell.drift) > max(DRIFT_SIGMAS * dwell.drift_sigma, bar.sigma, MICRON):
         reason, detail = "drift", f"{UM.text(dwell.drift, '+.0f')} in {period_s * dwell.n_samples:.1f} s"
-    return replace(dwell, reason=reason, detail=detail)
+    return replace(dwell, reason=reason, detail=detail) if reason else dwell
 
 
 def settled(length: Floats, block: int, usual_var: float, floor: float) -> Settled | None:
-    """Return where the lengths (n,) [m] come to rest, in blocks of the given length; None if there are too few samples.
+    """Return where the lengths (n,) [m] come to rest, in blocks of the given length; None if there are too few samples
+    or if they rest from the first.
 
     ``usual_var`` [m²]: variance of a block's mean at rest, NaN if unknown.
     """
     means = block_means(length, block)
-    if means.size < LEAST_BLOCKS:
+    if means.size < LEAST_BLOCKS or rests_within(means, floor):
         return None
     own = block_variance(length, block)
     variance = own if np.isnan(usual_var) else min(max(own, usual_var), OWN_NOISE * usual_var)

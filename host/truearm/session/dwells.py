@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.joint_readings import Bins, JointStream, pairs
-from truearm.session.sample_noise import LEAST_BLOCKS, settled_from
+from truearm.session.sample_noise import LEAST_BLOCKS, rests_within, settled_from
 from truearm.types import Floats
 
 WINDOW_BINS = 4
@@ -207,8 +207,11 @@ def _settled(bins: Bins, used: slice, rest: _Rest) -> tuple[int, int]:
     means, n = bins.mean[used], bins.n[used]
     if len(means) < LEAST_BLOCKS:
         return 0, 0
+    signals = np.ascontiguousarray(means.T)
+    if rests_within(signals, rest.floor):
+        return 0, 0
     fewer = float(np.median(n) / np.min(n))  # a bin cut short by the end of the recording has fewer readings
-    firsts = settled_from(np.ascontiguousarray(means.T), fewer * rest.bin_var, rest.floor).first
+    firsts = settled_from(signals, fewer * rest.bin_var, rest.floor).first
     return int(np.max(firsts)), int(np.argmax(firsts))
 
 

@@ -117,8 +117,7 @@ def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float
     """
     b = means.shape[-1]
     half = b // 2
-    level = np.mean(means[..., half:], axis=-1)
-    deviation = means - level[..., None]
+    level, deviation = _from_level(means)
     level_var = np.asarray(block_var) / (b - half)
     sums = np.concatenate([np.zeros((*means.shape[:-1], 1)), np.cumsum(deviation, axis=-1)], axis=-1)
     widths = [1 << k for k in range(max(1, half).bit_length())]
@@ -131,6 +130,22 @@ def settled_from(means: Floats, block_var: Floats | float, floor: Floats | float
         last = off.shape[-1] - np.argmax(off[..., ::-1], axis=-1)
         first = np.maximum(first, np.where(np.any(off, axis=-1), last, 0))
     return Settled(first, level, deviation, np.maximum(floor, sigmas * np.sqrt(block_var + level_var)))
+
+
+def rests_within(means: Floats, floor: Floats | float) -> bool:
+    """Return whether ``settled_from()`` finds all signals at rest from their first block, whatever their noise.
+
+    A stretch deviates by no more than the largest deviation of its blocks, and every bound is at least ``floor`` (…).
+    """
+    _, deviation = _from_level(means)
+    # Sums of blocks are rounded: that adds far less than one part in a million to the deviation of a stretch.
+    return bool(np.all(np.abs(deviation).max(axis=-1) <= np.asarray(floor) * (1.0 - 1e-6)))
+
+
+def _from_level(means: Floats) -> tuple[Floats, Floats]:
+    """Return the mean (…) of the second half of the blocks (…, b), and the deviations (…, b) from it."""
+    level = np.mean(means[..., means.shape[-1] // 2 :], axis=-1)
+    return level, means - level[..., None]
 
 
 @cache
