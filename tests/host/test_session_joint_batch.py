@@ -197,3 +197,19 @@ def test_a_lost_and_a_doubled_line_before_the_same_columns_are_counted():
         reader.take(columns_of([*received[cut:], columns]))
         stream = reader.finish()
         assert (stream.readings, stream.lost, stream.duplicated) == (59, 1, 1)
+
+
+def batch_of(first: int, joints: int = 2, **more: float):
+    rows = [{"t": k / 100, "seq": k, "q": [0.1 * k] * joints, **more} for k in range(first, first + 1 + first % 3)]
+    return parse_lines([json.dumps(row).encode() for row in rows], [10 * MS * row["seq"] for row in rows])
+
+
+def test_messages_are_decoded_together_as_one_by_one():
+    batches = [batch_of(k) for k in (0, 4, 8, 9)]
+    assert_same(unpack(*map(pack, batches)), concatenate(batches))
+
+
+@pytest.mark.parametrize("other", [batch_of(4, joints=3), batch_of(4, robot_mode=7), batch_of(5, joints=1)])
+def test_messages_with_other_columns_are_not_joined(other):
+    assert unpack(pack(other)) is not None
+    assert unpack(pack(batch_of(1)), pack(other)) is None

@@ -204,7 +204,10 @@ def concatenate(batches: Sequence[JointBatch]) -> JointBatch:
     """Concatenate at least one batch of readings with equal numbers of joints."""
     keys = dict.fromkeys(chain.from_iterable(batch.more for batch in batches))
     filled = [
-        replace(batch, more={key: batch.more.get(key, _nothing(batch, key)) for key in keys}) for batch in batches
+        batch
+        if len(batch.more) == len(keys)
+        else replace(batch, more={key: batch.more.get(key, _nothing(batch, key)) for key in keys})
+        for batch in batches
     ]
     return filled[0] if len(filled) == 1 else _each(lambda *columns: np.concatenate(columns), *filled)
 
@@ -220,10 +223,13 @@ def pack(batch: JointBatch) -> bytes:
     return cbor2.dumps({name: _tagged(column) for name, column in columns.items()})
 
 
-def unpack(data: bytes) -> JointBatch | None:
-    """Decode the batch in a message; None if ``pack`` cannot have made it, as the lines contain the same data."""
+def unpack(*messages: bytes) -> JointBatch | None:
+    """Decode the batches in messages as one batch.
+
+    None if ``pack`` cannot have made one of them, as the lines contain the same data, or if their columns differ.
+    """
     try:
-        said = {str(name): _array(tagged) for name, tagged in cbor2.loads(data).items()}
+        said = _joined([cbor2.loads(data) for data in messages])
         t, seq, arrival_ns, flat = (said.pop(name) for name in ("t", "seq", "arrival_ns", "q"))
         n, width = len(t), len(flat) // len(t)
         q = flat.reshape(n, width)
@@ -241,7 +247,7 @@ def unpack(data: bytes) -> JointBatch | None:
     if any(column.dtype.kind != "f" for column in floats) or not 1 <= width <= MAX_JOINTS:
         return None
     good = t.min() >= 0.0 and t.max() < MAX_T_S and seq.min() >= UNNUMBERED and seq.max() < MAX_SEQ  # false for NaN
-    good = good and q.min() > -MAX_Q and q.max() < MAX_Q and inputs.min() >= NO_INPUTS
+    good = good and flat.min() > -MAX_Q and flat.max() < MAX_Q and inputs.min() >= NO_INPUTS
     good = good and (commanded is None or not np.any(np.abs(q_cmd) >= MAX_Q))
     return JointBatch(arrival_ns, t, seq, q, q_cmd, inputs, more) if good else None
 
@@ -251,8 +257,22 @@ def _tagged(column: NDArray[Any]) -> cbor2.CBORTag:
     return cbor2.CBORTag(tag, np.ascontiguousarray(column, _DTYPES[tag]).tobytes())
 
 
-def _array(tagged: Any) -> NDArray[Any]:
-    return np.frombuffer(tagged.value, _DTYPES[tagged.tag])
+def _joined(batches: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    """Return the columns of all batches; ValueError unless all have the same ones, with equal numbers of joints."""
+    first = batches[0]
+    if any(batch.keys() != first.keys() for batch in batches):
+        raise ValueError
+    n = [len(batch["t"].value) for batch in batches]
+    columns = {}
+    for name, tagged in first.items():
+        if any(batch[name].tag != tagged.tag for batch in batches):
+            raise ValueError
+        values = [batch[name].value for batch in batches]
+        # A column has a number, or one per joint, for each reading: its length is a multiple of that of the times.
+        if any(len(value) * n[0] != len(tagged.value) * k for value, k in zip(values, n, strict=True)):
+            raise ValueError
+        columns[str(name)] = np.frombuffer(b"".join(values), _DTYPES[tagged.tag])
+    return columns
 
 
 def columns_of_rows(
