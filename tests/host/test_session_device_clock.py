@@ -69,7 +69,8 @@ def test_hulls_found_together_are_those_found_alone(points):
 def test_line_under_touches_and_is_the_best():
     rng = np.random.default_rng(3)
     x, y = np.sort(rng.uniform(0, 10, 200)), rng.exponential(1.0, 200)
-    offset, rate = line_under(x, y + 0.3 * x, float(np.mean(x)))
+    corners = lower_hull(x, y + 0.3 * x)
+    offset, rate = line_under(x[corners], (y + 0.3 * x)[corners], float(np.mean(x)))
     best = linprog(
         [-1.0, -np.mean(x)], A_ub=np.stack([np.ones(200), x], 1), b_ub=y + 0.3 * x, bounds=[(None, None)] * 2
     )

@@ -80,17 +80,16 @@ def lower_hulls(x: Floats, y: Floats, group: NDArray[np.integer[Any]]) -> NDArra
 
 
 def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
-    """Return (offset, rate) of the line under all points that is nearest to them on average; ``middle`` is their mean
-    x.
+    """Return (offset, rate) of the line under all points that is nearest to them on average.
 
-    The mean distance of a line under the points is its distance at their mean x, so the best line is the edge of the
-    hull there. The rate is 0 for a single point.
+    ``x``, ``y`` (c,): the corners of the points' lower hull by ascending x. ``middle``: the mean x of the points. The
+    mean distance of a line under the points is its distance there, so the best line is the edge of the hull there. The
+    rate is 0 for a single point.
     """
-    corners = lower_hull(x, y)
-    if corners.size == 1:
-        return float(y[corners[0]]), 0.0
-    edge = int(np.clip(np.searchsorted(x[corners], middle) - 1, 0, corners.size - 2))
-    (x0, x1), (y0, y1) = x[corners[edge : edge + 2]], y[corners[edge : edge + 2]]
+    if x.size == 1:
+        return float(y[0]), 0.0
+    edge = int(np.clip(np.searchsorted(x, middle) - 1, 0, x.size - 2))
+    (x0, x1), (y0, y1) = x[edge : edge + 2], y[edge : edge + 2]
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # times may differ by almost nothing; the rate is then not finite

@@ -126,12 +126,15 @@ def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes]:
     return record.name, record.data
 
 
-def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
-    """Return the records of a chunk, decompressed within bounds and with the CRC checked."""
+def chunk_records(path: Path, file: BinaryIO, at: int, length: int, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """Return the records of a chunk, decompressed within bounds and with the CRC checked.
+
+    ``zstd`` may serve all chunks of one thread: to make it takes longer than to use it.
+    """
     body = body_of(path, file, at, length, MAX_CHUNK_BYTES)
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))
-        data = _decompress(chunk)
+        data = _decompress(chunk, zstd)
     except (*UNREADABLE, zstandard.ZstdError, RuntimeError):  # the last is what lz4 raises
         damaged(path, at)
     if data is None:
@@ -141,14 +144,14 @@ def chunk_records(path: Path, file: BinaryIO, at: int, length: int) -> bytes:
     return data
 
 
-def _decompress(chunk: Chunk) -> bytes | None:
+def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes | None:
     """Decompress a chunk; None if the method is unknown or the chunk is, or claims to be, larger than the bound."""
     if chunk.compression == "zstd":
         # If the frame states its size, zstandard allocates that much regardless of max_output_size.
         claimed = zstandard.get_frame_parameters(chunk.data).content_size
         if claimed > MAX_CHUNK_BYTES and claimed != zstandard.CONTENTSIZE_UNKNOWN:
             return None
-        return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
+        return zstd.decompress(chunk.data, max_output_size=MAX_CHUNK_BYTES)
     if chunk.compression == "lz4":  # not used by truearm, but bags may use it
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=MAX_CHUNK_BYTES + 1)
         return data if len(data) <= MAX_CHUNK_BYTES else None

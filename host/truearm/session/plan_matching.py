@@ -20,6 +20,7 @@ Legs are assigned to lines in the same way, by the plan or by what was said to b
 from __future__ import annotations
 
 import json
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -113,8 +114,7 @@ class Marks:
 
     def mounted_at(self, t_host_ns: int) -> dict[str, str]:
         """Return what was said to be mounted at a time; empty before the first statement."""
-        times = [t for t, _ in self.mountings]
-        index = int(np.searchsorted(np.array(times, dtype=np.int64), t_host_ns, side="right"))
+        index = bisect_right(self.mountings, t_host_ns, key=lambda mounting: mounting[0])
         return self.mountings[index - 1][1] if index else {}
 
 

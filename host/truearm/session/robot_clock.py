@@ -171,7 +171,13 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     pairs = [(a, b) for a, b in pairwise(keys) if b == a + 1] or [(keys[0], keys[0])]
     alone = [(k, k) for k in keys if not any(k in pair for pair in pairs)]
     windows = sorted(pairs + alone)
-    lines = np.array([_line(arrivals, blocks, pair) for pair in windows])
+    seconds = [[second for key in sorted(set(pair)) for second in blocks[key]] for pair in windows]
+    points = np.concatenate([second for each in seconds for second in each])
+    sizes = [sum(map(len, each)) for each in seconds]
+    window = np.repeat(np.arange(len(windows)), sizes)
+    hull = lower_hulls(points[:, 0], points[:, 1], window)
+    hulls = np.split(points[hull], np.searchsorted(window[hull], np.arange(1, len(windows))))
+    lines = np.array([_line(arrivals, pair, *some) for pair, *some in zip(windows, seconds, hulls, strict=True)])
     centre, offset, rate, bound = lines.T
     bound = _with_disagreement(lines)
     clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, arrivals.t_ref_s + centre, offset, rate, bound)
@@ -179,15 +185,16 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
 
 
 def _line(
-    arrivals: Arrivals, blocks: dict[int, list[Floats]], pair: tuple[int, int]
+    arrivals: Arrivals, pair: tuple[int, int], each: list[Floats], hull: Floats
 ) -> tuple[float, float, float, float]:
-    """Return centre [s], offset [ns], rate and bound [ns] of the line under two half windows."""
-    keys = sorted(set(pair))
-    each = [corners for key in keys for corners in blocks[key]]
+    """Return centre [s], offset [ns], rate and bound [ns] of the line under two half windows.
+
+    ``each``: the corners (c, 2) of their seconds, dt [s] and latency [ns]; ``hull``: the lower hull of all of these.
+    """
     corners = np.concatenate(each)
-    count, dt_sum, latency_sum = np.sum([arrivals.sums[key] for key in keys], axis=0)
+    count, dt_sum, latency_sum = np.sum([arrivals.sums[key] for key in sorted(set(pair))], axis=0)
     dt, latency = corners[:, 0], corners[:, 1]
-    offset, per_second = line_under(dt, latency, dt_sum / count)
+    offset, per_second = line_under(hull[:, 0], hull[:, 1], dt_sum / count)
     if abs(per_second) > 1e9 * MAX_RATE:
         offset, per_second = float(np.min(latency)), 0.0
     # The height of the fastest packet of each second above the line; if there are too few seconds, all packets count.

@@ -33,6 +33,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdDecompressor
 
 from truearm.errors import Argument, SessionError
 from truearm.progress import step
@@ -104,12 +105,13 @@ class Session:
     def packed(self) -> Iterator[bytes]:
         """Yield the records of one chunk after the other."""
         first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
+        zstd = ZstdDecompressor()
         with open_file(self.path) as file, step(f"reading {self.path.name}") as advance:
             for start, end in self.spans:
                 for opcode, at, length in records(file, end, start):
                     advance((at - first) / (last - first))
                     if opcode == Opcode.CHUNK:
-                        yield chunk_records(self.path, file, at, length)
+                        yield chunk_records(self.path, file, at, length, zstd)
                     elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE):  # files of other programs may have no chunks
                         yield RECORD.pack(opcode, length) + body_of(self.path, file, at, length, MAX_CHUNK_BYTES)
 
@@ -215,7 +217,7 @@ def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, 
 def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: int) -> int:
     """Return ``end``, or the start of the last chunk if a power cut kept its space on disk but not its bytes."""
     try:
-        chunk_records(path, file, *last)
+        chunk_records(path, file, *last, ZstdDecompressor())
     except SessionError:
         return last[0] - RECORD.size
     return end
@@ -347,7 +349,7 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
         if opcode == Opcode.CHUNK:
             if not _fits(file, at, body + length):  # the library would skip bytes after the contents of the chunk
                 return False
-            _take_messages(path, chunk_records(path, file, body, length), whole)
+            _take_messages(path, chunk_records(path, file, body, length, ZstdDecompressor()), whole)
         elif opcode in (Opcode.CHANNEL, Opcode.MESSAGE, Opcode.SCHEMA):
             _take_messages(
                 path, RECORD.pack(opcode, length) + body_of(path, file, body, length, MAX_CHUNK_BYTES), whole
