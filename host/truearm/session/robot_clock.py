@@ -177,7 +177,7 @@ def fit_robot_clock(segment: int, arrivals: Arrivals) -> tuple[RobotClock, Robot
     window = np.repeat(np.arange(len(windows)), sizes)
     hull = lower_hulls(points[:, 0], points[:, 1], window)
     hulls = np.split(points[hull], np.searchsorted(window[hull], np.arange(1, len(windows))))
-    lines = np.array([_line(arrivals, pair, *some) for pair, *some in zip(windows, seconds, hulls, strict=True)])
+    lines = np.array([_line(arrivals, *of) for of in zip(windows, seconds, hulls, strict=True)])
     centre, offset, rate, bound = lines.T
     bound = _with_disagreement(lines)
     clock = RobotClock(arrivals.t_ref_s, arrivals.host_ref_ns, arrivals.t_ref_s + centre, offset, rate, bound)
