@@ -6,7 +6,8 @@
 
 The sessions are made here: a box at 1017 samples a second with four channels, a robot that says its joints 50 times a second, a dwell every 2.7 s.
 Faulty ones have 1 % of the box's frames lost, doubled, flipped or swapped, and restarts. Seconds are of the processor, on one
-thread; all ratios are of stages that ran in turn in one process. The oracle's observations are its two readings of the file, as they were before
+thread; all ratios are of stages that ran in turn in one process. The peer of samples and observations is the oracle,
+that of the joint readings is json.loads on each of their lines. The oracle's observations are its two readings of the file, as they were before
 there were columns, and everything behind them as it is now.
 """
 
@@ -23,8 +24,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +40,9 @@ import session_stream
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.session.box_reader import BoxReader
-from truearm.session.joint_format import format_reading
-from truearm.session.joint_readings import CHUNK, JointReader
-from truearm.session.message_columns import columns_of
+from truearm.session.joint_format import COLUMNS, JOINTS, format_reading
+from truearm.session.joint_readings import CHUNK, JointReader, ReadingOrder
+from truearm.session.message_columns import Messages, columns_of
 from truearm.session.observations import observations
 from truearm.session.plan_matching import Marks
 from truearm.session.session_file import Session, open_session
@@ -51,12 +53,13 @@ from truearm_wire.cbor import Tag
 DWELL_S = 2.7
 BOOT_US = 2_000_000  # from a restart to the first block
 RUNS = 3
+JOINT_BATCHES = 40  # what is kept in memory for the stages of joint readings
 DATA_HEAD = struct.Struct(">BBBIBBQBQBIHBB")
 
 
 def main(quick: bool) -> None:
     lengths = (10,) if quick else (73, 292)
-    print(f"{'session':28}{'stage':26}{'CPU s':>9}{'of unpacking':>14}{'of the oracle':>15}")
+    print(f"{'session':28}{'stage':28}{'CPU s':>9}{'of unpacking':>14}{'of its peer':>15}")
     with tempfile.TemporaryDirectory() as folder:
         for minutes in lengths:
             for seed in (1, 2):
@@ -212,12 +215,18 @@ def renumbered(message: Message, seq: int) -> Message:
 
 def show(name: str, path: Path) -> None:
     session = open_session(path)
+    batches = list(islice(session.batches(), JOINT_BATCHES))
+    without_columns = [messages.without(lambda topic: topic == COLUMNS) for messages in batches]
+    lines = [m.data for messages in batches for m in messages.of(messages.rows(lambda topic: topic == JOINTS))]
     stages: dict[str, Callable[[], Any]] = {
         "unpacking alone": lambda: sum(map(len, session.packed())),
         "open and check the file": lambda: open_session(path),
         "columns of messages": lambda: sum(map(len, session.batches())),
         "samples": lambda: samples(session),
         "oracle: samples": lambda: oracle_samples(session),
+        "joints": lambda: joints(batches),
+        "joints without columns": lambda: joints(without_columns),
+        "joints: the library's json": lambda: sum(len(json.loads(line)) for line in lines),
         "observations": lambda: observations(open_session(path).batches, session_stream.RIG),
         "oracle: its two readings": lambda: oracle_readings(session),
     }
@@ -231,10 +240,18 @@ def show(name: str, path: Path) -> None:
     least = {stage: min(times) for stage, times in seconds.items()}
     floor = least["unpacking alone"]
     least["oracle: observations"] = least["observations"] - shared_reading(session) + least["oracle: its two readings"]
+    plain = least["joints: the library's json"]
     ratio = {"samples": least["oracle: samples"], "observations": least["oracle: observations"]}
+    ratio |= {"joints": plain, "joints without columns": plain}
     for stage, value in least.items():
         of_oracle = f"{value / ratio[stage]:15.2f}" if stage in ratio else ""
-        print(f"{name:28}{stage:26}{value:9.3f}{value / floor:14.1f}{of_oracle}", flush=True)
+        print(f"{name:28}{stage:28}{value:9.3f}{value / floor:14.1f}{of_oracle}", flush=True)
+
+
+def joints(batches: Sequence[Messages]) -> int:
+    order = ReadingOrder()
+    due = [*chain.from_iterable(map(order.take, batches)), *order.finish()]
+    return sum(len(batch) for _, batch in due)
 
 
 def samples(session: Session) -> int:

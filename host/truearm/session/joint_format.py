@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from operator import attrgetter
 from typing import Annotated, Any, NamedTuple, TypeGuard
 
 import cbor2
@@ -280,8 +281,8 @@ def columns_of_rows(
 ) -> JointBatch:
     """Return the columns of lines with equal numbers of joints; ``width`` is used if there are no lines."""
     width = len(rows[0].q) if rows else width or 0
-    numbers = {key: [getattr(row, key) for row in rows] for key in NUMBERS}
-    arrays = {key: _joints([getattr(row, key) for row in rows], width) for key in ARRAYS}
+    numbers = {key: list(map(attrgetter(key), rows)) for key in NUMBERS}
+    arrays = {key: _joints(list(map(attrgetter(key), rows)), width) for key in ARRAYS}
     q_cmd = arrays.pop("q_cmd")
     more = {key: values for key, values in arrays.items() if values is not None}
     more |= {key: np.array(said, np.float64) for key, said in numbers.items() if said.count(None) < len(said)}
