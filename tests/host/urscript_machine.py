@@ -7,6 +7,7 @@ implemented again.
 """
 
 import contextlib
+import operator
 import re
 from dataclasses import dataclass
 from itertools import pairwise
@@ -90,6 +91,7 @@ class Left(Exception):
     """The end of a loop's pass: break or continue."""
 
 
+COMPARED = {"==": operator.eq, "!=": operator.ne, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}  # fmt: skip
 OPENING = {"while", "if", "def", "thread"}
 
 
@@ -246,14 +248,7 @@ class Machine:
             other, at = self._sum(tokens, at + 1)
             if type(value) is not type(other):
                 raise ProgramFault("a comparison of different kinds")
-            value = {
-                "==": value == other,
-                "!=": value != other,
-                "<": value < other,
-                ">": value > other,
-                "<=": value <= other,
-                ">=": value >= other,
-            }[sign]
+            value = COMPARED[sign](value, other)
         return value, at
 
     def _postfix(self, tokens, at):

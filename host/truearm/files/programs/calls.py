@@ -40,15 +40,13 @@ class _Entry(NamedTuple):
 class Calls(Moves, ABC):
     """Routines that are executed.
 
-    ``called``: their names; ``running``: threads, and all values of names since they were started; ``deciding``: the place
-    of the condition that is evaluated now, also within the routines that it calls.
+    ``called``: their names; ``running``: threads, and all values of names since they were started.
     """
 
     def __init__(self, work: Work, routines: Routines) -> None:
         super().__init__(work, routines)
         self.called: set[str] = set()
         self.running: dict[str, dict[Key, dict[Value, None]]] = {}
-        self.deciding: int | None = None
         self._scopes = GLOBAL
         self._effects: dict[object, list[_Effect]] = {}  # of routines by their arguments
 
@@ -139,7 +137,7 @@ class Calls(Moves, ABC):
         beside = any(one.routine and one.routine.kind == "beside" for one in self.stack)
         scope = GLOBAL if entry.parent is None else entry.parent.scope
         given = (tuple(entry.given.items()), tuple(entry.doubled.items()))
-        return entry.routine.name, entry.called, given, scope, beside, self.loose, self.deciding is None
+        return entry.routine.name, entry.called, given, scope, beside, self.loose
 
     def _repeats(self, trace: Trace) -> bool:
         """Return whether all that a routine read is the same here."""

@@ -91,7 +91,7 @@ def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, ne
     out = [_renumbered(literal, texts) for literal, texts in zip(seen, _pose_texts(seen, poses), strict=True)]
     for one, goal in zip(targets, told, strict=True):
         if one.literal is None:
-            out.append(Change(one.goal.start, one.goal.end, _written(program, one.goal, goal)))
+            out.append(Change(one.goal.start, one.goal.end, _written(program, one.goal, goal, new.literals)))
     return list(dict.fromkeys(out))
 
 
@@ -152,19 +152,25 @@ def _pose_texts(literals: Sequence[Taught], poses: Floats) -> list[list[str]]:
     return [[*place, *(plain(v, 10) for v in turn)] for place, turn in zip(places, quaternion.tolist(), strict=True)]
 
 
-def _written(program: Program, goal: Goal, pose: Floats) -> str:
+def _written(program: Program, goal: Goal, pose: Floats, literals: LiteralPoses) -> str:
     """Return a separate target that replaces an argument."""
-    rotation = Rotation.from_matrix(pose[:3, :3])
     if program.language == "urscript":
-        six = ", ".join(plain(value, 9) for value in (*pose[:3, 3], *rotation.as_rotvec()))
         given = goal.near.values if isinstance(goal.near, Taught) else goal.near
         near = f", qnear=[{', '.join(plain(value, 10) for value in given)}]" if given else ""
-        return f"get_inverse_kin(p[{six}]{near})" if near else f"p[{six}]"
+        tool = f", tcp={_six(matrix_of(goal.tool, literals))}" if goal.own_tool else ""
+        return f"get_inverse_kin({_six(pose)}{near}{tool})" if near or tool else _six(pose)
+    rotation = Rotation.from_matrix(pose[:3, :3])
     place = ",".join(plain(value, 5) for value in MM.of(pose[:3, 3]))
     turn = ",".join(plain(value, 10) for value in rotation.as_quat()[[3, 0, 1, 2]])
     like = goal.target.like if isinstance(goal.target, Pose) else None
-    rest = [program.source.text[n.start : n.end] for n in like.numbers[7:]] if like else ["0"] * 4 + ["9E9"] * 6
+    rest = NUMBERS.findall(like.text)[7:] if like else ["0"] * 4 + ["9E9"] * 6
     return f"[[{place}],[{turn}],[{','.join(rest[:4])}],[{','.join(rest[4:])}]]"
+
+
+def _six(pose: Floats) -> str:
+    """Return a pose (4, 4) as p[…]."""
+    turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
+    return f"p[{', '.join(plain(value, 9) for value in (*pose[:3, 3], *turn))}]"
 
 
 def _near(turn: Floats, old: Floats) -> Floats:

@@ -45,19 +45,24 @@ from truearm.files.programs.tree_walks import places_in, root_of
 from truearm.files.programs.values import (
     MOST_LISTS,
     MOST_NUMBERS,
+    NO_ORIGIN,
     Fields,
     Listed,
+    Origin,
     Pose,
     Unknown,
     Value,
     Values,
     combined,
+    computed,
     counts,
     distinct,
+    first_unknown,
     joined,
-    literals_in,
     merged,
     most_choices,
+    numbers_origin,
+    origin_of,
 )
 from truearm.files.programs.variables import Turn
 from truearm.files.programs.work import BLOCK, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
@@ -67,6 +72,14 @@ MAX_TURNS = 4  # of a loop, before values that still change become unknown
 
 class Language(Protocol):
     """The functions and operators of a language."""
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Return the functions that move the robot or change what later moves do."""
+
+    @property
+    def distances(self) -> frozenset[str]:
+        """Return the functions whose result depends on the numbers of the poses that they are given."""
 
     def call(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> Values | None:
         """Apply a built-in function and return its result; None for any other function."""
@@ -87,13 +100,14 @@ class Language(Protocol):
 class Flow(Calls):
     """A program that is followed; ``motions`` contains the moves found, by place.
 
-    ``judged``: the literals whose numbers conditions read, by their places, each with the place of the first condition.
-    Built-in functions of poses in conditions do not count: they compare with the robot's own position, or ask for a
-    solution, and either is right for the corrected numbers.
+    ``judged``: the literals from whose numbers something is decided, by their places, each with the place of the first
+    decision: a condition, a loop's bound or an index. What a function of poses returns does not count: it compares with
+    the robot's own position, or asks for a solution, and either is right for the corrected numbers. Distances count,
+    except from a place that is known only at run time.
     """
 
     def __init__(self, work: Work, language: Language, routines: Iterable[Routine]) -> None:
-        super().__init__(work, Routines(work, language.changed_by, routines))
+        super().__init__(work, Routines(work, language.changed_by, language.effects, routines))
         self.language = language
         self.judged: dict[int, int] = {}
 
@@ -152,6 +166,7 @@ class Flow(Calls):
             return
         of = self.value(target.of)
         places = (target.at,) if isinstance(target.at, str) else self.value(target.at)
+        self._decided(places, target.start)
         changed: Values = ()
         self.work.spend(len(places) * sum(OPENED if isinstance(one, Taught | Pose) else ELEMENT for one in of))
         for place in places:
@@ -219,7 +234,8 @@ class Flow(Calls):
                 break
             for key in grown:
                 if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
-                    environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0),))
+                    origin = self._origin(environment.get(key) or ())
+                    environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0, "", origin),))
         if loop.condition is not None and self.routines.runs_routine(loop.condition):
             self._decide(loop.condition)  # it is evaluated once more often than the body
         environment.join([{}, *turn.breaks])
@@ -227,18 +243,19 @@ class Flow(Calls):
     # expressions
 
     def _decide(self, condition: Expression) -> None:
-        """Evaluate a condition and record in ``judged`` which literals' numbers it reads."""
-        outer, self.deciding = self.deciding, next(places_in(condition), 0)
-        self.value(condition)
-        self.deciding = outer
+        """Evaluate a condition and record in ``judged`` from which literals' numbers it is computed."""
+        self._decided(self.value(condition), next(places_in(condition), 0))
 
-    def _read(self, given: Iterable[Values]) -> None:
-        """Record that the condition that is evaluated now, if there is one, depends on the numbers of values."""
-        if self.deciding is None:
-            return
-        for one in chain.from_iterable(given):
-            for literal in literals_in(one) if isinstance(one, Pose) else (one,) if isinstance(one, Taught) else ():
-                self.judged.setdefault(literal.start, self.deciding)
+    def _decided(self, values: Iterable[Value | str], place: int) -> None:
+        """Record that these values decide what the program does."""
+        for literal in origin_of(one for one in values if not isinstance(one, str)):
+            self.judged.setdefault(literal.start, place)
+
+    def _origin(self, values: Iterable[Value]) -> Origin:
+        """Return the literals that values contain or are computed from."""
+        found = origin_of(values)
+        self.work.spend(len(found) // SEVERAL)
+        return found
 
     def value(self, expression: Expression) -> Values:
         """Return the possible values of an expression."""
@@ -258,7 +275,7 @@ class Flow(Calls):
             case Element(of, at, start):
                 lists, places = self.value(of), (at,) if isinstance(at, str) else self.value(at)
                 found: list[Value] = []
-                self._read([lists])
+                self._decided(places, start)
                 for one, place in product(lists, places):
                     whole = OPENED if isinstance(one, Taught | Pose) else ELEMENT
                     self.work.spend(whole if isinstance(place, str | Number) else _size(one))
@@ -271,22 +288,30 @@ class Flow(Calls):
                 if sign in ("and", "or") and self.routines.runs_routine(operands[1]):
                     return self._either(expression)
                 given = [self.value(operand) for operand in operands]
-                self._read(given)
                 self.work.spend(length_of_texts(given) // LETTERS)
                 self.work.spend(ELEMENT * min(prod(map(len, given)), most_choices(given)))
                 results = combined(start, operator_of(sign, start), given)
                 if len(results) > MOST_NUMBERS and isinstance(results[0], Number):
-                    return (Unknown("it has too many possible values to trace", start),)
-                return results
+                    results = (Unknown("it has too many possible values to trace", start),)
+                return self._computed(results, self._origin(chain.from_iterable(given)))
             case _:
                 assert_never(expression)
 
     def _either(self, of: Operation) -> Values:
         """Evaluate ``and`` or ``or``: the second operand is evaluated if the first does not decide."""
         first, second = of.operands
-        self.value(first)
-        self.environment.join([{}, *self._ways(((Do(second),),))])
-        return (Unknown(f"the result of {of.sign} cannot be traced", of.start),)
+        found = self.value(first)
+        self._decided(found, of.start)
+        self.environment.begin({})
+        found += self.value(second)
+        self.environment.join([{}, self.environment.end()])
+        origin = self._origin(found)
+        return (Unknown(f"the result of {of.sign} cannot be traced", of.start, "", origin),)
+
+    @staticmethod
+    def _computed(values: Values, origin: Origin) -> Values:
+        """Return values as computed also from the numbers of these literals."""
+        return distinct(computed(one, origin) for one in values) if origin else values
 
     def _call(self, call: Call) -> Values:
         arguments = [self.value(argument) for argument in call.arguments]
@@ -303,9 +328,19 @@ class Flow(Calls):
             why = f"{call.function} is not defined in this file; it may move the robot"
             self.uncertain(call.function, call.start, call.end, why, "harmless")
             found = (Unknown(f"the result of {call.function} is known only at run time", call.start),)
+        origin = self._read(call.function, [*chain(*arguments, *named.values())])
         for argument in self.language.changed_by(call):
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
-                self.assign(argument, (Unknown(f"{call.function} may change it at run time", 0),), "")
+                was = origin | self._origin(self.value(argument))
+                self.assign(argument, (Unknown(f"{call.function} may change it at run time", 0, "", was),), "")
+        return self._computed(found, origin)
+
+    def _read(self, function: str, given: Sequence[Value]) -> Origin:
+        """Return the literals from whose numbers the result of a built-in function is computed."""
+        if function in self.language.distances:
+            return NO_ORIGIN if first_unknown(given) else self._origin(given)
+        found = numbers_origin(given)
+        self.work.spend(len(found) // SEVERAL)
         return found
 
     def posed(self, at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:

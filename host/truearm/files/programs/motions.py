@@ -33,9 +33,9 @@ def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Go
         return value.why, "" if value.remedy == UNDECLARED else value.remedy
     if isinstance(value, Taught):
         return Goal(value, Pose(()), Pose(()), None, *place)
-    near = None
+    near, own = None, False
     if isinstance(value, Solved):
-        near, tool = value.near, value.tool
+        near, own, tool = value.near, value.tool != tool, value.tool
         value = value.pose
     if not isinstance(value, Pose):
         return "its target is neither a pose nor joint readings of plain numbers", ""
@@ -44,4 +44,4 @@ def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Go
             return what.why, what.remedy
     if not isinstance(tool, Pose) or not isinstance(frame, Pose):
         return "its tool or work object is not known", ""
-    return Goal(value, tool, frame, near, *place)
+    return Goal(value, tool, frame, near, *place, own)

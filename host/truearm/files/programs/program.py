@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -127,10 +128,15 @@ def _check_text(source: Source, data: bytes) -> None:
     try:
         data.decode("utf-8")
     except UnicodeDecodeError as exc:
-        for number, line in enumerate(data.splitlines(), start=1):
-            if not line.isascii() and _is_utf8(line):
-                text = f"line {source.line(exc.start)} is not UTF-8 and line {number} is; save the file in one encoding"
-                raise ProgramError(f"{source.name}: {text}") from exc
+        for line in LINES.finditer(data):
+            if not line[0].isascii() and (_is_utf8(line[0]) or UMLAUTS.search(line[0])):
+                number = source.line(line.start())
+                found = f"line {source.line(exc.start)} is not UTF-8, but line {number} contains UTF-8"
+                raise ProgramError(f"{source.name}: {found}; save the file in one encoding") from exc
+
+
+LINES = re.compile(rb"[^\r\n]+")
+UMLAUTS = re.compile(rb"(?<![\x80-\xff])(?:\xc3[\x80-\xbf])+(?![\x80-\xff])")  # Latin letters in UTF-8, not in Latin-1
 
 
 def _is_utf8(line: bytes) -> bool:

@@ -211,16 +211,17 @@ class _Reader(ExpressionReader):
         self.step()
         counter = self.word("a variable")
         self.take("from")
-        bounds = [Do(self.expression())]
+        bounds = [self.expression()]
         self.take("to")
-        bounds.append(Do(self.expression()))
+        bounds.append(self.expression())
         if self.is_word("step"):
             self.step()
-            bounds.append(Do(self.expression()))
+            bounds.append(self.expression())
         self.take("do")
         body = self.block()
         self.take("endfor")
-        return [*bounds, Loop(None, body, counter)]
+        decisions = (If((bound,), ((),), False) for bound in bounds)  # evaluated once, and they decide
+        return [*decisions, Loop(None, body, counter)]
 
     def loop(self) -> list[Statement]:
         self.step()

@@ -7,6 +7,7 @@ import re
 from truearm.files.programs.reader import NO_MORE, Reader
 from truearm.files.programs.syntax import (
     NUMBER,
+    SIGNED,
     Call,
     Element,
     Expression,
@@ -21,7 +22,7 @@ from truearm.files.programs.syntax import (
 )
 from truearm.files.programs.work import Work
 
-_N = rf"\s*[+-]?{NUMBER}\s*"
+_N = rf"\s*{SIGNED}\s*"
 
 
 def _list(n: int) -> str:

@@ -44,8 +44,10 @@ from truearm.files.programs.values import (
     Unknown,
     Value,
     Values,
+    computed,
     counts,
     joined,
+    origin_of,
 )
 from truearm.files.programs.work import LETTERS, Work
 
@@ -76,6 +78,8 @@ class Rapid:
     fields: Mapping[str, int]
     harmless: frozenset[str] = frozenset()
     constants: frozenset[str] = frozenset()
+    effects: frozenset[str] = frozenset()  # its functions have none
+    distances: frozenset[str] = frozenset({"distance"})
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
         """Return the arguments to which an instruction may assign: all except constants and read-only ones."""
@@ -152,7 +156,7 @@ class Rapid:
         items = items_of(of)
         k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
         if items is None or (isinstance(at, str) and k is None):
-            return (Unknown("an element or component cannot be traced", place),)
+            return (Unknown("an element or component cannot be traced", place, origin=origin_of((of,))),)
         if k is not None:
             return items[k] if 0 <= k < len(items) else ()
         return tuple(dict.fromkeys(value for item in items for value in item))
@@ -162,7 +166,8 @@ class Rapid:
         items = items_of(of)
         k = self.fields.get(at) if isinstance(at, str) else int(at.value) if isinstance(at, Number) else None
         if items is None or k is None or not 0 <= k < len(items):
-            return of if isinstance(of, Unknown) else Unknown("the assignment to an element cannot be traced", place)
+            lost = of if isinstance(of, Unknown) else Unknown("the assignment to an element cannot be traced", place)
+            return computed(lost, origin_of((of, *new)))
         return Listed((*items[:k], new, *items[k + 1 :]))
 
     def _move(self, flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[str, Values]) -> None:
@@ -267,16 +272,17 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
                 before = flow.environment.get(key)
                 after = joined(before, ends.get(key, tuple(own[key])))
                 if turn and counts(before, after):
-                    after = (Unknown(f"{key[1]} changes from one run of the program to the next", 0),)
+                    why = f"{key[1]} changes from one run of the program to the next"
+                    after = (Unknown(why, 0, "", origin_of(after)),)
                 grown |= after != before
                 flow.environment.set(key, after)
         if not grown:
             break
         if turn == MAX_ROUNDS - 2:
             for name in kept:
-                flow.environment.set(
-                    (0, name), (Unknown(f"{name} changes from one run of the program to the next", 0),)
-                )
+                why = f"{name} changes from one run of the program to the next"
+                origin = origin_of(flow.environment.get((0, name)) or ())
+                flow.environment.set((0, name), (Unknown(why, 0, "", origin),))
     flow.environment.records.pop()
     flow.environment.begin_any_time(record)
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call

@@ -21,6 +21,7 @@ from truearm.files.programs.values import (
     first_unknown,
     fixed_mm,
     numbers_of,
+    origin_of,
     shifted,
     taught_pose,
     times,
@@ -28,7 +29,7 @@ from truearm.files.programs.values import (
 )
 from truearm.units import MM
 
-NO_AXIS = 8.9e9  # 9E9 represents a missing external axis
+NONE, NO_AXIS = 9e9, 8.9e9  # 9E9 represents a missing external axis
 
 
 def target_of(value: Value, at: int) -> Value:
@@ -39,10 +40,13 @@ def target_of(value: Value, at: int) -> Value:
     if not isinstance(value, Listed):
         return Unknown("its target is neither a robtarget nor a jointtarget", at)
     pose = _frame((Listed(value.items[:2]),)) if len(value.items) == 4 else None
-    axes = numbers_of(value.items[3][0]) if pose is not None and len(value.items[3]) == 1 else None
-    if pose is not None and (axes is None or min(axes) < NO_AXIS):
-        return _unknown_in(value) or Unknown("its external axes may move the robot's base", at)
-    return _unknown_in(value) or pose or Unknown("its target is not written as plain numbers in one place", at)
+    if (unknown := _unknown_in(value)) is not None or pose is None:
+        return unknown or Unknown("its target is not written as plain numbers in one place", at)
+    kept = [numbers_of(one[0]) if len(one) == 1 else None for one in value.items[2:]]
+    if any(one is None or len(one) != n for one, n in zip(kept, (4, 6), strict=True)):
+        return Unknown("its configuration or its external axes are known only at run time", at)
+    configuration, axes = (",".join("9E9" if x == NONE else f"{x:.10g}" for x in one or ()) for one in kept)
+    return pose._replace(like=Taught(Form.ROBTARGET, f"[[0,0,0],[1,0,0,0],[{configuration}],[{axes}]]", at))
 
 
 def tool_of(value: Value, at: int) -> Value:
@@ -87,7 +91,8 @@ def _frame(values: Values) -> Pose | None:
         return None
     parts = [numbers_of(item[0]) if len(item) == 1 else None for item in values[0].items]
     place, turn = parts
-    return fixed_mm(place, turn) if place and turn and (len(place), len(turn)) == (3, 4) else None
+    found = fixed_mm(place, turn) if place and turn and (len(place), len(turn)) == (3, 4) else None
+    return None if found is None else found._replace(origin=origin_of(values))
 
 
 def _unknown_in(value: Value) -> Unknown | None:
@@ -146,5 +151,5 @@ def items_of(of: Value) -> tuple[Values, ...] | None:
         return None
     ends = (3, 7, 11, 17) if of.form is Form.ROBTARGET else (6, 12)
     values = of.values
-    parts = [values[start:end] for start, end in zip((0, *ends), ends, strict=False)]
-    return tuple((Listed(tuple((Number(value),) for value in part)),) for part in parts)
+    parts, origin = [values[start:end] for start, end in zip((0, *ends), ends, strict=False)], frozenset({of})
+    return tuple((Listed(tuple((Number(value, origin),) for value in part)),) for part in parts)

@@ -23,13 +23,17 @@ class Routines:
     """Routines by name, and those in which they are defined.
 
     ``volatile``: names that code assigns which may run at any time. ``changed_by`` returns the arguments that an
-    instruction may change which the program does not define. What is asked of a routine or condition is kept.
+    instruction may change which the program does not define; ``effects`` are functions with other effects. What is asked of a routine or condition is kept.
     """
 
     def __init__(
-        self, work: Work, changed_by: Callable[[Call], Sequence[Expression]], routines: Iterable[Routine]
+        self,
+        work: Work,
+        changed_by: Callable[[Call], Sequence[Expression]],
+        effects: frozenset[str],
+        routines: Iterable[Routine],
     ) -> None:
-        self.work, self._changed_by = work, changed_by
+        self.work, self._changed_by, self._effects = work, changed_by, effects
         self.by_name: dict[str, Routine] = {}
         self.parents: dict[str, str | None] = {}
         self.volatile: Names = set()
@@ -77,10 +81,13 @@ class Routines:
         return self._assigning[routine.name]
 
     def runs_routine(self, expression: Expression) -> bool:
-        """Return whether the value of an expression calls a routine of the program, which may change variables."""
+        """Return whether an expression calls a routine of the program or a function with an effect on what follows."""
         found = self._running.get(id(expression))
         if found is None:
-            found = any(call.function in self.by_name for call in calls_in(expression))
+            found = any(
+                call.function in self.by_name or call.function in self._effects or self._changed_by(call)
+                for call in calls_in(expression)
+            )
             self._running[id(expression)] = found
         return found
 

@@ -15,15 +15,17 @@ from typing import Literal, NamedTuple
 
 from truearm.errors import ProgramError
 
-_BRACKETS = dict.fromkeys(map(ord, "p[]"))
+_NO_NUMBERS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))  # of a literal; its numbers are left, between commas
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
-NUMBERS = re.compile(rf"[+-]?{NUMBER}")
+SIGNED = rf"(?:[+-]\s*)?{NUMBER}"
+NUMBERS = re.compile(SIGNED, re.ASCII)
 
 
 class Number(NamedTuple):
-    """A number."""
+    """A number; ``origin``: the literals from whose numbers it is computed."""
 
     value: float
+    origin: frozenset[Taught] = frozenset()
 
 
 class Written(NamedTuple):
@@ -86,13 +88,16 @@ class Taught(NamedTuple):
     @property
     def values(self) -> tuple[float, ...]:
         """Return the numbers."""
-        return tuple(map(float, self.text.translate(_BRACKETS).split(",")))
+        return tuple(map(float, self.text.translate(_NO_NUMBERS).split(",")))
 
     @property
     def numbers(self) -> tuple[Written, ...]:
         """Return the numbers with their places."""
         found = NUMBERS.finditer(self.text)
-        return tuple(Written(float(m[0]), self.start + m.start(), self.start + m.end()) for m in found)
+        return tuple(
+            Written(value, self.start + m.start(), self.start + m.end())
+            for value, m in zip(self.values, found, strict=True)
+        )
 
 
 class Items(NamedTuple):

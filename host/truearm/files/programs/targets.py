@@ -98,6 +98,10 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
     def refuse(motion: Motion, why: str, remedy: str) -> None:
         refused[refused_at(program, motion.start, why, remedy)] = None
 
+    read = dict(program.judged)
+    for motion in program.motions:
+        for goal in motion.goals:
+            read.update((one.start, read.get(one.start, motion.start)) for one in _computed_from(goal))
     for motion in program.motions:
         for why, remedy in motion.problems:
             refuse(motion, why, remedy)
@@ -106,15 +110,15 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
                 users.setdefault(goal, motion)
             elif joint_moves and goal.target.form is Form.COMPUTED:
                 refuse(motion, "its joint readings are computed, not written as six plain numbers", "")
-            elif joint_moves and goal.target.start in program.judged:
-                refuse(motion, _judged(program, goal.target), "")
+            elif joint_moves and goal.target.start in read:
+                refuse(motion, _why_read(program, read[goal.target.start]), "")
             elif joint_moves:
                 joints.setdefault(goal.target, motion.start)
     if len(users) + len(joints) > MAX_TARGETS:
         raise ProgramError(
             f"{program.source.name}: has {len(users) + len(joints)} targets, the maximum is {MAX_TARGETS}; split it"
         )
-    poses, index = _assigned(program, users, split, refuse)
+    poses, index = _assigned(program, users, read, split, refuse)
     literals = _literals_of(poses)
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
@@ -194,12 +198,15 @@ def _origin(start: Value, index: Mapping[Goal, int | None]) -> int | Taught | No
 
 
 def _assigned(
-    program: Program, users: Mapping[Goal, Motion], split: bool, refuse: Refuse
+    program: Program, users: Mapping[Goal, Motion], read: Mapping[int, int], split: bool, refuse: Refuse
 ) -> tuple[tuple[PoseTarget, ...], list[int | None]]:
-    """Return the targets, with a literal for each goal (those with one candidate first), and each goal's target."""
+    """Return the targets, with a literal for each goal (those with one candidate first), and each goal's target.
+
+    ``read``: the literals whose numbers something else depends on, and its place.
+    """
     goals, motions = list(users), list(users.values())
     fixtures = {literal.start for goal in goals for pose in goal[1:3] if pose.factors for literal in literals_in(pose)}
-    fixtures |= program.judged.keys()
+    fixtures |= read.keys()
     candidates = [_candidates(goal, fixtures, motion) for goal, motion in zip(goals, motions, strict=True)]
     holders: dict[int, int] = {}
     chosen: list[PoseTarget | None] = [None] * len(goals)
@@ -217,10 +224,10 @@ def _assigned(
             chosen[i] = own if split else None
             if chosen[i] is None and (taken is not None or not motion.problems):
                 assert isinstance(goal.target, Pose)
-                read = [one for one in literals_in(goal.target) if one.start in program.judged]
+                places = [read[one.start] for one in literals_in(goal.target) if one.start in read]
                 why = "its target is not written as plain numbers in one place"
-                if read:
-                    why = _judged(program, read[0])
+                if places:
+                    why = _why_read(program, places[0])
                 if taken is not None:
                     line = program.source.line
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
@@ -243,10 +250,22 @@ def _assigned(
     return tuple(poses), index
 
 
-def _judged(program: Program, literal: Taught) -> str:
-    """Return why a literal whose numbers a condition reads cannot be corrected."""
-    line = program.source.line(program.judged[literal.start])
-    return f"the condition in line {line} reads the numbers of its target; it could decide otherwise by corrected ones"
+def _computed_from(goal: Goal) -> Iterator[Taught]:
+    """Yield the literals from whose numbers a tool, a frame or an offset of a goal is computed.
+
+    A goal that is computed as a whole can only get numbers of its own, so what it is computed from may change.
+    """
+    for pose in (goal.tool, goal.frame, goal.target):
+        if isinstance(pose, Pose) and (pose is not goal.target or next(literals_in(pose), None) is not None):
+            yield from pose.origin
+
+
+def _why_read(program: Program, place: int) -> str:
+    """Return why a literal cannot be corrected on whose numbers something else depends."""
+    line = program.source.line(place)
+    if place in program.motion_at:
+        return f"the move in line {line} computes its tool, frame or offset from the numbers of its target"
+    return f"line {line} decides by the numbers of its target; it could decide otherwise by corrected ones"
 
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:

@@ -11,6 +11,7 @@ import re
 from truearm.files.programs.reader import END, NO_MORE, Reader
 from truearm.files.programs.syntax import (
     NUMBER,
+    SIGNED,
     Assign,
     Block,
     Call,
@@ -35,7 +36,7 @@ from truearm.files.programs.syntax import (
 )
 from truearm.files.programs.work import STATEMENT, Work
 
-_SIX = rf"\[[ \t]*[+-]?{NUMBER}[ \t]*(?:,[ \t]*[+-]?{NUMBER}[ \t]*){{5}}\]"
+_SIX = rf"\[\s*{SIGNED}\s*(?:,\s*{SIGNED}\s*){{5}}\]"
 _TOKENS = re.compile(
     rf"""(?:[ \t\f]++|\#[^\r\n]*+|\$[^\r\n]*+|\xef\xbb\xbf)*+(?:(?P<newline>\r\n|\n|\r)|(?P<pose>p{_SIX})|(?P<joints>{_SIX})
     |(?P<number>{NUMBER})|(?P<word>[A-Za-z_]\w*)|(?P<string>"[^"\r\n]*"|'[^'\r\n]*')

@@ -25,7 +25,7 @@ from truearm.files.programs.syntax import (
     Truth,
 )
 from truearm.files.programs.urscript_poses import PURE, SIX, as_pose, items_of, list_made, unknown_in
-from truearm.files.programs.urscript_words import AIMLESS, MOVES, OVERWRITES, QUIET, STRAIGHT
+from truearm.files.programs.urscript_words import AIMLESS, DISTANCES, EFFECTS, MOVES, OVERWRITES, QUIET, STRAIGHT
 from truearm.files.programs.values import (
     NOWHERE,
     Fields,
@@ -36,8 +36,10 @@ from truearm.files.programs.values import (
     Value,
     Values,
     combined,
+    computed,
     first_unknown,
     numbers_of,
+    origin_of,
     taught_pose,
 )
 from truearm.files.programs.work import LETTERS, Work
@@ -51,6 +53,8 @@ class UrScript(NamedTuple):
     """The meaning of URScript. ``harmless``: external functions that, according to the user, do not move the robot."""
 
     harmless: frozenset[str] = frozenset()
+    effects: frozenset[str] = EFFECTS
+    distances: frozenset[str] = DISTANCES
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
         """Return the object of a method call, such as a list (``path.insert(0, p)``); arguments are copies."""
@@ -114,7 +118,7 @@ class UrScript(NamedTuple):
             return of.items[of.names.index(at)]
         items = items_of(of)
         if items is None or isinstance(at, str):
-            return (Unknown("an element or field cannot be traced", place),)
+            return (Unknown("an element or field cannot be traced", place, origin=origin_of((of,))),)
         if isinstance(at, Number):
             k = int(at.value)
             return items[k] if 0 <= k < len(items) else ()
@@ -127,7 +131,8 @@ class UrScript(NamedTuple):
             return Fields(of.names, (*of.items[:k], new, *of.items[k + 1 :]))
         items = items_of(of)
         if items is None or not isinstance(at, Number) or not 0 <= int(at.value) < len(items):
-            return first_unknown((of,)) or Unknown("the assignment to an element cannot be traced", place)
+            lost = Unknown("the assignment to an element cannot be traced", place)
+            return computed(first_unknown((of,)) or lost, origin_of((of, *new)))
         k = int(at.value)
         return Listed((*items[:k], new, *items[k + 1 :]), isinstance(of, Pose) or (isinstance(of, Listed) and of.pose))
 
@@ -177,6 +182,8 @@ def _target(value: Value, at: int) -> Value:
     if value.pose:
         return as_pose(value, at)
     numbers = numbers_of(value)
+    if any(one.form is Form.POSE for one in value.origin):
+        return Unknown("its joint readings are computed from the numbers of a pose", at)
     if numbers is not None and len(numbers) == SIX and all(map(math.isfinite, numbers)):
         return Taught(Form.COMPUTED, f"[{','.join(map(repr, numbers))}]", at)
     return unknown_in(value) or Unknown("its joint readings are not six plain numbers in one list", at)

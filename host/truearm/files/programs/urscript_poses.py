@@ -25,6 +25,7 @@ from truearm.files.programs.values import (
     fixed_six,
     inverse,
     numbers_of,
+    origin_of,
     shifted,
     times,
     turned,
@@ -42,7 +43,7 @@ def as_pose(value: Value, at: int) -> Pose | Unknown:
         return value.pose
     numbers = numbers_of(value)
     if numbers is not None and len(numbers) == SIX and _finite(numbers):
-        return fixed_six(numbers)
+        return fixed_six(numbers)._replace(origin=origin_of((value,)))
     return unknown_in(value) or Unknown("it is not a pose of six numbers", at)
 
 
@@ -61,7 +62,7 @@ def items_of(of: Value) -> tuple[Values, ...] | None:
         and isinstance(of.factors[0].pose, Taught)
     ):
         of = of.factors[0].pose
-    return tuple((Number(value),) for value in of.values) if isinstance(of, Taught) else None
+    return tuple((Number(value, frozenset({of})),) for value in of.values) if isinstance(of, Taught) else None
 
 
 def list_made(arguments: Sequence[Values], named: Mapping[str, Values], at: int) -> Values:
@@ -107,12 +108,13 @@ def _moved(a: Pose, b: Pose, sense: int, at: int) -> Value:
             return Unknown("it is not a pose of six numbers", at)
         numbers = fixed_six(of.values).factors[0].pose
         assert isinstance(numbers, Fixed)
-        of = numbers
+        b, of = b._replace(origin=b.origin | {of}), numbers
     if of is None:
         return Unknown("the pose that is added is itself a product, which cannot be traced", at)
     a0, a1, a2, x, b0, b1, b2, y, c0, c1, c2, z, *_ = of.rows
     turn = (a0, a1, a2, b0, b1, b2, c0, c1, c2)
-    return times(shifted((sense * x, sense * y, sense * z)), a, turned(turn if sense > 0 else transposed(turn)))
+    found = times(shifted((sense * x, sense * y, sense * z)), a, turned(turn if sense > 0 else transposed(turn)))
+    return found._replace(origin=found.origin | b.origin)
 
 
 def _finite(numbers: Sequence[float]) -> bool:

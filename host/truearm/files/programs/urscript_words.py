@@ -86,4 +86,6 @@ QUIET = words(
     write_output_float_register write_output_integer_register write_port_bit write_port_register zero_ftsensor
     """
 )
-OVERWRITES = frozenset(MOVES) | AIMLESS | {"set_tcp", "get_inverse_kin"}
+EFFECTS = frozenset(MOVES) | AIMLESS | {"set_tcp", "frame_tracking_disable", "stop_conveyor_tracking"}
+OVERWRITES = EFFECTS | {"get_inverse_kin"}
+DISTANCES = frozenset({"point_dist", "pose_dist"})

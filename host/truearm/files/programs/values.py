@@ -29,20 +29,27 @@ MOST_LISTS = 16  # versions of a list or record, before the possibilities of its
 UNIT_QUATERNION = 1e-3  # tolerance of the norm of a quaternion about 1, if it was written with few digits
 
 
+Origin = frozenset[Taught]  # the literals from whose numbers a value is computed
+NO_ORIGIN: Origin = frozenset()
+
+
 class Unknown(NamedTuple):
     """A value known only at run time, and why; ``at``: place in the text, ``remedy``: the argument to resolve it."""
 
     why: str
     at: int
     remedy: str = ""
+    origin: Origin = NO_ORIGIN
 
 
 class _Kept:
-    """What may be large: its hash and its depth are computed once."""
+    """What may be large: its hash, its depth and its origin are computed once."""
 
     items: tuple[Values, ...]
     _hash: int | None = None
     _depth: int | None = None
+    _origin: Origin | None = None
+    _numbers_origin: Origin | None = None
 
     def __hash__(self) -> int:
         if self._hash is None:
@@ -55,6 +62,20 @@ class _Kept:
         if self._depth is None:
             self._depth = _depth(self.items)
         return self._depth
+
+    @property
+    def origin(self) -> Origin:
+        """Return the literals in it, and those from whose numbers its items are computed."""
+        if self._origin is None:
+            self._origin = origin_of(chain.from_iterable(self.items))
+        return self._origin
+
+    @property
+    def numbers_origin(self) -> Origin:
+        """Return the literals from whose numbers its items are computed."""
+        if self._numbers_origin is None:
+            self._numbers_origin = numbers_origin([*chain.from_iterable(self.items)])
+        return self._numbers_origin
 
 
 class _Listed(NamedTuple):
@@ -93,11 +114,15 @@ class Factor(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """A product of poses. ``like``: its robtarget for configuration and external axes; ``free``: any configuration."""
+    """A product of poses. ``like``: its robtarget for configuration and external axes; ``free``: any configuration.
+
+    ``origin``: the literals from whose numbers fixed factors are computed.
+    """
 
     factors: tuple[Factor, ...]
     like: Taught | None = None
     free: bool = False
+    origin: Origin = NO_ORIGIN
 
 
 class Solved(NamedTuple):
@@ -109,7 +134,10 @@ class Solved(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The goal of a move: a pose of the tool in a frame, or joint readings."""
+    """The goal of a move: a pose of the tool in a frame, or joint readings.
+
+    ``own_tool``: the tool is not the one in force, as of joints that were computed for a pose.
+    """
 
     target: Pose | Taught
     tool: Pose
@@ -117,6 +145,7 @@ class Goal(NamedTuple):
     near: Taught | tuple[float, ...] | None  # joint readings [rad] that select the configuration
     start: int  # of the argument that contains it
     end: int
+    own_tool: bool = False
 
 
 class Begin(NamedTuple):
@@ -157,8 +186,44 @@ def distinct(values: Iterable[Value]) -> Values:
     """
     found = dict.fromkeys(values)
     if len(found) > 1 and (reason := next((one for one in found if isinstance(one, Unknown)), None)) is not None:
-        return tuple(one for one in found if one is reason or not isinstance(one, Unknown | Number))
+        origin = origin_of(one for one in found if isinstance(one, Unknown | Number))
+        kept = (one for one in found if one is reason or not isinstance(one, Unknown | Number))
+        return tuple(computed(reason, origin) if one is reason else one for one in kept)
     return tuple(found)
+
+
+def origin_of(values: Iterable[Value]) -> Origin:
+    """Return the literals that values contain, and those from whose numbers they are computed."""
+    found: set[Taught] = set()
+    for one in values:
+        if isinstance(one, Taught):
+            found.add(one)
+        elif isinstance(one, Number | Unknown | Listed | Fields):
+            found |= one.origin
+        elif isinstance(one, Solved | Pose):
+            pose = one.pose if isinstance(one, Solved) else one
+            found |= pose.origin
+            found.update(literals_in(pose))
+    return frozenset(found) if found else NO_ORIGIN
+
+
+def numbers_origin(values: Sequence[Value]) -> Origin:
+    """Return the literals from whose numbers values are computed, but not those that they contain."""
+    return NO_ORIGIN.union(
+        *(one.origin for one in values if isinstance(one, Number | Unknown)),
+        *(one.numbers_origin for one in values if isinstance(one, Listed | Fields)),
+    )
+
+
+def computed(value: Value, origin: Origin) -> Value:
+    """Return a value as computed also from the numbers of these literals."""
+    if isinstance(value, Number | Unknown | Pose) and not origin <= value.origin:
+        return value._replace(origin=value.origin | origin)
+    if isinstance(value, Listed) and origin:
+        return value._replace(items=tuple(tuple(computed(one, origin) for one in item) for item in value.items))
+    if isinstance(value, Solved) and origin:
+        return value._replace(pose=value.pose._replace(origin=value.pose.origin | origin))
+    return value
 
 
 def merged(values: Values) -> Values:
@@ -257,12 +322,14 @@ def turned(turn: Nine) -> Pose:
 def times(*poses: Pose) -> Pose:
     """Return the product of poses; it has the configuration of the first that has one."""
     like = next((pose.like for pose in poses if pose.like is not None), None)
-    return Pose(tuple(factor for pose in poses for factor in pose.factors), like)
+    origin = NO_ORIGIN.union(*(pose.origin for pose in poses))
+    return Pose(tuple(factor for pose in poses for factor in pose.factors), like, origin=origin)
 
 
 def inverse(pose: Pose) -> Pose:
     """Return the inverse of a pose."""
-    return Pose(tuple(Factor(factor.pose, not factor.inverse) for factor in reversed(pose.factors)))
+    factors = tuple(Factor(factor.pose, not factor.inverse) for factor in reversed(pose.factors))
+    return Pose(factors, origin=pose.origin)
 
 
 def taught_pose(taught: Taught) -> Pose:
