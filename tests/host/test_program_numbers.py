@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.test_program_corrections import (
     LIST,
     POSES,
@@ -16,6 +17,7 @@ from tests.host.test_program_corrections import (
     B,
     Q,
     corrected,
+    matrix,
     misses,
     module,
     program,
@@ -25,8 +27,17 @@ from tests.host.test_program_corrections import (
     written,
 )
 
+from truearm.correct.correction import MARGIN
 from truearm.correct.joint_moves import JointMoves
-from truearm.workflows.correct_program import ProgramRefused
+from truearm.correct.model_pair import ModelPair
+from truearm.errors import ProgramError
+from truearm.workflows.correct_program import (
+    CalibrationFrames,
+    HowCorrected,
+    ProgramOptions,
+    ProgramRefused,
+    correct_program,
+)
 
 W, V = six(POSES[1]), six(POSES[2])
 HEIGHT = POSES[1][2, 3]
@@ -163,3 +174,35 @@ def test_literals_may_span_lines_and_signs_be_apart(tmp_path, form):
     without = [re.sub(r"(?:[-+] *)?[0-9.]+", "1", one) for one in (text, after)]
     assert without[0] == without[1]
     assert text != after
+
+
+# frames
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"base": (0.1, 0.0, 0.0, 0.0, 0.0, 0.3), "flange": (0.0, 0.0, 0.0, 0.2, 0.0, 0.0)}]
+)
+def test_a_robots_own_frames_have_the_names_of_its_description(tmp_path, given):
+    """Where no mounting is taken out, own frames change nothing: base_link stays half a turn from a Universal Robots base."""
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0])
+    base = matrix(given["base"]) if given else turned
+    flange = matrix(given["flange"]) if given else np.eye(4)
+    path = tmp_path / "p.script"
+    path.write_text(program(*(f"movej({six(np.linalg.inv(base) @ POSES[k] @ flange)})" for k in range(3))))
+    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
+    options = ProgramOptions(tool=TOOLS[0], **given)
+    texts = [
+        correct_program(path, how, CalibrationFrames("base_link", "tool0", brought=False, own=own), options).text
+        for own in (False, True)
+    ]
+    assert texts[0] == texts[1] != path.read_bytes()
+
+
+def test_a_link_of_a_urdf_is_asked_for_also_in_own_frames(tmp_path):
+    path = tmp_path / "p.script"
+    path.write_text(program(f"movej({W})"))
+    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, Q[0], MARGIN)
+    names = CalibrationFrames("base", "wrist_3_link", brought=False, own=True)
+    with pytest.raises(ProgramError, match="frame wrist_3_link") as caught:
+        correct_program(path, how, names, ProgramOptions(tool=TOOLS[0]))
+    assert "own frames" not in str(caught.value)

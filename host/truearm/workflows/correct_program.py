@@ -293,19 +293,19 @@ def _check_names(path: Path, language: ProgramLanguage, options: ProgramOptions)
 def _placed(language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions) -> tuple[Frame, Frame]:
     """Return the controller's base and flange in the calibration's frames. Raises ProgramError if they are not
     specified.
+
+    Without its mountings a robot still has the frames of its description. They are the controller's, whatever their
+    names, only if it is no URDF.
     """
-    if names.own:
-        return SAME, SAME
-    base = _given(options.base) or base_of(language, names.base, names.brought)
-    flange = _given(options.flange) or flange_of(language, names.end, names.brought)
+    other = SAME if names.own and names.brought else None
+    base = _given(options.base) or base_of(language, names.base, names.brought) or other
+    flange = _given(options.flange) or flange_of(language, names.end, names.brought) or other
     for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
         if found is None:
-            raise ProgramError(
-                f"the calibration uses frame {frame[:60]}; the pose of the controller's {what} in this frame is not known; give it as ",
-                Argument(argument),
-                " (all 0 for the same frame), or use the robot's own frames with ",
-                Argument("own_frames"),
-            )
+            same = " (all 0 for the same frame)"
+            wrong = f"the calibration uses frame {frame[:60]}; the pose of the controller's {what} in this frame is not known; give it as "
+            own = (f"{same}, or use the robot's own frames with ", Argument("own_frames")) if names.brought else (same,)
+            raise ProgramError(wrong, Argument(argument), *own)
     assert base is not None
     assert flange is not None
     return base, flange
