@@ -1,5 +1,7 @@
 """Fixtures shared by the host tests."""
 
+import io
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +43,16 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def good(files: Path) -> list[object]:
     """Return the arguments of an identification that must succeed."""
     return ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml"]
+
+
+@pytest.fixture(scope="session")
+def good_text(files: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the result file of that identification, which is also its JSON output (test_cli_identify_output)."""
+    out = tmp_path_factory.mktemp("good") / "result.json"
+    arguments = ["identify", files / "poses.csv", "--model", "puma560", "--rig", files / "rig.toml", "--out", out]
+    with redirect_stdout(io.StringIO()):
+        assert cli.main([str(a) for a in arguments]) == 0
+    return out.read_text(encoding="utf-8")
 
 
 @pytest.fixture

@@ -163,9 +163,9 @@ def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None
     assert all(p["value"] == p["nominal"] and p["sigma"] is None for p in held)
 
 
-def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[object]) -> None:
+def test_parameters_are_freed_beside_the_robot_files_own(run: Run, good: list[object], good_text: str) -> None:
     """The PUMA's file holds all offsets, which the angles of the links make up for: the rank stays, the counts do not."""
-    plain = json.loads(run(*good, "--json").out)
+    plain = json.loads(good_text)
     more = json.loads(run(*good, "--also-free", "joint[23].offset,link2.z", "--json").out)
     assert set(more["free"]) - set(plain["free"]) == {"joint2.offset", "joint3.offset", "link2.z"}
     assert (plain["n_free"], more["n_free"]) == (36, 39)
@@ -277,8 +277,8 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     assert "declared noise explains" not in outcome.out
 
 
-def test_an_error_of_the_tool_that_is_not_determined_is_no_number(run: Run, good: list[object]) -> None:
-    document = json.loads(run(*good, "--json").out)
+def test_an_error_of_the_tool_that_is_not_determined_is_no_number(good_text: str) -> None:
+    document = json.loads(good_text)
     assert predicted(document)[0].startswith("Tool error predicted from these sigmas: ")
     assert predicted({**document, "predicted_error": None}) == [
         "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."

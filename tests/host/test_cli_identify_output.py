@@ -19,14 +19,14 @@ from truearm.types import ObservationTable, Rig
 
 
 def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
-    run: Run, good: list[object], tmp_path: Path
+    run: Run, good: list[object], good_text: str, tmp_path: Path
 ) -> None:
     out = tmp_path / "result.json"
     outcome = run(*good, "--all-free", "--hold-out", "0.2", "--json", "--out", out)
     assert out.read_text() == outcome.out
     result = json.loads(outcome.out, parse_constant=pytest.fail)
     check_schema(result)
-    check_schema(json.loads(run(*good, "--json").out))
+    check_schema(json.loads(good_text))
     assert [(i["role"], i["name"], len(i["sha256"])) for i in result["inputs"]] == [
         ("observations", "poses.csv", 64),
         ("rig", "rig.toml", 64),
@@ -69,8 +69,8 @@ def test_every_field_is_documented() -> None:
         assert f"`{field}`" in text, field
 
 
-def test_a_result_of_version_1_is_read(run: Run, good: list[object]) -> None:
-    document = json.loads(run(*good, "--json").out)
+def test_a_result_of_version_1_is_read(good_text: str) -> None:
+    document = json.loads(good_text)
     now = parse_result(json.dumps(document), "r.json")
     document["format_version"] = 1
     del document["residual_units"], document["checksum"]
@@ -94,8 +94,8 @@ def first_with_sigma(document: dict[str, Any]) -> dict[str, Any]:
         (lambda d: d["covariance"]["matrix"][0].__setitem__(0, -1.0), "is not symmetric|exceeds its variances"),
     ],
 )
-def test_damage_is_found_without_a_checksum_where_it_can_be(run: Run, good: list[object], change, message) -> None:
-    document = json.loads(run(*good, "--json").out)
+def test_damage_is_found_without_a_checksum_where_it_can_be(good_text: str, change, message) -> None:
+    document = json.loads(good_text)
     document["format_version"] = 2
     for later in ("checksum", "usable", "unusable_because", "explanations"):
         del document[later]
@@ -119,10 +119,8 @@ def test_damage_is_found_without_a_checksum_where_it_can_be(run: Run, good: list
         (lambda d: d.update(robot=[]), "robot: must be a table, is a list"),
     ],
 )
-def test_damaged_results_are_told(
-    run: Run, good: list[object], change: Callable[[dict[str, Any]], object], message: str
-) -> None:
-    document = json.loads(run(*good, "--json").out)
+def test_damaged_results_are_told(good_text: str, change: Callable[[dict[str, Any]], object], message: str) -> None:
+    document = json.loads(good_text)
     change(document)
     with pytest.raises(cli.TruearmError, match=message):
         parse_result(json.dumps(document), "r.json")

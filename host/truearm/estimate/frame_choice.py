@@ -13,6 +13,7 @@ directions.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +44,16 @@ class Mounting(NamedTuple):
 
 
 def mounting(chain: Chain, params: Floats) -> Mounting:
-    """Return the parameters whose motion is one twist of the base, or one of the end, in every pose."""
+    """Return the parameters whose motion is one twist of the base, or one of the end, in every pose.
+
+    The last few are cached: dozens of trial fits ask for those of the nominal robot.
+    """
+    return _mounting(chain, params.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _mounting(chain: Chain, numbers: bytes) -> Mounting:
+    params = np.frombuffer(numbers)
     rng = np.random.default_rng(0)
     lower, upper = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     q = rng.uniform(np.maximum(lower, -RANGE), np.minimum(upper, RANGE), (N_POSES, len(chain.joints)))
@@ -58,7 +68,10 @@ def mounting(chain: Chain, params: Floats) -> Mounting:
     varies = np.isin(
         np.arange(params.size), chain.law.of_column
     )  # a curve's coefficient may have no effect in any of these poses
-    return Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
+    found = Mounting(base & ~varies, tool & ~varies, twists[0][:, 0], twists[1][:, 0])
+    for array in found:
+        array.setflags(write=False)
+    return found
 
 
 def held_as_frames(

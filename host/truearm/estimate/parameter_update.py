@@ -14,7 +14,6 @@ radius, deviate from their tangents by less than the noise.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -23,9 +22,10 @@ from numpy.typing import NDArray
 
 from truearm.estimate.problem import Problem
 from truearm.kinds.linearised import Indices
-from truearm.model.chain import Chain, Element
-from truearm.model.rotation import left_jacobian, rotation, rotation_vector, turned
-from truearm.model.transforms import axis_of, elementary
+from truearm.model.chain import Chain
+from truearm.model.constant_folding import constants_of
+from truearm.model.rotation import left_jacobian, rotation, rotation_vector, skew, turned
+from truearm.model.transforms import cross, mixed
 from truearm.types import Floats
 
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
@@ -44,13 +44,14 @@ def stepper(problem: Problem, columns: NDArray[np.bool_]) -> Step:
     turning = _free_triples(columns, [group.orientations() for group in problem.groups])
     base = _base(problem.chain, columns)
     beside = _free_triples(columns, [group.beside_base() for group in problem.groups])
-    if not (turning.size or base):
+    if turning.size == 0 and base is None:
         return added
 
     def step(x: Floats, delta: Floats) -> Floats:
         there = x + delta
-        there[turning] = turned(x[turning], delta[turning])
-        return _with_base(base, beside, x, there) if base else there
+        if turning.size:
+            there[turning] = turned(x[turning], delta[turning])
+        return there if base is None else _with_base(base, beside, x, there)
 
     return step
 
@@ -62,17 +63,24 @@ def _free_triples(columns: NDArray[np.bool_], every: Sequence[Indices]) -> Indic
     return (np.cumsum(columns) - 1)[np.array(free, dtype=np.intp).reshape(-1, 3)]
 
 
-def _base(chain: Chain, columns: NDArray[np.bool_]) -> tuple[Element, ...]:
-    """Return the constants before the first joint, with parameters as in x[columns]; none unless they can turn any way."""
-    number = np.cumsum(columns) - 1
-    first = tuple(takewhile(lambda element: element.joint is None, chain.elements))
-    named = [element for element in first if element.parameter is not None]
-    if sum(e.motion[0] == "r" for e in named) < 3 or not all(columns[e.parameter] for e in named):
-        return ()
-    return tuple(
-        element if element.parameter is None else replace(element, parameter=int(number[element.parameter]))
-        for element in first
-    )
+class _Base(NamedTuple):
+    """The b constants before the first joint; ``parameter`` (b,) in x[columns], −1 for those without one."""
+
+    axis: Indices
+    turns: NDArray[np.bool_]
+    value: Floats
+    parameter: Indices
+    named: NDArray[np.bool_]
+
+
+def _base(chain: Chain, columns: NDArray[np.bool_]) -> _Base | None:
+    """Return the base, with parameters as in x[columns]; None unless they can turn any way."""
+    every = constants_of(tuple(takewhile(lambda element: element.joint is None, chain.elements)))
+    named = every.parameter >= 0
+    if every.turns[named].sum() < 3 or not columns[every.parameter[named]].all():
+        return None
+    number = (np.cumsum(columns) - 1)[every.parameter]
+    return _Base(every.axis, every.turns, every.value, np.where(named, number, -1), named)
 
 
 class _Pose(NamedTuple):
@@ -82,38 +90,37 @@ class _Pose(NamedTuple):
     twists: Floats
 
 
-def _posed(base: Sequence[Element], x: Floats) -> _Pose:
-    here, twists = np.eye(4), []
-    for element in base:
-        axis = here[:3, axis_of(element.motion)]
-        if element.parameter is not None:
-            turns = element.motion[0] == "r"
-            twists.append([*axis, *np.cross(here[:3, 3], axis)] if turns else [0.0, 0.0, 0.0, *axis])
-        here = here @ elementary(element.motion, element.value if element.parameter is None else x[element.parameter])
-    return _Pose(here, np.array(twists).T)
+def _posed(base: _Base, x: Floats) -> _Pose:
+    b = len(base.axis)
+    frames = np.empty((b + 1, 4, 4))  # before each constant, and the transform
+    frames[0] = np.eye(4)
+    for i, own in enumerate(mixed(base.axis, base.turns, np.where(base.named, x[base.parameter], base.value))):
+        np.matmul(frames[i], own, out=frames[i + 1])
+    axis, origin = frames[np.arange(b), :3, base.axis].T, frames[:b, :3, 3].T  # (3, b)
+    twists = np.concatenate([axis * base.turns, np.where(base.turns, cross(origin, axis), axis)])
+    return _Pose(frames[b], twists[:, base.named])
 
 
-def _with_base(base: Sequence[Element], beside: Indices, x: Floats, added_to: Floats) -> Floats:
+def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Floats:
     """Return x (k,) after a step that moves base and points along the screw; ``added_to`` is x + Δ, and remains otherwise.
 
     It is returned unchanged if the turn is so small that this makes no difference, or if no parameters give the pose.
     """
-    at = [element.parameter for element in base if element.parameter is not None]
+    at = base.parameter[base.named]
     here = _posed(base, x)
     omega, v = np.split(here.twists @ (added_to - x)[at], 2)
     if np.linalg.norm(omega) <= STRAIGHT:
         return added_to
     rot, shift = rotation(omega), left_jacobian(omega) @ v
-    goal = np.eye(4)
-    goal[:3, :3], goal[:3, 3] = rot, shift
-    goal, out = goal @ here.transform, added_to.copy()
+    goal_rot, goal_shift = rot @ here.transform[:3, :3], rot @ here.transform[:3, 3] + shift
+    out = added_to.copy()
     for _ in range(NEWTON_STEPS):
         now = _posed(base, out)
-        left = goal @ np.linalg.inv(now.transform)
-        error = np.concatenate([rotation_vector(left[:3, :3]), left[:3, 3]])
+        left = goal_rot @ now.transform[:3, :3].T
+        error = np.concatenate([rotation_vector(left), goal_shift - left @ now.transform[:3, 3]])
         if np.abs(error).max() <= ARRIVED:
             points = x[beside]
-            out[beside] += points @ rot.T + shift - points - (np.cross(omega, points) + v)
+            out[beside] += points @ rot.T + shift - points - (points @ skew(omega).T + v)
             return out
         out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
     return added_to

@@ -20,7 +20,7 @@ from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, of_data
-from truearm.estimate.systematic_effects import Circumstances, modelled_effects
+from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
@@ -76,7 +76,9 @@ def trial_problem(
     """Return the problem, its fitted columns (P,), and the robot's parameters (p,) that place base or tool."""
     mounted = mounting(chain, chain.params_nominal).either
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
-    modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table))
+    modelled: Sequence[Modelled] = ()
+    if effects:
+        modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table))
     problem = build_problem(chain, rig, table, prior, modelled)
     named = np.isin(problem.names, [one.effect.parameter(one.column) for one in modelled])
     vague = np.where(named, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)

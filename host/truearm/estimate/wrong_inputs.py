@@ -152,7 +152,9 @@ def _as_described(
             after = tried(one.chain, one.rig, one.table, one.free)
             if after is not None and after.shifted < NEAR and after.reduced <= AS_WELL * before.reduced:
                 found.append(found_in(WrongInput.ROBOT, one.text, len(given), before, after, 1))
-    labels = relabellings(chain, rig, table, rows, free)
+    labels = Search((), "not needed")
+    if before is None or before.moved > FAR:  # else only a parameter that the rows hardly see is far off
+        labels = relabellings(chain, rig, table, rows, free)
     return _ranked([*found, *_by_labels(labels, table, int(rows.sum()))]), labels
 
 

@@ -12,20 +12,22 @@ a, b and c are analytic in θ², and near 0 they are summed as series, so comple
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from truearm.types import Floats
 
 SERIES_BELOW = 0.1  # θ²: eight terms leave 0.1⁸/19! ≈ 1e-25; above it θ − sin θ has lost less than three digits
+TERMS = np.array([[1.0 / math.factorial(2 * i + k) for k in (1, 2, 3)] for i in reversed(range(8))])
 
 
 def skew(vector: Floats) -> Floats:
     """Return [v]× (…, 3, 3) of v (…, 3), so that [v]× w = v × w."""
-    x, y, z = np.moveaxis(np.asarray(vector), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    vector = np.asarray(vector)
+    out = np.zeros((*vector.shape, 3), dtype=vector.dtype)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., j, k], out[..., k, j] = -vector[..., i], vector[..., i]
+    return out
 
 
 def rotation(vector: Floats) -> Floats:
@@ -51,7 +53,8 @@ def rotation_vector(rot: Floats) -> Floats:
 
     Computed from the unit quaternion, starting with its largest component from the diagonal: no angle loses digits.
     """
-    m = np.moveaxis(np.asarray(rot, dtype=float), (-2, -1), (0, 1))
+    rot = np.asarray(rot, dtype=float)
+    m = rot.transpose(-2, -1, *range(rot.ndim - 2))
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     # Four times the outer product of the quaternion (x, y, z, w) with itself: every row is a multiple of it.
     outer = np.empty((*m.shape[2:], 4, 4))
@@ -88,13 +91,13 @@ def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
     theta = np.sqrt(np.where(near, 1.0, t))
     sine, half = np.sin(theta), np.sin(theta / 2.0)
     far = (sine / theta, 2.0 * (half / theta) ** 2, (theta - sine) / theta**3)
-    a, b, c = (np.where(near, _taylor(t, start), value) for start, value in zip((1, 2, 3), far, strict=True))
+    a, b, c = np.where(near, _taylor(t), far)
     return a, b, c
 
 
-def _taylor(t: Floats, start: int) -> Any:
-    """Return Σ (−t)^i / (2i + start)!"""
-    total = 0.0 * t
-    for i in reversed(range(8)):
-        total = 1.0 / math.factorial(2 * i + start) - t * total
+def _taylor(t: Floats) -> Floats:
+    """Return Σ (−t)^i / (2i + k)! for k = 1, 2, 3, as (3, …)."""
+    total = np.zeros_like(t)
+    for terms in TERMS:
+        total = terms.reshape(3, *(1,) * t.ndim) - t * total
     return total
