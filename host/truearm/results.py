@@ -116,6 +116,9 @@ class Relabelling(NamedTuple):
     rms_after: float  # m, with this label and all others found with it corrected
 
 
+STATUSES = ("converged", "max_iterations", "stalled")
+
+
 class WrongInput(StrEnum):
     """Which input may be interpreted wrongly (``estimate.wrong_inputs``)."""
 
@@ -420,7 +423,7 @@ class Estimate:
     ('converged', True)
     """
 
-    status: str  # "converged" | "max_iterations" | "stalled"
+    status: str  # one of STATUSES
     message: str
     solver: str
     iterations: int

@@ -202,6 +202,10 @@ def test_a_damaged_result_is_refused_or_the_same(tmp_path: Path, n: int) -> None
 IMPOSSIBLE = {
     "a negative error": (("rms_after_mm",), -0.1, "rms_after_mm: '-0.1' is not a size"),
     "an error in words": (("rms_after_mm",), "small", "rms_after_mm: 'small' is not a size"),
+    "an error that overflows": (("chi2_reduced",), 1e300, "chi2_reduced: is too large for a number of a result"),
+    "a parameter that overflows": (("parameters", 0, "value"), 1e300, "parameter link1.x: is larger than any"),
+    "a variance that overflows": (("covariance", "matrix", 0, 0), 1e300, "parameter link1.x: its sigma is not that"),
+    "a status that no solver has": (("status",), "fine", "status: 'fine' is not one of 'converged'"),
     "half an observation": (("n_observations",), 88.5, "n_observations: '88.5' is not a count"),
     "a parameter that is free in one list only": (("parameters", 0, "free"), False, "free: is not the list"),
     "an unknown unit": (("parameters", 0, "unit"), "furlong", "parameter link1.x: its unit is not known"),

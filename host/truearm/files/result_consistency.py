@@ -7,7 +7,6 @@ needed.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -21,7 +20,8 @@ from truearm.types import Floats
 from truearm.units import SUFFIXES, UNITS
 
 ROUNDING = 1e-6  # relative, of numbers that are computed in two ways
-LARGEST = 1e12  # mm, mrad: of any error
+LARGEST = 1e12  # mm, mrad: of any error; also of a parameter in its SI unit
+LARGEST_NUMBER = 1e30  # of any other number: products of two are finite
 COUNTS = frozenset(("n_observations", "iterations", "n_free", "rank", "n", "n_settled", "n_left_out", "freedom"))
 COUNTED = COUNTS | {"fitted", "held_out", "bars", "chucks", "spheres", "places", "sockets", "lines", "targets"}
 COUNTED |= {"trackers", "planes", "shells"}
@@ -41,6 +41,8 @@ def check_consistent(document: Mapping[str, Any]) -> None:
         if parameter["unit"] not in UNITS:
             raise SchemaError(f"parameter {parameter['name']}: its unit is not known, {WHOLE}")
         _check_number(f"parameter {parameter['name']}: sigma", "sigma", parameter["sigma"])
+        if any(abs(parameter[key] or 0.0) > LARGEST for key in ("nominal", "value", "sigma")):
+            raise SchemaError(f"parameter {parameter['name']}: is larger than any parameter can be, {WHOLE}")
     covered = document["covariance"]["names"]
     if document.get("free", free) != free or not set(covered) <= set(free):
         raise SchemaError(f"free: is not the list of parameters that are free, {WHOLE}")
@@ -97,8 +99,8 @@ def _fields(value: Any, where: str, key: str = "") -> Iterator[tuple[str, str, A
 def _check_number(where: str, key: str, value: Any) -> None:
     """Raise SchemaError for a number that is not finite, or a count or size that cannot be one."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if number and not math.isfinite(value):
-        raise SchemaError(f"{where}: is not a finite number, {WHOLE}")
+    if number and not abs(value) <= LARGEST_NUMBER:  # JSON's 1e999 is infinite
+        raise SchemaError(f"{where}: is too large for a number of a result, {WHOLE}")
     of_unit = OF_UNIT.fullmatch(key)
     counted = key in (COUNTED if where.startswith("observations: ") else COUNTS)
     if value is None or not (counted or of_unit or key in SIZES):

@@ -18,7 +18,7 @@ from truearm.files.disk import read_text
 from truearm.files.law_document import LAWS
 from truearm.files.result_consistency import check_consistent, check_covariance
 from truearm.files.result_file import CHECKSUM, FORMAT, FORMAT_VERSION, SINCE_CHECKSUM, RobotFrames, checksum
-from truearm.results import NullDirection, StillJoint
+from truearm.results import STATUSES, NullDirection, StillJoint
 from truearm.schema import Choice, Flag, Key, List, ReadOnly, SchemaError, Table, Text, Value, quoted, raising
 from truearm.types import Floats, Law, Payload
 
@@ -201,7 +201,7 @@ _DEFAULTS = _later(
 _JOINT_RANGE = _later((Key("lower", _many(_KNOWN)), Key("upper", _many(_KNOWN))), JointRange)
 _RESULT = _later(
     (
-        _text("status"),
+        Key("status", Choice(STATUSES)),
         Key("robot", _FRAMES),
         Key("parameters", _many(_PARAMETER)),
         Key("covariance", _COVARIANCE),
