@@ -3,6 +3,7 @@
 import html
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from identify_bench import exact_lengths
 from report_bench import full_page
 from session_stream import RIG, session
 
+from truearm.cli.main import main
 from truearm.files.observation_table import write_table
 from truearm.files.result_file import with_checksum
 from truearm.files.rig_file import write_rig
@@ -21,17 +23,30 @@ from truearm.session.session_file import open_session
 from truearm.workflows.recordings import recording_of
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
+OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]
+
+
+def given(folder):
+    return ["--model", "puma560", "--rig", folder / "rig.toml"]
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory, noisy):
+    """A folder with observations, rig, and a result with held-out rows and options of its own."""
+    folder = tmp_path_factory.mktemp("identified")
+    table, rig = noisy
+    write_table(folder / "poses.csv", table, ("rad",) * 6)
+    write_rig(folder / "rig.toml", rig)
+    arguments = ["identify", folder / "poses.csv", *given(folder), *OPTIONS, "--out", folder / "r.json"]
+    assert main([str(one) for one in arguments]) == 0
+    return folder
+
 
 @pytest.fixture
-def made(tmp_path, run, noisy):
-    """A result with held-out rows and options of its own, and the command that makes its page."""
-    table, rig = noisy
-    write_table(tmp_path / "poses.csv", table, ("rad",) * 6)
-    write_rig(tmp_path / "rig.toml", rig)
-    given = ["--model", "puma560", "--rig", tmp_path / "rig.toml"]
-    options = ["--hold-out", 0.2, "--seed", 3, "--solver", "map", "--freeze", "link2.y"]
-    assert run("identify", tmp_path / "poses.csv", *given, *options, "--out", tmp_path / "r.json").code == 0
-    return ["report", tmp_path / "r.json", tmp_path / "poses.csv", *given, "--out", tmp_path / "page.html"]
+def made(tmp_path, identified):
+    """A copy of these files, and the command that makes the result's page."""
+    shutil.copytree(identified, tmp_path, dirs_exist_ok=True)
+    return ["report", tmp_path / "r.json", tmp_path / "poses.csv", *given(tmp_path), "--out", tmp_path / "page.html"]
 
 
 def words(page):

@@ -237,14 +237,28 @@ toml_values = st.recursive(
 things_wild = st.dictionaries(st.sampled_from([s for key in THING.keys for s in key.spellings]), toml_values)
 
 
-@settings(max_examples=300, deadline=None)
-@given(
-    st.dictionaries(st.sampled_from(["time_s", "time_ms", "thing", "pair", "x"]), toml_values | st.lists(things_wild))
+documents = st.dictionaries(
+    st.sampled_from(["time_s", "time_ms", "thing", "pair", "x"]), toml_values | st.lists(things_wild)
 )
-def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
+
+
+def read_or_refused_in_one_line(document: dict[str, Any]) -> None:
     text = refusal(document)
     assert text.isprintable()
     assert len(text) < 250
+
+
+@settings(max_examples=75, deadline=None)
+@given(documents)
+def test_any_document_is_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
+    read_or_refused_in_one_line(document)
+
+
+@pytest.mark.soak
+@settings(max_examples=2000, deadline=None)
+@given(documents)
+def test_very_many_documents_are_read_or_refused_in_one_line(document: dict[str, Any]) -> None:
+    read_or_refused_in_one_line(document)
 
 
 def test_declarations_cost_no_numerics() -> None:

@@ -74,22 +74,24 @@ def errors(seed, n, controller, hint_ppm=0.0, between=(0.3, 1.3), delays=(0.0, 0
     return 1e6 * (estimate - truth), 1e-3 * bound
 
 
+@pytest.mark.parametrize("seeds", [4, pytest.param(24, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("ppm_per_minute", [-1.0, 0.0, 1.0])
 @pytest.mark.parametrize("hint_ppm", [0.0, 0.2, 50.0])
-def test_the_error_is_within_the_bound_whatever_arrivals_say(ppm_per_minute, hint_ppm):
-    for seed in range(12):
+def test_the_error_is_within_the_bound_whatever_arrivals_say(ppm_per_minute, hint_ppm, seeds):
+    for seed in range(seeds):
         error, bound = errors(seed, 150, Controller(ppm_per_minute=ppm_per_minute), hint_ppm)
         assert np.all(np.abs(error) <= bound)
 
 
-def test_a_hundred_edges_at_a_cycle_of_2_ms():
+@pytest.mark.parametrize("seeds", [20, pytest.param(100, marks=pytest.mark.soak)])
+def test_a_hundred_edges_at_a_cycle_of_2_ms(seeds):
     """The middle of what n uniform phases leave open has a standard deviation of 1/√2 of an nth of the cycle.
 
     A window of 60 s has 37 edges of each direction: 38 µs, and the mean of both directions 27 µs. There is no delay here, and half of what a
     delay may be is taken off.
     """
     worst, square = [], []
-    for seed in range(50):
+    for seed in range(seeds):
         error, bound = errors(seed, 100, Controller(), hint_ppm=0.1)
         assert np.all(np.abs(error) <= bound)
         worst.append(np.max(np.abs(error)))
@@ -104,11 +106,12 @@ def test_a_hundred_edges_at_a_cycle_of_2_ms():
 DELAYS = [(5e-6, 150e-6), (150e-6, 5e-6), (10e-6, 300e-6), (300e-6, 10e-6), (15e-6, 18e-6)]
 
 
+@pytest.mark.parametrize("seeds", [6, pytest.param(24, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("delays", DELAYS)
-def test_unequal_delays_are_within_the_bound(delays):
+def test_unequal_delays_are_within_the_bound(delays, seeds):
     """Two minutes of edges every 50 to 150 ms, clocks that drift by up to 1 ppm a minute."""
     error, bound = [], []
-    for seed in range(12):
+    for seed in range(seeds):
         drifting = Controller(ppm_per_minute=(-1.0, 0.0, 1.0)[seed % 3])
         one = errors(seed, 1200, drifting, hint_ppm=0.1, between=(0.05, 0.15), delays=delays)
         error.append(np.abs(one[0]))
