@@ -102,11 +102,13 @@ def test_held_out_rows_are_not_relabelled_and_noise_is_no_label(shells):
 
 
 def test_when_nothing_fits_nothing_is_named(shells):
-    """Lengths of another world: the residuals are large, but no label explains them."""
-    wild = replace(shells, value=np.random.default_rng(6).uniform(0.3, 0.8, 400))
-    e = identify(CHAIN, RIG, wild, free=FREE, options=SolverOptions(max_iterations=5))
+    """Lengths of another world: the residuals are large, but no label explains them. With two chucks, for fewer fits."""
+    mine = shells.select(shells.chuck != "c2")
+    wild = replace(mine, value=np.random.default_rng(6).uniform(0.3, 0.8, len(mine)))
+    rig = Rig({name: CHUCKS[name] for name in ("c0", "c1")}, SPHERES, BARS)
+    e = identify(CHAIN, rig, wild, free=FREE, options=SolverOptions(max_iterations=5))
     assert e.rms_after["m"] > 1e-2
-    assert e.relabellings == ()
+    assert (e.relabellings, e.relabelling_search) == ((), "done")
 
 
 def joined(*tables):
