@@ -328,8 +328,11 @@ class Flow(Calls):
             why = f"{call.function} is not defined in this file; it may move the robot"
             self.uncertain(call.function, call.start, call.end, why, "harmless")
             found = (Unknown(f"the result of {call.function} is known only at run time", call.start),)
+        changed = self.language.changed_by(call)
+        if not found and not changed:
+            return ()
         origin = self._read(call.function, [*chain(*arguments, *named.values())])
-        for argument in self.language.changed_by(call):
+        for argument in changed:
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
                 was = origin | self._origin(self.value(argument))
                 self.assign(argument, (Unknown(f"{call.function} may change it at run time", 0, "", was),), "")

@@ -7,7 +7,7 @@ semicolon; line ends have no meaning. A module yields its data, its routines, an
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from truearm.files.programs.rapid_expressions import CLOSING, ENDS, ExpressionReader
 from truearm.files.programs.reader import END
@@ -30,6 +30,7 @@ from truearm.files.programs.syntax import (
     Statement,
     Truth,
 )
+from truearm.files.programs.tree_walks import root_of
 from truearm.files.programs.work import STATEMENT, Work
 
 PLACEHOLDERS = ("<tdn>", "<ddn>", "<rdn>", "<smt>")  # where an editor has no declaration or statement yet
@@ -52,6 +53,7 @@ class Module(NamedTuple):
     data: tuple[Declared, ...]
     routines: tuple[Routine, ...]
     records: dict[str, tuple[tuple[str, str], ...]]  # the type and name of each component
+    assigned: frozenset[str]  # variables that routines declare or change
 
 
 def read_rapid(work: Work) -> tuple[Module, ...]:
@@ -64,7 +66,12 @@ def read_rapid(work: Work) -> tuple[Module, ...]:
 
 
 class _Reader(ExpressionReader):
-    """The grammar by recursive descent."""
+    """The grammar by recursive descent. ``assigned``: variables that the module's routines declare or change."""
+
+    def __init__(self, work: Work) -> None:
+        super().__init__(work)
+        self.assigned: set[str] = set()
+        self.jumps = False
 
     def module(self) -> Module:
         data: list[Declared] = []
@@ -81,7 +88,7 @@ class _Reader(ExpressionReader):
         while not self.is_word("endmodule"):
             self.declared(data, routines, records)
         self.step()
-        return Module(tuple(data), tuple(routines), records)
+        return Module(tuple(data), tuple(routines), records, frozenset(self.assigned))
 
     def declared(
         self, data: list[Declared], routines: list[Routine], records: dict[str, tuple[tuple[str, str], ...]]
@@ -126,6 +133,7 @@ class _Reader(ExpressionReader):
 
     def routine(self) -> Routine:
         kind, start = self.step(), self.last
+        self.calls, self.jumps = set(), False
         if kind == "func":
             self.word("a type")
         name = self.word("a name")
@@ -138,6 +146,7 @@ class _Reader(ExpressionReader):
             if self.is_word("local"):
                 self.step()
             datum = self.datum()
+            self.assigned.add(datum.name)
             if datum.value is not None:
                 body.append(Assign(Name(datum.name, datum.start), datum.value, "local"))
             else:
@@ -151,7 +160,9 @@ class _Reader(ExpressionReader):
                 self.bracketed(")")
             handlers.append(self.block())
         self.take(ENDS[kind])
-        return Routine(name, parameters, tuple(body), "beside" if kind == "trap" else "routine", start, tuple(handlers))
+        how: Literal["routine", "beside"] = "beside" if kind == "trap" else "routine"
+        calls = frozenset(self.calls)
+        return Routine(name, parameters, tuple(body), how, start, tuple(handlers), calls=calls, jumps=self.jumps)
 
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []
@@ -201,6 +212,7 @@ class _Reader(ExpressionReader):
         if self.following == ":":
             self.step()
             self.step()
+            self.jumps = True
             return [Jump(start)]
         if self.text in PLACEHOLDERS:
             self.step()
@@ -242,6 +254,7 @@ class _Reader(ExpressionReader):
         self.step()
         self.word("a label")
         self.take(";")
+        self.jumps = True
         return [Jump(start)]
 
     def ended(self) -> list[Statement]:
@@ -274,10 +287,12 @@ class _Reader(ExpressionReader):
             value = self.expression()
             if not isinstance(left, Name | Element):
                 raise self.source.wrong(start, "the left side of := is not a variable")
+            self.assigned.add(root_of(left))
             found: Statement = Assign(left, value)
             self.take(";")
             return found
         name = self.word("a statement")
+        self.calls.add(name)
         arguments, named = self.arguments(";")
         return Do(Call(name, arguments, named, start, self.last))
 

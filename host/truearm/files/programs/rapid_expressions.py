@@ -67,6 +67,7 @@ class ExpressionReader(Reader):
 
     def __init__(self, work: Work) -> None:
         super().__init__(work, TOKENS, work.source.text.lower())  # each of ISO 8859-1's letters becomes one letter
+        self.calls: set[str] = set()  # names that the routine being read calls
 
     def written(self) -> str:
         """Return the text of the token taken last, as it is in the source."""
@@ -164,6 +165,7 @@ class ExpressionReader(Reader):
                 self.step()
                 if self.text == "(":
                     self.step()
+                    self.calls.add(word)
                     arguments, named = self.arguments(")")
                     return Call(word, arguments, named, start, self.end)
                 return Name(word, start)

@@ -35,8 +35,8 @@ from truearm.files.programs.rapid_words import (
     STRAIGHT,
 )
 from truearm.files.programs.sent_moves import why_sent
-from truearm.files.programs.syntax import Assign, Call, Expression, Number, Taught, Truth
-from truearm.files.programs.tree_walks import calls_in, root_of, statements_in
+from truearm.files.programs.syntax import Call, Expression, Number, Taught, Truth
+from truearm.files.programs.tree_walks import root_of
 from truearm.files.programs.values import (
     NOWHERE,
     Listed,
@@ -222,7 +222,7 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
     constants |= {datum.name for module in modules for datum in module.data if datum.kind == "const"}
     for routine in routines:  # in a routine, a name may be another variable's
         constants -= {one.name for one in routine.parameters}
-        constants -= {root_of(one.target) for one in statements_in(routine.body) if isinstance(one, Assign)}
+    constants = constants.difference(*(module.assigned for module in modules))
     flow = Flow(work, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
     for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, LOCKED: NOWHERE, **frames}.items():
         flow.environment.set((0, name), (pose,))
@@ -245,10 +245,9 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
                 begin[datum.name] = flow.value(datum.value)
             flow.environment.set((0, datum.name), begin[datum.name])
     kept = _assigned_elsewhere(modules)
-    called = {one.name: {call.function for call in calls_in((one.body, one.handlers))} for one in routines}
-    used = {name for one in routines for name in called[one.name] if name != one.name}
+    used = {name for one in routines for name in one.calls if name != one.name}
     # A run from the beginning resets them. One that continues after the last statement or ExitCycle does not.
-    resets = not any(one.handlers or "exitcycle" in called[one.name] for one in routines)
+    resets = not any(one.handlers or "exitcycle" in one.calls for one in routines)
     entries = sorted(
         (one for one in routines if one.name not in used or one.name == "main"),
         key=lambda one: (one.name in used, one.name != "main"),

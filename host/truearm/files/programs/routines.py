@@ -10,7 +10,6 @@ from truearm.files.programs.tree_walks import (
     assigns_parameters,
     calls_in,
     root_of,
-    routines_in,
     statements_in,
     touched_by,
 )
@@ -50,7 +49,7 @@ class Routines:
         if routine.name in self.by_name:
             raise self.work.source.wrong(routine.start, f"{routine.name} is defined twice; rename one")
         self.by_name[routine.name], self.parents[routine.name] = routine, parent
-        for inner in routines_in(routine.body):
+        for inner in routine.inner:
             self._declare(inner, routine.name)
 
     def _find_volatile(self) -> None:
@@ -93,6 +92,8 @@ class Routines:
 
     def first_jump(self, routine: Routine) -> int:
         """The place of the first statement of a routine with a jump in it, or behind the last."""
+        if not routine.jumps:
+            return len(routine.body)
         if routine.name not in self._first_jumps:
             jumps = (
                 k for k, one in enumerate(routine.body) if any(isinstance(part, Jump) for part in statements_in((one,)))

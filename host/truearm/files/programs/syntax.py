@@ -198,7 +198,11 @@ class Parameter(NamedTuple):
 
 
 class Routine(NamedTuple):
-    """A function, procedure, thread or interrupt routine."""
+    """A function, procedure, thread or interrupt routine.
+
+    ``inner``: the routines defined in it, but not those within them; ``calls``: names that a RAPID routine calls;
+    ``jumps``: whether it contains a Jump.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -206,6 +210,9 @@ class Routine(NamedTuple):
     kind: Literal["routine", "beside"]  # "beside": runs concurrently or in between, as threads and traps do
     start: int
     handlers: tuple[Block, ...] = ()  # may be executed from any place of the body, and return to it
+    inner: tuple[Routine, ...] = ()
+    calls: frozenset[str] = frozenset()
+    jumps: bool = False
 
 
 Statement = Assign | Do | If | Loop | Return | Leave | Jump | Routine

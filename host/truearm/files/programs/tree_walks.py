@@ -56,15 +56,6 @@ def names_in(node: object) -> Iterator[str]:
             yield from names_in(inner)
 
 
-def routines_in(block: Block) -> Iterator[Routine]:
-    """Yield the routines defined in a block, but not those within them."""
-    for statement in block:
-        if isinstance(statement, Routine):
-            yield statement
-        for inner in _blocks_of(statement):
-            yield from routines_in(inner)
-
-
 def statements_in(block: Block) -> Iterator[Statement]:
     """Yield the statements of a block and of the blocks in it, except those in routines defined there."""
     waiting = [*reversed(block)]

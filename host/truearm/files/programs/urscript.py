@@ -7,6 +7,7 @@ comments are.
 from __future__ import annotations
 
 import re
+from typing import Literal
 
 from truearm.files.programs.reader import END, NO_MORE, Reader
 from truearm.files.programs.syntax import (
@@ -63,13 +64,14 @@ def read_urscript(work: Work) -> Block:
 
 
 class _Reader(Reader):
-    """The grammar by recursive descent. ``open``: number of open brackets."""
+    """The grammar by recursive descent. ``open``: number of open brackets; ``found``: routines of the one being read."""
 
-    __slots__ = ("open",)
+    __slots__ = ("found", "open")
 
     def __init__(self, work: Work) -> None:
         super().__init__(work, _TOKENS, work.source.text)
         self.open = 0
+        self.found: list[Routine] = []
 
     def block(self) -> Block:
         """Return the statements up to the word that closes them, which is not consumed."""
@@ -144,9 +146,13 @@ class _Reader(Reader):
                 elif self.text != ")":
                     raise self.unexpected("a comma or )")
             self.step()
+        outer, self.found = self.found, []
         body = self.inner()
         self.close(f"{kind} {name}", start)
-        return Routine(name, tuple(parameters), body, "beside" if kind == "thread" else "routine", start)
+        how: Literal["routine", "beside"] = "beside" if kind == "thread" else "routine"
+        routine = Routine(name, tuple(parameters), body, how, start, inner=tuple(self.found))
+        self.found = [*outer, routine]
+        return routine
 
     def choice(self) -> If:
         start = self.start
