@@ -65,7 +65,7 @@ from truearm.files.programs.values import (
     origin_of,
 )
 from truearm.files.programs.variables import Turn
-from truearm.files.programs.work import BLOCK, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
+from truearm.files.programs.work import BLOCK, CHANGED, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
 
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
 
@@ -168,7 +168,9 @@ class Flow(Calls):
         places = (target.at,) if isinstance(target.at, str) else self.value(target.at)
         self._decided(places, target.start)
         changed: Values = ()
-        self.work.spend(len(places) * sum(OPENED if isinstance(one, Taught | Pose) else ELEMENT for one in of))
+        self.work.spend(
+            CHANGED + len(places) * sum(OPENED if isinstance(one, Taught | Pose) else ELEMENT for one in of)
+        )
         for place in places:
             each = tuple(self.language.changed(one, place, values, target.start) for one in of)
             self.work.spend(sum(_size(one) for one in each) // SEVERAL)

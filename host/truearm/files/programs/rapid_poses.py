@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 from truearm.files.programs.motions import UNDECLARED
 from truearm.files.programs.rotations import of_quaternion, quaternion_of_angles, quaternion_of_tool_angles
@@ -29,6 +30,7 @@ from truearm.files.programs.values import (
 )
 from truearm.units import MM
 
+KEPT = 256  # tools and work objects whose frames are remembered: many moves use one
 NONE, NO_AXIS = 9e9, 8.9e9  # 9E9 represents a missing external axis
 
 
@@ -59,7 +61,7 @@ def tool_of(value: Value, at: int) -> Value:
         return Unknown("its tool is not a tooldata", at)
     if value.items[0] != (Truth(True),):
         return Unknown("its tool is not held by the robot", at)
-    pose = _frame(value.items[1])
+    pose = _kept_frame(value.items[1])
     return pose or _unknown_in(value) or Unknown("its tool has no frame of plain numbers", at)
 
 
@@ -76,13 +78,15 @@ def object_of(value: Value, at: int) -> Value:
         return Unknown("its work object is held by the robot", at)
     if fixed_frame != (Truth(True),) or unit != (Text(""),):
         return Unknown("its work object is moved by a mechanical unit", at)
-    frames = [_frame(users), _frame(own)]
-    known = [frame for frame in frames if frame is not None]
-    return (
-        times(*known)
-        if len(known) == 2
-        else _unknown_in(value) or Unknown("its work object has no frames of plain numbers", at)
-    )
+    frame = _object_frame(users, own)
+    return frame or _unknown_in(value) or Unknown("its work object has no frames of plain numbers", at)
+
+
+@lru_cache(KEPT)
+def _object_frame(users: Values, own: Values) -> Pose | None:
+    """Return the product of a user frame and an object frame."""
+    first, second = _frame(users), _frame(own)
+    return None if first is None or second is None else times(first, second)
 
 
 def _frame(values: Values) -> Pose | None:
@@ -95,12 +99,11 @@ def _frame(values: Values) -> Pose | None:
     return None if found is None else found._replace(origin=origin_of(values))
 
 
+_kept_frame = lru_cache(KEPT)(_frame)
+
+
 def _unknown_in(value: Value) -> Unknown | None:
-    if isinstance(value, Unknown):
-        return value
-    if isinstance(value, Listed):
-        return next((found for item in value.items for one in item if (found := _unknown_in(one)) is not None), None)
-    return None
+    return value if isinstance(value, Unknown) else value.unknown if isinstance(value, Listed) else None
 
 
 def _numbers(given: Sequence[Value]) -> list[float] | None:

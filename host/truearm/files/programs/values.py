@@ -42,12 +42,16 @@ class Unknown(NamedTuple):
     origin: Origin = NO_ORIGIN
 
 
+_NOT_SOUGHT = Unknown("", 0)
+
+
 class _Kept:
-    """What may be large: its hash, its depth and its origin are computed once."""
+    """What may be large: its hash and what is asked of its items are computed once."""
 
     items: tuple[Values, ...]
     _hash: int | None = None
     _depth: int | None = None
+    _unknown: Unknown | None = _NOT_SOUGHT
     _origin: Origin | None = None
     _numbers_origin: Origin | None = None
 
@@ -62,6 +66,18 @@ class _Kept:
         if self._depth is None:
             self._depth = _depth(self.items)
         return self._depth
+
+    @property
+    def unknown(self) -> Unknown | None:
+        """Return the first unknown value in it, at any depth of lists."""
+        if self._unknown is _NOT_SOUGHT:
+            self._unknown = None
+            for one in chain.from_iterable(self.items):
+                found = one if isinstance(one, Unknown) else one.unknown if isinstance(one, Listed) else None
+                if found is not None:
+                    self._unknown = found
+                    break
+        return self._unknown
 
     @property
     def origin(self) -> Origin:
