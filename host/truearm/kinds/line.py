@@ -76,7 +76,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     """
     rig = scope.rig
     cov = tuple(tuple(sigma**2 * (i == k) for k in range(3)) for i, sigma in enumerate(rig.line_sigma))
-    known = rig.lines or {name: Device(name, cov) for name in scope.table.line[rows].tolist()}
+    known = rig.lines or {name: Device(name, cov) for name in dict.fromkeys(scope.table.line[rows].tolist())}
 
     def placed(xyz: Floats, p_base: Floats, device: Device) -> tuple[Floats, Floats]:
         declared = rotation(np.array(device.rotation))
