@@ -55,18 +55,22 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     outcome = run("identify", *files)
     assert outcome.out.startswith(f"Systematic error: chuck.{chuck} is off by 0.")
     assert "To apply it: --allow chuck." in outcome.out
-    # What survives comes first: the error of poses that were not fitted. The covariance knows nothing of the slip.
+    # The largest comes first: the slip displaces base and tool, and lengths from the slipped chuck agree with that.
+    # Then the error of poses that were not fitted. The covariance knows nothing of the slip.
     expect = (
-        r"The fit has systematic errors\. Expect errors of (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
+        r"The fit has systematic errors\. Expect tool errors of (0\.\d+) mm RMS: by so much the tool moves if they are "
     )
+    measured = r"What the rows measure errs by (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
     without = r"Without the systematic errors, these sigmas predict a tool error of (0\.\d+) mm RMS over "
     for text in (outcome.out, page.read_text()):
         assert "Tool error predicted from these sigmas" not in text
         assert "of the tool, predicted" not in text
         assert "The covariance of the parameters predicts" not in text
-        mean, low, high = map(float, re.search(expect, text).groups())
+        mean, low, high = map(float, re.search(measured, text).groups())
         assert low < mean < high
-        assert re.search(expect, text).end() < re.search(without, text).start()
+        assert float(re.search(expect, text)[1]) > mean
+        places = [re.search(words, text).start() for words in (expect, measured, without)]
+        assert places == sorted(places)
     assert f"Systematic error: chuck.{chuck} is off by 0." in page.read_text()
 
 

@@ -289,7 +289,15 @@ def predicted(document: Document) -> list[str]:
         return []
     if document["unexplained"] is not None:
         tool = (MM.to_si(error["rms_mm"]), error["n"]) if error else None
-        return unexplained_words(_unexplained(document["unexplained"]), bool(document["systematic"]), tool)
+        would_be = document["without_systematic"]
+        moves = (
+            None
+            if would_be is None
+            else math.nan
+            if would_be["tool_moves_mm"] is None
+            else MM.to_si(would_be["tool_moves_mm"])
+        )
+        return unexplained_words(_unexplained(document["unexplained"]), moves, tool)
     if error is None:
         return [
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."

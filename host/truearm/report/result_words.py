@@ -36,11 +36,15 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     )
 
 
-def unexplained_words(errors: Mapping[str, MeanError], systematic: bool, tool: tuple[float, int] | None) -> list[str]:
+def unexplained_words(
+    errors: Mapping[str, MeanError], systematic: float | None, tool: tuple[float, int] | None
+) -> list[str]:
     """Return the error to expect if the declared noise does not explain the residuals, from poses that were not fitted.
 
-    ``errors`` are their mean errors by SI unit. ``systematic``: systematic errors were found. ``tool`` is the error of
-    the tool that the covariance predicts [m], over a number of poses. The larger of the two is the one to expect.
+    ``errors`` are their mean errors by SI unit. ``systematic`` is how far the tool moves if the systematic errors that
+    were found are estimated [m], NaN if that is not known; None without such errors. ``tool`` is the error of the tool
+    that the covariance predicts [m], over a number of poses. The largest of the three is the one to expect: a displaced
+    fixture turns the base with it, and rows held out at the same fixture do not show that.
     """
     parts = []
     for si, error in errors.items():
@@ -48,19 +52,35 @@ def unexplained_words(errors: Mapping[str, MeanError], systematic: bool, tool: t
         parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
     of = f"{counted(n, 'pose')} held out" if held_out else f"{counted(n, 'pose')}, each predicted without its own rows"
-    because = "The fit has systematic errors" if systematic else "The declared noise does not explain the residuals"
+    because = (
+        "The declared noise does not explain the residuals" if systematic is None else "The fit has systematic errors"
+    )
+    measured = errors["m"].mean if "m" in errors else 0.0
+    if systematic is not None and systematic > max(measured, tool[0] if tool else 0.0):
+        lines = [
+            f"{because}. Expect tool errors of {number(systematic, 'm')} {symbol('m')} RMS: by so much the tool moves if they are estimated.",
+            f"What the rows measure errs by {' and '.join(parts)}, the mean of {of}.",
+        ]
+        return lines if tool is None else [*lines, _by_sigmas(tool)]
     if tool is None:
         return [f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."]
-    predicted = f"{number(tool[0], 'm')} {symbol('m')} RMS over {counted(tool[1], 'pose')}"
-    if "m" in errors and tool[0] > errors["m"].mean:
+    if "m" in errors and tool[0] > measured:
         return [
-            f"{because}. Expect tool errors of {predicted}, by these sigmas: the rows measure only part of the tool's error.",
+            f"{because}. Expect tool errors of {_over_poses(tool)}, by these sigmas: the rows measure only part of the tool's error.",
             f"What they measure errs by {' and '.join(parts)}, the mean of {of}.",
         ]
     return [
         f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}.",
-        f"Without the systematic errors, these sigmas predict a tool error of {predicted}.",
+        _by_sigmas(tool),
     ]
+
+
+def _by_sigmas(tool: tuple[float, int]) -> str:
+    return f"Without the systematic errors, these sigmas predict a tool error of {_over_poses(tool)}."
+
+
+def _over_poses(tool: tuple[float, int]) -> str:
+    return f"{number(tool[0], 'm')} {symbol('m')} RMS over {counted(tool[1], 'pose')}"
 
 
 def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str = Loss.LINEAR) -> str:

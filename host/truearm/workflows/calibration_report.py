@@ -91,13 +91,15 @@ def _error_elsewhere(found: Identification) -> list[str]:
     estimate, predicted = found.estimate, found.predicted
     if estimate.unexplained:
         tool = (predicted.rms, predicted.n) if predicted else None
-        return unexplained_words(estimate.unexplained, estimate.systematic is not None, tool)
+        moves = estimate.systematic.moves if estimate.systematic else None
+        return unexplained_words(estimate.unexplained, moves, tool)
     return [] if found.predicted else [UNPREDICTED]
 
 
 def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
     """Return whether the covariance says which error of the tool to expect."""
-    return not estimate.unexplained or predicted.exceeds(estimate.unexplained)
+    moved = estimate.systematic.moves if estimate.systematic else 0.0
+    return not moved > predicted.rms and (not estimate.unexplained or predicted.exceeds(estimate.unexplained))
 
 
 def _timing(estimate: Estimate) -> list[str]:
