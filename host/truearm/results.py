@@ -264,6 +264,18 @@ class SystematicErrors:
     held_out_ratio: float = math.nan
 
 
+class RobotScale(NamedTuple):
+    """The ratio ``factor`` ± ``sigma`` of ``n`` lengths of the robot to the nominal ones (``estimate.robot_scale``).
+
+    ``chance`` is the probability that independent tolerances give such a common ratio.
+    """
+
+    factor: float
+    sigma: float
+    n: int
+    chance: float
+
+
 class StillJoint(NamedTuple):
     """A joint that does not move enough to determine its axis; rad or m."""
 
@@ -468,6 +480,7 @@ class Estimate:
     left_out: NDArray[np.bool_] = field(
         default_factory=lambda: np.zeros(0, dtype=bool)
     )  # (n,) neither fitted nor held out
+    scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
     unexplained: Mapping[str, MeanError] = field(
         default_factory=dict

@@ -51,6 +51,7 @@ LISTS = {
 OBJECTS = {
     "robot",
     "defaults",
+    "scale",
     "without_systematic",
     "with_outliers",
     "unexplained",

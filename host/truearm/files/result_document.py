@@ -103,6 +103,7 @@ def document_of(
         "chi2_band": numbers_or_null(estimate.chi2_band),
         "chi2_freedom": number_or_null(estimate.chi2_freedom),
         "suspect": _suspects(estimate, table),
+        "scale": None if estimate.scale is None else estimate.scale._asdict(),
         **systematic_entries(estimate.systematic, table),
         "unexplained": _unexplained(estimate),
         "with_outliers": _with_outliers(estimate, units),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import assert_never
+from typing import Any, assert_never
 
 from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
@@ -34,6 +34,18 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
         f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} (σ {MS.text(sigma_s, '.2g')}), including the "
         "shortest latencies of the links."
     )
+
+
+def scale_sentences(document: Mapping[str, Any]) -> list[str]:
+    """Return what a common scale of the robot's lengths means; empty if there is none."""
+    scale = document["scale"]
+    if scale is None:
+        return []
+    return [
+        f"The robot is {scale['factor']:.4f} times as large as described (σ {scale['sigma']:.2g}, {scale['n']} lengths; by chance "
+        f"with a probability of {scale['chance']:.0e}). No residual shows a scale: the lengths in the rig determine it. Check "
+        "them (bars, distances of sockets, places of chucks) and the robot's model. Otherwise every position errs in that ratio."
+    ]
 
 
 def unexplained_words(
