@@ -22,7 +22,8 @@ from truearm.model.robot import builtin_robot
 from truearm.plan.first_rig import REPEATABILITY
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
-from truearm.session.observations import came_from, observations, visits
+from truearm.session.observations import came_from, observations
+from truearm.session.pose_visits import visits
 from truearm.types import Message
 from truearm.workflows.characterize import Part, characterized
 from truearm.workflows.session_parts import SETUP

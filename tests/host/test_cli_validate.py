@@ -13,8 +13,8 @@ from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.report.validation_words import verdict
 from truearm.types import Device, Rig
-from truearm.workflows.validate import verdict
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 UNITS = ("rad",) * 6

@@ -13,7 +13,8 @@ from session_stream import PERIOD_NS, renumber, stream_of
 
 from truearm.errors import RigError
 from truearm.session.line_legs import find_legs
-from truearm.session.line_passes import MISSED, REASONS, LineRules, fit_locally
+from truearm.session.line_passes import REASONS, LineRules
+from truearm.session.local_fits import MISSED, fit_locally
 from truearm.session.observations import observations, survey
 from truearm.types import Device, Point, Rig
 

@@ -49,8 +49,9 @@ def validate(
     """
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
+    from truearm.report.validation_words import validation_lines
     from truearm.workflows.inputs import Sources
-    from truearm.workflows.validate import validate_files, validation_lines
+    from truearm.workflows.validate import validate_files
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
     document = validate_files(result, RobotChoice(robot, base, tip), sources, keep_rig).document

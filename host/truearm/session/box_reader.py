@@ -21,18 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProtocolError
-from truearm.session.box_frames import (
-    MAX_DEVICE_US,
-    Frames,
-    Pages,
-    Run,
-    data_of,
-    frames_of,
-    heartbeat_values,
-    is_text,
-    parse_exchanges,
-)
+from truearm.session.box_frames import MAX_DEVICE_US, Pages, data_of, is_text, parse_exchanges
 from truearm.session.box_ident import Ident, Stream, decode_ident
+from truearm.session.frame_columns import FrameRun, Frames, frames_of, heartbeat_values
 from truearm.session.frame_order import FrameOrder, Placed
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack
 from truearm.session.message_columns import Ints, Messages
@@ -219,7 +210,7 @@ class BoxReader:
 
     # ------------------------------------------------------------------------------------------------ frames
 
-    def _place(self, placed: Placed, arriving: Run | None) -> None:
+    def _place(self, placed: Placed, arriving: FrameRun | None) -> None:
         """Account for frames in their order: usual frames together later, others now."""
         if placed.restarts:
             self._account()
@@ -237,13 +228,15 @@ class BoxReader:
         beat, boot_id = run.first_heartbeat()
         if boot_id is not None:
             if self.segment.boot_id not in (None, boot_id) and beat > run.begin:
-                self._placed.append((placed._replace(run=Run(run.frames, run.begin, beat)), self._count["frames_lost"]))
-                placed = placed._replace(run=Run(run.frames, beat, run.end))
+                self._placed.append(
+                    (placed._replace(run=FrameRun(run.frames, run.begin, beat)), self._count["frames_lost"])
+                )
+                placed = placed._replace(run=FrameRun(run.frames, beat, run.end))
             at = max(placed.at, int(run.frames.row[beat])) if run.frames.messages is self._batch else placed.at
             self._boot_id(boot_id, at, arriving)
         self._placed.append((placed, self._count["frames_lost"]))
 
-    def _content(self, elements: list[Any], at: int, arriving: Run | None) -> None:
+    def _content(self, elements: list[Any], at: int, arriving: FrameRun | None) -> None:
         kind = elements[0]
         if kind == wire.DATA:
             self._count["frames_malformed" if data_of(elements) is None else "blocks_without_ident"] += 1
@@ -263,7 +256,7 @@ class BoxReader:
         elif kind not in wire.LAYOUT:
             self._count["frames_unknown"] += 1
 
-    def _restart(self, at: int, arriving: Run | None) -> None:
+    def _restart(self, at: int, arriving: FrameRun | None) -> None:
         if arriving is not None:
             if at > arriving.row and not self._order.undecided:
                 self._hear_aside()
@@ -276,7 +269,7 @@ class BoxReader:
         for stream in self._streams.values():
             stream.restart(self._count["frames_lost"])
 
-    def _boot_id(self, boot_id: int, at: int, arriving: Run | None) -> None:
+    def _boot_id(self, boot_id: int, at: int, arriving: FrameRun | None) -> None:
         if self.segment.boot_id not in (None, boot_id):
             self._account()
             self._restart(at, arriving)
@@ -369,7 +362,7 @@ class BoxReader:
         if self._keep_exchanges and 0 <= number < len(names):
             self.segment.temperatures.setdefault(names[number], []).append((t_us, mdegc))
 
-    def _ident_page(self, frame: list[Any], at: int, arriving: Run | None) -> None:
+    def _ident_page(self, frame: list[Any], at: int, arriving: FrameRun | None) -> None:
         if len(frame) < 6 or any(type(v) is not int for v in frame[2:5]) or type(frame[5]) is not bytes:
             self._count["frames_malformed"] += 1
             return

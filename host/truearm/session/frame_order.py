@@ -40,7 +40,8 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import NamedTuple
 
-from truearm.session.box_frames import CIRCLE, Run, too_many
+from truearm.session.box_frames import too_many
+from truearm.session.frame_columns import CIRCLE, FrameRun
 
 REACH = 512  # frames that a late one may lag behind: some seconds, less than sessions hold back for late messages
 DELAYED_NS = 2_000_000_000  # longer than a block of samples lasts and than a link usually delays
@@ -58,7 +59,7 @@ class Placed(NamedTuple):
     first frames of the new count were missing, so the restart was certain before these frames were released.
     """
 
-    run: Run
+    run: FrameRun
     lost: int
     restarts: bool
     at: int
@@ -70,7 +71,7 @@ class _Held:
     """A waiting run; ``count`` is that of its first frame."""
 
     count: int
-    run: Run
+    run: FrameRun
 
     @property
     def end(self) -> int:
@@ -84,12 +85,12 @@ class _Remembered:
     """The newest 2 · REACH frames of a count, by seq."""
 
     def __init__(self) -> None:
-        self._parts: deque[tuple[int, int, Run]] = deque()  # in order of acceptance, each with its seq and length
+        self._parts: deque[tuple[int, int, FrameRun]] = deque()  # in order of acceptance, each with its seq and length
         self._n = 0
-        self._by_seq: dict[int, tuple[int, Run]] = {}  # of these: length and frames, by the first seq
+        self._by_seq: dict[int, tuple[int, FrameRun]] = {}  # of these: length and frames, by the first seq
         self._long: set[int] = set()  # the first seq of those with more than one frame
 
-    def add(self, run: Run) -> None:
+    def add(self, run: FrameRun) -> None:
         """Remember a run; the oldest frames are forgotten."""
         self._parts.append((run.seq, len(run), run))
         self._index(run.seq, len(run), run)
@@ -114,7 +115,7 @@ class _Remembered:
                 return known.after(known.first((asked - seq) % CIRCLE)).payload
         return None
 
-    def _index(self, seq: int, n: int, run: Run) -> None:
+    def _index(self, seq: int, n: int, run: FrameRun) -> None:
         self._by_seq[seq] = n, run
         if n > 1:
             self._long.add(seq)
@@ -156,7 +157,7 @@ class FrameOrder:
     _old_until: int = 0  # below this count, frames of the old count may arrive between those of this one
     _old_seq: int | None = None  # of the newest frame taken as one of the old count
     _left: set[int] = field(default_factory=set)  # the boot ids of earlier counts
-    _suspects: list[Run] = field(default_factory=list)  # of one frame each
+    _suspects: list[FrameRun] = field(default_factory=list)  # of one frame each
     _far: bool = False  # the suspects lie too far ahead
 
     @property
@@ -164,14 +165,14 @@ class FrameOrder:
         """Whether frames are held that are not classified yet, or that begin a new count."""
         return bool(self._suspects) or self._waiting_restart
 
-    def parts(self, run: Run) -> Iterator[Run]:
+    def parts(self, run: FrameRun) -> Iterator[FrameRun]:
         """Yield a run in parts that can each be taken at once. Take each part before requesting the next."""
         while len(run):
             head = run.first(max(1, self._belonging(run)))
             yield head
             run = run.after(head)
 
-    def take(self, part: Run) -> Iterator[Placed]:
+    def take(self, part: FrameRun) -> Iterator[Placed]:
         """Take a part of a run and return the frames that are now due, in order."""
         yield from self._take(part, part.row)
 
@@ -187,7 +188,7 @@ class FrameOrder:
         self._boot_id = boot_id
         self._left.discard(boot_id)
 
-    def _take(self, run: Run, at: int) -> Iterator[Placed]:
+    def _take(self, run: FrameRun, at: int) -> Iterator[Placed]:
         """Take frames that belong to the count, or a single frame for which this is not known."""
         if len(run) > 1 or self._belonging(run):
             yield from self._accept(run, at)
@@ -208,7 +209,7 @@ class FrameOrder:
 
     # ------------------------------------------------------------------------------------------------ the count
 
-    def _begin(self, run: Run, first: int, uncounted: int, at: int) -> Iterator[Placed]:
+    def _begin(self, run: FrameRun, first: int, uncounted: int, at: int) -> Iterator[Placed]:
         self._next, self._newest, self._uncounted = first, run.seq - 1, uncounted
         self._newest_host_ns = run.t_host_ns
         yield from self._accept(run, at)
@@ -217,7 +218,7 @@ class FrameOrder:
         """Return the unwrapped count of a seq: the one nearest to the newest."""
         return self._newest + _apart(seq, self._newest)
 
-    def _belonging(self, run: Run) -> int:
+    def _belonging(self, run: FrameRun) -> int:
         """Return how many of the first frames of a run belong to this count and are still awaited."""
         young = self._is_young()
         follows = run.seq == (self._newest + 1) % CIRCLE and not young
@@ -238,12 +239,12 @@ class FrameOrder:
         """Return whether frames of the old count may arrive between those of this one."""
         return bool(self._former) and self._newest < self._old_until
 
-    def _is_known(self, run: Run) -> bool:
+    def _is_known(self, run: FrameRun) -> bool:
         """Return whether a frame states the boot id of this count or of an earlier one."""
         _, boot_id = run.first_heartbeat()
         return boot_id is not None and (boot_id == self._boot_id or boot_id in self._left)
 
-    def _is_missing(self, run: Run) -> bool:
+    def _is_missing(self, run: FrameRun) -> bool:
         """Return whether this count, or a former one, has lost a frame with this seq."""
         count = self._unwrapped(run.seq)
         if any(begin <= count < end for begin, end in self._holes):
@@ -254,7 +255,7 @@ class FrameOrder:
             for old in self._former
         )
 
-    def _awaited(self, run: Run, far: bool = False) -> int:
+    def _awaited(self, run: FrameRun, far: bool = False) -> int:
         """Return for how many of the first frames of a run this count has a place; ``far``: however far ahead."""
         count, n = self._unwrapped(run.seq), len(run)
         if count < max(self._next, 0):
@@ -276,11 +277,11 @@ class FrameOrder:
                 n = min(n, frame - run.begin)
         return n
 
-    def _is_far(self, run: Run) -> bool:
+    def _is_far(self, run: FrameRun) -> bool:
         """Return whether a frame lies further ahead than frames can have arrived since the newest."""
         return too_many(self._unwrapped(run.seq) - self._newest, run.t_host_ns - self._newest_host_ns)
 
-    def _is_delayed(self, run: Run) -> bool:
+    def _is_delayed(self, run: FrameRun) -> bool:
         """Return whether a frame after a hole or a suspect arrived much later than its device time says.
 
         It was held up, or it is of a later boot.
@@ -292,7 +293,7 @@ class FrameOrder:
         born_ns = run.born_ns
         return born_ns is not None and born_ns - self._born_ns > DELAYED_NS
 
-    def _is_of_old(self, run: Run) -> bool:
+    def _is_of_old(self, run: FrameRun) -> bool:
         """Return whether a frame is of the count before the restart: by its device time, or by its seq if it has none.
 
         A frame without a time that follows one of the old count is of that count too.
@@ -311,7 +312,7 @@ class FrameOrder:
             return False  # the first page may have waited for the link: it does not tell when the box booted
         return 2 * born_ns < old.born_ns + self._born_ns
 
-    def _accept(self, run: Run, at: int) -> Iterator[Placed]:
+    def _accept(self, run: FrameRun, at: int) -> Iterator[Placed]:
         held = _Held(self._unwrapped(run.seq), run)
         continues = held.count > self._newest
         self._waiting.insert(bisect_left(self._waiting, held.count, key=_COUNT), held)
@@ -360,7 +361,7 @@ class FrameOrder:
             self._placed_times[kind] = t_us
         return Placed(run, lost, restarts, at, waited)
 
-    def _is_doubled(self, run: Run) -> bool:
+    def _is_doubled(self, run: FrameRun) -> bool:
         """Return whether the bytes of a frame are remembered."""
         stores = [self._remembered, *(old.remembered for old in self._former[-1:])]
         payload = run.payload
@@ -368,7 +369,7 @@ class FrameOrder:
 
     # ------------------------------------------------------------------------------------------------ another count
 
-    def _suspect(self, run: Run, at: int) -> Iterator[Placed]:
+    def _suspect(self, run: FrameRun, at: int) -> Iterator[Placed]:
         if self._suspects and abs(_apart(run.seq, self._suspects[-1].seq)) > REACH:
             yield from self._dismiss(at)
         if not self._suspects:
@@ -389,7 +390,7 @@ class FrameOrder:
         elif same and not elsewhere:
             yield from self._dismiss(at, ours=True)
 
-    def _is_elsewhere(self, run: Run) -> bool:
+    def _is_elsewhere(self, run: FrameRun) -> bool:
         """Return whether more frames would be missing than any link carries in the device time since the newest frame."""
         born_ns = run.born_ns
         if born_ns is None or self._born_ns is None:
@@ -401,7 +402,7 @@ class FrameOrder:
         """Return whether so many suspects in a row are another count although no boot id says so."""
         return len(self._suspects) >= (LONELY_RUN if self._boot_id is None else 2 * REACH)
 
-    def _restart(self, runs: Sequence[Run], at: int) -> Iterator[Placed]:
+    def _restart(self, runs: Sequence[FrameRun], at: int) -> Iterator[Placed]:
         """Begin a new count with these frames; the old one is closed."""
         yield from self._all_waiting(at)
         first, far = runs[0], self._far
@@ -434,7 +435,7 @@ class FrameOrder:
             else:
                 self._count_unused(run)
 
-    def _count_unused(self, run: Run, of_old: bool = False) -> None:
+    def _count_unused(self, run: FrameRun, of_old: bool = False) -> None:
         """Count a frame that arrived too late, twice, or with a seq that no count has reached."""
         reached = any(_apart(run.seq, old.newest_seq) <= REACH for old in self._former)
         if self._is_far(run) and not reached:

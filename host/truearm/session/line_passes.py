@@ -3,7 +3,7 @@
 Three signals are combined. The magnetostrictive head gives the position of the magnet along the device (its y) at the
 edge of each interrogation. Two transducers give the transverse position (x and z), in samples that are late by their
 group delay. The robot gives its joints. Each row is at the instant of an interrogation. There, all three signals are
-evaluated by cubics fitted over the same time before and after (``fit_locally()``), long enough for seven joint readings
+evaluated by cubics fitted over the same time before and after (``local_fits``), long enough for seven joint readings
 and at least a tenth of a second. A row is made only where that window is complete: no missing sample or reading, no
 restart of a clock, no extrapolation.
 
@@ -23,256 +23,32 @@ each line up and down in turn, unlike any robot parameter. It increases the vari
 parameters by a factor of at most 1.0001 over the stated one (four lines there and back at 100 mm/s, 0.14 ms, device
 poses unknown; 1.01 with poses known to 0.1 mm). It would matter for devices with exactly known poses: a factor of 1.7
 with an error per pass, 2.4 if driven one way in two lives of the clocks, 3.9 if τ is also declared known.
-
-**Collecting data during legs** (``Listener``) works batch by batch, so only open legs are in memory. A leg is closed
-when messages arrive that are later than its end by more than any link may delay them. Samples and readings are given on
-the host's time scale, in gap-free pieces. A piece ends where samples or a reading are missing, where the box restarted
-or flagged a fault, and where the robot's controller restarted.
-
-**Cubics** (``fit_locally()``) give values and rates of a moving signal at chosen instants. A polynomial of third degree
-is fitted by least squares over the window t − w … t + w, and its value and slope at t are used. This interpolates and
-averages in one step: with n samples of white noise σ the value has the variance (9/4) σ²/n.
-
-**Truncation error.** Beyond a cubic, the signal's next term is of fourth degree, c·P₄(u), where P₄ is Legendre's
-polynomial and u = −1 … 1 over the window. It causes an error of (3/8)·c at the middle and residuals with an RMS of c/3.
-The error at the middle is therefore 9/8 of the RMS of the residuals, or less if these are partly noise. The same fit
-has the same error in two signals that move together, such as a device's reading and the joints that drive it.
 """
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from truearm.session.box_ident import Channel
-from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_format import UNNUMBERED, parse_lines
 from truearm.session.joint_readings import JointStream
+from truearm.session.leg_samples import LegReadings, LegSamples, Samples, readings_of, samples_of
 from truearm.session.line_legs import Leg
-from truearm.session.message_columns import LATEST_NS, Ints, Messages
+from truearm.session.local_fits import LEAST, MISSED, fit_locally
+from truearm.session.message_columns import Ints
 from truearm.session.sample_noise import mean_variance
-from truearm.session.samples import ChannelBlocks, columns_in, extension, of_channels, railed
+from truearm.session.samples import extension, railed
 from truearm.types import Floats, rms_of_columns
-
-# ----------------------------------------------------------------------------------------------------- data during legs
-
-LATE_NS = 10_000_000_000  # a message is older than its arrival by less than this
-EARLY_NS = 1_000_000_000  # and younger by less than this: possible disagreement of clocks
-LOST = 1.6  # in robot periods: a larger step between readings means that one is missing
-
-
-class Samples(NamedTuple):
-    """Samples of one stream in order: host time [ns] (n,), counts (n, c) of the wanted channels, index of the piece
-    (n,).
-    """
-
-    t_ns: Ints
-    counts: NDArray[np.int32]
-    piece: Ints
-    channels: tuple[Channel, ...]
-    period_ns: int
-    bound_ns: float  # bound of the error of the times
-
-
-class Readings(NamedTuple):
-    """Readings of the robot in order: host time [ns] (n,), joints (n, j), index of the piece (n,)."""
-
-    t_ns: Ints
-    q: Floats
-    piece: Ints
-
-
-class _Piece(NamedTuple):
-    """Blocks of a wanted stream; ``whole`` (b,): the block continues the previous one without a gap."""
-
-    blocks: ChannelBlocks
-    whole: NDArray[np.bool_]
-
-
-@dataclass(eq=False)
-class LegSamples:
-    """Data received during one leg; ``index`` belongs to the caller."""
-
-    index: int
-    leg: Leg
-    pieces: dict[int, list[_Piece]] = field(default_factory=dict)  # by wanted stream
-    readings: list[tuple[Floats, Ints, Floats]] = field(default_factory=list)
-
-
-class Listener:
-    """Processes the box's blocks and the robot's lines in log order; each call returns the legs completed so far."""
-
-    def __init__(self, legs: Sequence[tuple[int, Leg]], wanted: Sequence[tuple[str, ...]], joints: JointStream) -> None:
-        """``legs``: index and leg, by ascending start. ``wanted``: names of channels, one tuple per stream."""
-        self._waiting = deque(LegSamples(index, leg) for index, leg in legs)
-        self._open: list[LegSamples] = []
-        self._wanted, self._joints = wanted, joints
-        self._segment_from = np.array([clock.host_ref_ns for clock in joints.clocks], dtype=np.int64)
-        self._goes_on: dict[int, bool] = {}  # wanted stream → the last block is free of faults
-        self._now_ns = -LATEST_NS
-
-    def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
-        """Process a batch of messages and the blocks released with it."""
-        lines = messages.rows(lambda topic: topic == "/robot/joints")
-        of = (lines, *(one.at for one in blocks))
-        turn = _ranks(np.concatenate(of))
-        arrival = np.concatenate([messages.t_host_ns[lines], *(one.t_host_ns for one in blocks)])
-        now = np.empty_like(arrival)
-        now[turn] = arrival
-        now = np.maximum.accumulate(np.concatenate([[self._now_ns], now]))
-        self._now_ns, now = int(now[-1]), now[1:]
-        line_turn, *block_turns = np.split(turn, np.cumsum([len(part) for part in of])[:-1])
-        pieces = [
-            (k, piece, turns)
-            for one, turns in zip(blocks, block_turns, strict=True)
-            for k, piece in self._wanted_of(one)
-        ]
-        begins = dict.fromkeys(self._open, 0)
-        while self._waiting and self._waiting[0].leg.start_host_ns < self._now_ns + EARLY_NS:
-            heard = self._waiting.popleft()
-            begins[heard] = int(np.searchsorted(now, heard.leg.start_host_ns - EARLY_NS, side="right"))
-        over: list[LegSamples] = []
-        self._open = []
-        for heard, begin in begins.items():
-            end = int(np.searchsorted(now, heard.leg.end_host_ns + LATE_NS, side="right"))
-            self._parse(heard, messages, lines[(line_turn >= begin) & (line_turn < end)])
-            for k, piece, turns in pieces:
-                during = (turns >= begin) & (turns < end) & ~piece.blocks.fault
-                if during.any():
-                    heard.pieces.setdefault(k, []).append(_Piece(piece.blocks.some(during), piece.whole[during]))
-            (over if end < len(now) else self._open).append(heard)
-        return over
-
-    def rest(self) -> list[LegSamples]:
-        """Return the legs that are still open at the end of the session or have not begun."""
-        over = [*self._open, *self._waiting]
-        self._open, self._waiting = [], deque()
-        return over
-
-    def _wanted_of(self, blocks: Blocks) -> Iterator[tuple[int, _Piece]]:
-        """Return the blocks for each wanted stream."""
-        for k, names in enumerate(self._wanted):
-            place = columns_in(blocks.ident, names)
-            if place is None or place[0].id != blocks.stream.id or not len(blocks):
-                continue
-            piece = of_channels(blocks, place[1])
-            well = ~piece.fault
-            before = np.concatenate([[self._goes_on.get(k, False)], well[:-1]])
-            self._goes_on[k] = bool(well[-1])
-            yield k, _Piece(piece, before & ~piece.gap)
-
-    def _parse(self, heard: LegSamples, messages: Messages, rows: NDArray[np.intp]) -> None:
-        """Keep the readings within the leg's own segment and time."""
-        said = parse_lines(messages.payloads(rows), messages.t_host_ns[rows], len(self._joints.step))
-        if len(said):
-            segment = np.searchsorted(self._segment_from, said.arrival_ns, side="right") - 1
-            mine = (segment == heard.leg.segment) & (said.t >= heard.leg.start_s) & (said.t <= heard.leg.end_s)
-            heard.readings.append((said.t[mine], said.seq[mine], said.q[mine]))
-
-
-def samples_of(heard: LegSamples, k: int, clocks: Mapping[int, DeviceClock]) -> Samples | None:
-    """Return the samples of a wanted stream during the leg; None if no clock places any of them in time."""
-    pieces = [piece for piece in heard.pieces.get(k, []) if piece.blocks.segment in clocks]
-    if not pieces:
-        return None
-    placed = [piece.blocks.times(clocks[piece.blocks.segment]) for piece in pieces]
-    times = np.concatenate([t_ns for t_ns, _ in placed])
-    bound_ns = max(float(np.max(bounds)) for _, bounds in placed)
-    broken = np.cumsum(~np.concatenate([piece.whole for piece in pieces]))
-    number = np.repeat(broken, np.concatenate([piece.blocks.n for piece in pieces]))
-    counts = np.concatenate([piece.blocks.counts for piece in pieces])
-    inside = (times >= heard.leg.start_host_ns) & (times <= heard.leg.end_host_ns)
-    if not inside.any():
-        return None
-    # Two lives of the box have two clocks; their times may overlap by the clocks' errors.
-    order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
-    last = pieces[-1].blocks
-    period = int(last.period_ns[-1]) or last.stream.period_ns
-    return Samples(times[order], counts[order], number[order], last.channels, period, bound_ns)
-
-
-def readings_of(heard: LegSamples, joints: JointStream) -> Readings:
-    """Return the robot's readings by time: late ones in their place, duplicates once."""
-    if not heard.readings:
-        return Readings(np.empty(0, np.int64), np.empty((0, len(joints.step))), np.empty(0, np.int64))
-    t, seq, q = (np.concatenate(column) for column in zip(*heard.readings, strict=True))
-    t, first = np.unique(t, return_index=True)
-    seq, q = seq[first], q[first]
-    apart = np.diff(t)
-    broken = apart > LOST * float(np.median(apart)) if apart.size else np.zeros(0, dtype=bool)
-    numbered = (seq[1:] != UNNUMBERED) & (seq[:-1] != UNNUMBERED)
-    broken = broken | (numbered & (np.diff(seq) != 1))
-    piece = np.concatenate([[0], np.cumsum(broken)]) if t.size else np.empty(0, np.int64)
-    return Readings(joints.clocks[heard.leg.segment].to_host_ns(t), q, piece)
-
-
-def _ranks(keys: Ints) -> NDArray[np.intp]:
-    """Return the rank of each of several keys (n,); equal keys keep their order."""
-    ranks = np.empty(len(keys), np.intp)
-    ranks[np.argsort(keys, kind="stable")] = np.arange(len(keys))
-    return ranks
-
-
-# --------------------------------------------------------------------------------------------------------------- cubics
-
-DEGREE = 3
-LEAST = DEGREE + 3  # samples per window
-MISSED = 9.0 / 8.0  # error at the middle divided by the RMS of the residuals
-
-
-class LocalFits(NamedTuple):
-    """Local fits at r instants of c signals.
-
-    Value (r, c), rate (r, c) [1/s], RMS residual (r, c) for n − 4 degrees of freedom, number of samples n (r,), and
-    variance of the value (r,) for white noise of variance 1.
-    """
-
-    value: Floats
-    rate: Floats
-    rms: Floats
-    n: NDArray[np.int64]
-    leverage: Floats
-
-
-def fit_locally(t: Floats, values: Floats, centres: Floats, half_s: float) -> LocalFits:
-    """Fit cubics around ``centres`` (r,) [s] to samples ``values`` (n, c) at ascending ``t`` (n,) [s], with w =
-    ``half_s``.
-
-    NaN where a window holds fewer than LEAST samples. The caller must check that a window is complete.
-    """
-    r, c = centres.size, values.shape[1]
-    low, high = np.searchsorted(t, centres - half_s), np.searchsorted(t, centres + half_s, side="right")
-    value, rate, rms = (np.full((r, c), np.nan) for _ in range(3))
-    out = LocalFits(value, rate, rms, high - low, np.full(r, np.nan))
-    for k in np.flatnonzero(high - low >= LEAST):
-        window = slice(low[k], high[k])
-        u = (t[window] - centres[k]) / half_s
-        q, triangle = np.linalg.qr(np.vander(u, DEGREE + 1, increasing=True))
-        if np.abs(np.diag(triangle)).min() < 1e-6:  # all samples at one time
-            continue
-        of_samples = q.T @ values[window]
-        inverse = np.linalg.inv(triangle)
-        out.value[k], out.rate[k] = (inverse @ of_samples)[:2]
-        out.rate[k] /= half_s
-        left = values[window] - q @ of_samples
-        out.rms[k] = np.sqrt(np.sum(left**2, axis=0) / (u.size - DEGREE - 1))
-        out.leverage[k] = float(inverse[0] @ inverse[0])
-    return out
-
 
 Mask = NDArray[np.bool_]
 
 ALONG, ACROSS = ("magnetostrictive",), ("transverse_a", "transverse_b")  # channels of the device's y; x and z
-# --------------------------------------------------------------------------------------------------------------- passes
-
 WANTED = (ALONG, ACROSS)
 REASONS = (
     "too short",
@@ -316,7 +92,7 @@ class LineRules:
 
 
 @dataclass(frozen=True)
-class Pass:
+class LinePass:
     """One motion along a line and its outcome; ``reason`` is "" if it gave rows, else one of REASONS.
 
     ``direction`` is +1 where y rises. The r rows hold instants on the host's clock, joints and their rates, the
@@ -372,8 +148,8 @@ class _Signals:
 
 
 def measure(
-    passing: Pass, heard: LegSamples, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
-) -> Pass | None:
+    passing: LinePass, heard: LegSamples, clocks: Mapping[int, DeviceClock], joints: JointStream, rules: LineRules
+) -> LinePass | None:
     """Return the pass with its rows or with the reason why it has none; None if nothing moved along the device.
 
     Raises SessionError for a channel without a calibration to metres.
@@ -420,7 +196,7 @@ def _time_sigma(bound_ns: float, leg: Leg, joints: JointStream) -> float:
     return 1e-9 * float(np.hypot(bound_ns, robot_ns) / np.sqrt(3.0))
 
 
-def _signals(along: Samples, across: Samples, readings: Readings, start_ns: int, reach: float) -> _Signals | None:
+def _signals(along: Samples, across: Samples, readings: LegReadings, start_ns: int, reach: float) -> _Signals | None:
     if readings.t_ns.size < LEAST:
         return None
 
@@ -481,14 +257,14 @@ def _steady(forward: Floats) -> Mask:
 
 
 def _rows(
-    passing: Pass,
+    passing: LinePass,
     s: _Signals,
     span: tuple[float, float],
     beyond: Counter[str],
     period_ns: int,
     step: Floats,
     rules: LineRules,
-) -> Pass:
+) -> LinePass:
     """Return the rows between two times.
 
     ``beyond``: why some rows before and after could not be made. ``step`` (j,): quantisation of the joints.
@@ -572,7 +348,7 @@ def _noise(t: Floats, values: Floats, starts: Floats) -> tuple[Floats, int]:
     return np.concatenate([np.empty(0), *parts]), (TREND + 1) * len(parts)
 
 
-def _without_rows(passing: Pass, why: Counter[str]) -> Pass:
+def _without_rows(passing: LinePass, why: Counter[str]) -> LinePass:
     """Return the pass with the most frequent reason for its missing rows."""
     (reason, _), *_ = why.most_common(1) or [("too short", 0)]
     return replace(passing, reason=reason or "too short")

@@ -4,10 +4,6 @@
 samples of the ball-bar, and finds the dwells and the legs. ``observations`` processes the samples of one dwell and one
 leg after another. If they do not fit in the intended memory, the session is read again. A dwell gives one observation
 and a leg along a line device many, or a reason why not.
-
-``visits`` takes a second look at the samples for ``truearm characterize``. For the dwells that gave an observation
-(``SyncResult``) it finds the direction from which the robot approaches its poses, how fast it settles, and the noise at
-rest.
 """
 
 from __future__ import annotations
@@ -28,14 +24,14 @@ from truearm.session.dwell_labels import labelled, with_mountings
 from truearm.session.dwell_samples import LEARNT, Sensing, collect_samples, measured, usual_noise, without_noisy
 from truearm.session.dwells import MOUNTING, Dwell, DwellRules, find_dwells
 from truearm.session.joint_readings import Bins, JointReader, JointStream
+from truearm.session.leg_samples import LegListener, LegSamples
 from truearm.session.line_legs import Leg, find_legs
-from truearm.session.line_passes import WANTED, LegSamples, LineRules, Listener, Pass, measure
+from truearm.session.line_passes import WANTED, LinePass, LineRules, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.plan_matching import Marks, PlannedPoses, contradict, match_plan, nearest_pose, passes_of
-from truearm.session.sample_noise import Allan, allan, mean_variance
-from truearm.session.samples import ChannelSamples, bar_length, extension
+from truearm.session.samples import ChannelSamples
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig, Strings
 
@@ -73,7 +69,7 @@ class SyncResult:
 
     table: ObservationTable
     dwells: tuple[Dwell, ...]
-    passes: tuple[Pass, ...]
+    passes: tuple[LinePass, ...]
     survey: Survey
     samples_seen: int
     samples_used: int
@@ -232,12 +228,12 @@ def observations(
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
-def _driven(planned: Sequence[Pass | None], found: Survey, rules: LineRules) -> tuple[Pass, ...]:
+def _driven(planned: Sequence[LinePass | None], found: Survey, rules: LineRules) -> tuple[LinePass, ...]:
     """Return the passes, each measured from the data of its leg."""
     passes = list(planned)
     legs = [(i, one.leg) for i, one in enumerate(passes) if one and one.reason not in ("too long", "ambiguous")]
     if legs:
-        listener = Listener(legs, WANTED, found.joints)
+        listener = LegListener(legs, WANTED, found.joints)
         over = chain.from_iterable(listener.take(*batch) for batch in found.batches)
         for heard in chain(over, _rest(listener)):
             one = passes[heard.index]
@@ -245,7 +241,7 @@ def _driven(planned: Sequence[Pass | None], found: Survey, rules: LineRules) -> 
     return tuple(one for one in passes if one is not None)
 
 
-def _rest(listener: Listener) -> Iterator[LegSamples]:
+def _rest(listener: LegListener) -> Iterator[LegSamples]:
     """Yield the legs that are still open at the end."""
     yield from listener.rest()
 
@@ -336,7 +332,7 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
 
 
 def table_of(
-    dwells: Sequence[Dwell], passes: Sequence[Pass], joints: int, name: str, bins: Bins | None
+    dwells: Sequence[Dwell], passes: Sequence[LinePass], joints: int, name: str, bins: Bins | None
 ) -> ObservationTable:
     """Return a table with one row per dwell without a reason, then all rows of the passes.
 
@@ -371,7 +367,7 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | Non
     )
 
 
-def _of_pass(one: Pass, number: int, name: str) -> ObservationTable:
+def _of_pass(one: LinePass, number: int, name: str) -> ObservationTable:
     n = len(one.xyz)
     return ObservationTable(
         q=one.q,
@@ -407,112 +403,3 @@ def came_from(bins: Bins, dwell: Dwell) -> Floats:
         new = (direction == 0.0) & (np.maximum(above, below) > LEAST)
         direction[new] = np.where(above > below, -1.0, 1.0)[new]
     return direction
-
-
-# ------------------------------------------------------------------------------------------------ how poses are reached
-
-BEFORE_S = 0.6  # of the approach, included with each dwell
-LONG_S = 8.0  # a dwell of this length shows slow noise
-FAR = 4.0  # bands; a bar that starts nearer has not entered the band from outside
-SIGMAS = 6.0  # a band must be wider than this many standard deviations of a sample
-
-
-@dataclass(frozen=True)
-class Visits:
-    """The n dwells of a session that gave an observation.
-
-    ``direction`` (n, j): the last motion of each joint, −1 or 1, 0 if it did not move. ``settling`` (n, b) [s]: time
-    from first entering each of the bands around the bar's mean to staying in it; NaN if the bar did not come from
-    outside or the noise is too large for the band. ``mean_var`` (n, j) [rad², m²]: variance of the mean reading
-    including correlation, without quantisation. ``spacing_s`` (n,): time between independent samples. ``rests``:
-    samples [m] of each dwell with a gap-free piece.
-    """
-
-    dwells: tuple[Dwell, ...]
-    direction: Floats
-    bands: Floats  # (b,) m
-    settling: Floats
-    mean_var: Floats
-    period_s: float
-    spacing_s: Floats
-    rests: tuple[Floats, ...]
-
-    @property
-    def allan(self) -> Allan:
-        """Return the Allan deviation of the long dwells, or of all dwells if none is long."""
-        long = [rest for rest in self.rests if rest.size * self.period_s >= LONG_S]
-        return allan(long or self.rests, self.period_s)
-
-
-def joined(parts: Sequence[Visits]) -> Visits:
-    """Join the visits of a session's parts, which have the same bands."""
-    with_samples = [part.period_s for part in parts if part.rests]
-    return Visits(
-        dwells=tuple(dwell for part in parts for dwell in part.dwells),
-        direction=np.concatenate([part.direction for part in parts]),
-        bands=parts[0].bands,
-        settling=np.concatenate([part.settling for part in parts]),
-        mean_var=np.concatenate([part.mean_var for part in parts]),
-        period_s=with_samples[0] if with_samples else float("nan"),
-        spacing_s=np.concatenate([part.spacing_s for part in parts]),
-        rests=tuple(rest for part in parts for rest in part.rests),
-    )
-
-
-def visits(
-    result: SyncResult,
-    rig: Rig,
-    bands: Sequence[float],
-) -> Visits:
-    """Combine the dwells of ``result`` with the samples around them. ``bands`` [m] are those of the settling time."""
-    used = [dwell for dwell in result.dwells if not dwell.reason]
-    bins = result.survey.joints.bins
-    rests: list[Floats] = []
-    settling, spacing, period_s = np.full((len(used), len(bands)), np.nan), np.full(len(used), np.nan), float("nan")
-    before = round(1e9 * BEFORE_S)
-    stood = [d.start_host_ns - round(1e9 * (d.start_s - d.stood_s)) for d in used]
-    wanted = disjoint([(i, stood[i] - before, d.end_host_ns) for i, d in enumerate(used)])
-    for taken in collect_samples(result.survey.samples, result.survey.clocks, wanted):
-        dwell = used[taken.dwell]
-        if taken.channel is None:
-            continue
-        bar = rig.bars[dwell.mounted["bar"]]
-        begin_ns, counts = taken.longest_piece
-        length = bar_length(extension(counts, taken.channel), bar)
-        period_s = 1e-9 * taken.period_ns
-        for k, band in enumerate(bands):
-            if band > SIGMAS * dwell.noise:
-                settling[taken.dwell, k] = stabilisation_time(length - dwell.value, band, period_s)
-        rests.append(length[max(0, int(np.ceil((dwell.start_host_ns - begin_ns) / taken.period_ns))) :])
-        spacing[taken.dwell] = period_s * dwell.n_samples / dwell.n_eff
-    j = len(result.survey.joints.step)
-    direction = np.array([came_from(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
-    mean_var = np.array([_mean_var(bins, d) for d in used]).reshape(-1, j) if bins is not None else np.zeros((0, j))
-    return Visits(tuple(used), direction, np.array(bands), settling, mean_var, period_s, spacing, tuple(rests))
-
-
-def stabilisation_time(deviation: Floats, band: float, period_s: float) -> float:
-    """Return the time from the first sample (n,) in the band to the one from which all are in it (ISO 9283, 7.4).
-
-    Counted after the last large excursion. NaN if the samples did not come from outside.
-    """
-    size = np.abs(deviation)
-    farthest = float(np.max(size, initial=0.0))
-    if farthest < FAR * band:
-        return float("nan")
-    coming = int(np.flatnonzero(size >= 0.5 * farthest)[-1])
-    inside = size[coming:] <= band
-    if not inside[-1]:
-        return float("nan")
-    first = int(np.argmax(inside))
-    outside = np.flatnonzero(~inside)
-    return period_s * max(0, int(outside[-1]) + 1 - first)
-
-
-def _mean_var(bins: Bins, dwell: Dwell) -> Floats:
-    """Return the variance (j,) of the mean reading of a dwell, from the means of its bins."""
-    means = bins.mean[slice(*dwell.bins)]
-    if len(means) < 4:
-        return np.full(means.shape[1], np.nan)
-    deviation = means - np.mean(means, axis=0)
-    return np.array([mean_variance(column)[0] for column in deviation.T])

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from truearm.errors import RigError
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
-from truearm.session.line_passes import LONGEST_S, Pass
+from truearm.session.line_passes import LONGEST_S, LinePass
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig
 
 Indices = NDArray[np.intp]
@@ -252,7 +252,7 @@ def _fittings(document: Mapping[str, Any]) -> dict[str, str]:
     return {key: str(value)[:MAX_NAME] for key, value in named.items() if isinstance(value, str) and value}
 
 
-def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[Pass]:
+def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> list[LinePass]:
     """Return the legs that may be lines, in order; a leg that is already ruled out carries its reason.
 
     With lines in the plan, a leg is a motion from the previous row to the line's own row, in the order of the plan.
@@ -262,7 +262,7 @@ def passes_of(legs: Sequence[Leg], marks: Marks, rig: Rig, tolerance: float) -> 
     said = [_mounted(marks, leg) for leg in legs]
     plan, rows = planned_lines(marks)
     if plan is None:
-        found = [Pass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
+        found = [LinePass(leg, words) for leg, words in zip(legs, said, strict=True) if "line" in words]
     else:
         found = _matched(legs, plan, rows, tolerance, said)
     for one in found:
@@ -283,15 +283,15 @@ def planned_lines(marks: Marks) -> tuple[PlannedPoses | None, list[int]]:
 
 def _matched(
     legs: Sequence[Leg], plan: PlannedPoses, rows: list[int], tolerance: float, said: Sequence[Mapping[str, str]]
-) -> list[Pass]:
+) -> list[LinePass]:
     ends = np.array([np.concatenate([leg.q_start, leg.q_end]) for leg in legs]).reshape(len(legs), -1)
     matches = match_plan(ends, plan, tolerance, said)
     found = []
     for k, (leg, pose, words) in enumerate(zip(legs, matches.poses, said, strict=True)):
         if pose is not None:
-            found.append(Pass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
+            found.append(LinePass(leg, plan.mounted[pose], "ambiguous" * (k in matches.ambiguous), rows[pose]))
         elif "line" in words:
-            found.append(Pass(leg, dict(words), "gap" if leg.cut else "no plan match"))
+            found.append(LinePass(leg, dict(words), "gap" if leg.cut else "no plan match"))
     return found
 
 

@@ -29,7 +29,7 @@ from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.dwells import Dwell
 from truearm.session.joint_format import ARRAYS, NO_INPUTS, UNNUMBERED, JointBatch, concatenate
 from truearm.session.joint_readings import ReadingOrder
-from truearm.session.line_passes import Pass
+from truearm.session.line_passes import LinePass
 from truearm.session.message_columns import Messages
 from truearm.session.observations import Survey
 from truearm.session.samples import extension, volts, with_ratios
@@ -386,7 +386,7 @@ def dwell_columns(found: Survey, dwells: Sequence[Dwell], joint_units: Sequence[
     }
 
 
-def pass_columns(passes: Sequence[Pass]) -> Columns:
+def pass_columns(passes: Sequence[LinePass]) -> Columns:
     """Return one row per motion along a line; those that gave no rows have a reason.
 
     ``noise``: standard deviation of single samples about the motion.
@@ -419,7 +419,7 @@ def _of(items: Sequence[object], name: str, kind: type = float) -> NDArray[Any]:
     return np.array([getattr(item, name) for item in items], dtype=kind)
 
 
-def _poses(items: Sequence[Dwell] | Sequence[Pass]) -> NDArray[np.int64]:
+def _poses(items: Sequence[Dwell] | Sequence[LinePass]) -> NDArray[np.int64]:
     return np.array([UNKNOWN if item.pose is None else item.pose for item in items], dtype=np.int64)
 
 

@@ -33,7 +33,8 @@ from truearm.progress import step
 from truearm.session.box_ident import Ident, recorded_ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.observations import SyncResult, Visits, joined, observations, visits
+from truearm.session.observations import SyncResult, observations
+from truearm.session.pose_visits import PoseVisits, joined, visits
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
@@ -182,7 +183,7 @@ def characterized(
     return document, NoiseFile(cov, {bar: spread.bar_sigma.value}, parts[0].name, *backlash)
 
 
-def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, Visits]:
+def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple[SyncResult, PoseVisits]:
     """Return the results of one file."""
     result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
     n_joints = result.table.q.shape[1]
@@ -201,7 +202,7 @@ def _usual(names: list[str]) -> str:
     return max(sorted(set(names)), key=names.count)
 
 
-def _visited(found: Visits, rows: Floats, chain: Chain, rig: Rig, step: Floats) -> Visited:
+def _visited(found: PoseVisits, rows: Floats, chain: Chain, rig: Rig, step: Floats) -> Visited:
     dwells = [dwell for dwell, used in zip(found.dwells, rows, strict=True) if used]
     q = np.array([dwell.q for dwell in dwells])
     rounding = rounding_variance(step, _reading_sigma(dwells, step))
@@ -241,7 +242,7 @@ def _repeatability(found: Repeatability) -> dict[str, Any]:
     }
 
 
-def _settling(found: Visits) -> dict[str, Any]:
+def _settling(found: PoseVisits) -> dict[str, Any]:
     own = np.array([dwell.start_s - dwell.stood_s for dwell in found.dwells])
     bands = [
         {
@@ -255,7 +256,7 @@ def _settling(found: Visits) -> dict[str, Any]:
     return {"bands": bands, "dwells_begin_s": {"median": float(np.median(own)), "largest": float(np.max(own))}}
 
 
-def _readings(found: Visits, step: Floats) -> list[dict[str, Any]]:
+def _readings(found: PoseVisits, step: Floats) -> list[dict[str, Any]]:
     """Return the noise of single readings for each joint: as read, and what remains of it and of rounding in a mean."""
     variances = np.array([np.diag(dwell.q_cov) for dwell in found.dwells]) - step**2 / 12.0
     rounding = rounding_variance(step, _reading_sigma(found.dwells, step))
@@ -270,7 +271,7 @@ def _readings(found: Visits, step: Floats) -> list[dict[str, Any]]:
     ]
 
 
-def _sensor(found: Visits) -> dict[str, Any]:
+def _sensor(found: PoseVisits) -> dict[str, Any]:
     noise = sigma_interval(np.square([dwell.noise for dwell in found.dwells]))
     spacing = mean_interval(found.spacing_s)
     document = {"sample_m": noise._asdict(), "period_s": found.period_s, "independent_after_s": spacing._asdict()}

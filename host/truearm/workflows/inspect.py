@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from truearm.session.dwells import Dwell
-    from truearm.session.line_passes import Pass
+    from truearm.session.line_passes import LinePass
     from truearm.session.message_columns import Messages
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session
@@ -237,7 +237,7 @@ def _observations(session: Session, attached: bytes, found: Survey) -> SyncResul
     return observations(session.batches, parse_rig(text, "rig.toml"), found=found, labels=labels_of(session.path))
 
 
-def _pass_row(number: int, one: Pass) -> dict[str, Any]:
+def _pass_row(number: int, one: LinePass) -> dict[str, Any]:
     """Describe a pass: time, line and direction, what was measured and how well, or why not."""
     return {
         "pass": number,

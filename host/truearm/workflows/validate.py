@@ -32,11 +32,10 @@ from truearm.files.systematic_document import systematic_entries
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.progress import step
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.validation_words import validation_lines, verdict
 from truearm.results import Effect, Figures
-from truearm.text import counted, one_line
 from truearm.types import Floats, ObservationTable, rms
-from truearm.units import MM, SUFFIXES, UNITS, Scale, key, title
+from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import parse_effect
@@ -383,122 +382,3 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
         for is_far in (False, True)
         for is_high in (False, True)
     ]
-
-
-def verdict(document: Mapping[str, Any]) -> str:
-    """Explain the numbers in words."""
-    units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-    helped = [suffix for suffix, better in document["better"].items() if better]
-    told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
-    remedy = "identify from more varied poses" if document["identified_from"] else "identify from these rows too"
-    if document["consistent"] and told:
-        explained = " and ".join(of.text(of.rms) for of in told)
-        words = f"The calibration holds: the errors are consistent with declared noise and its own uncertainty ({explained})."
-        if unsure := [of for of in told if of.by_parameters > of.by_noise]:
-            words = (
-                "The calibration holds, but its own uncertainty here is "
-                f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, {remedy}."
-            )
-    elif not helped:
-        words = "The calibration does not help here: identify again, from measurements of this place and tool."
-    elif document["consistent"] is None or not told:
-        words = "The calibration helps, but these rows cannot show how far it holds."
-    else:
-        explained = " and ".join(of.text(of.rms) for of in told)
-        left = " and ".join(of.text(document[f"unexplained_{of.unit.suffix}"]) for of in told)
-        where = f", most of it in {document['worst_region']}" if document["worst_region"] else ""
-        words = (
-            f"The errors are smaller than without the calibration, but {left} RMS is unexplained{where}: declared noise and its own "
-            f"uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or in the "
-            "identification, or the arm has errors that the parameters do not model."
-        )
-    if document["unseen"]:
-        words += (
-            f" {counted(document['unseen'], 'row depends', 'rows depend')} on combinations of parameters that the identification could not "
-            f"determine, such as the pose of base or tool, or a joint that did not move: {remedy}."
-        )
-    worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
-    if worse:
-        words += f" Worse than without it: {'; '.join(worse)}."
-    if document["identified_from"]:
-        words += " But the identification used these rows too, so they prove little: validate with other measurements."
-    return words
-
-
-class _Told(NamedTuple):
-    """What is expected of the rows in one unit, for display."""
-
-    unit: Scale
-    rms: float
-    by_noise: float
-    by_parameters: float
-
-    @classmethod
-    def of(cls, due: Mapping[str, Any], unit: Scale) -> _Told:
-        return cls(unit, *(due[f"{name}_{unit.suffix}"] for name in ("rms", "by_noise", "by_parameters")))
-
-    @staticmethod
-    def known(due: Mapping[str, Any] | None, unit: Scale) -> bool:
-        return due is not None and due[f"rms_{unit.suffix}"] is not None
-
-    def text(self, value: float) -> str:
-        return f"{value:.{UNITS[self.unit.si].decimals - 1}f} {self.unit.symbol}"
-
-
-def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
-    before, after = region[f"rms_before_{unit}"], region[f"rms_after_{unit}"]
-    return before is not None and bool(after >= before)
-
-
-def validation_lines(document: Mapping[str, Any]) -> list[str]:
-    """Format the document for people: a table per unit, and its meaning."""
-    lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
-    lines.append('"Expected" is the error with the calibration that declared noise and its own uncertainty explain.')
-    if document["placed"]:
-        units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-        raw = " and ".join(
-            f"{document[f'rms_raw_{unit.suffix}']:.{UNITS[unit.si].decimals}f} {unit.symbol}" for unit in units
-        )
-        lines.append(
-            f'"Without" is the nominal robot with base and tool fitted to these rows; with base and tool as described: {raw} RMS.'
-        )
-    else:
-        lines.append('"Without" is the nominal robot, with base and tool as described.')
-    if document["chi2_reduced"] is not None:
-        lines.append(
-            f"χ² per degree of freedom {document['chi2_reduced']:.3g}; declared noise alone leaves it below {document['chi2_limit']:.3g} (99 %)."
-        )
-    lines += systematic_sentences(document)
-    if document["settled"]:
-        lines.append(
-            f"{counted(document['settled'], 'unknown of the rig was', 'unknowns of the rig were')} estimated from these rows, without and with the calibration alike."
-        )
-    if document["kept"]:
-        lines.append(f"{counted(document['kept'], 'unknown')} of the rig held as identified.")
-    if document["left_out"]:
-        lines.append(
-            f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
-        )
-    return [*lines, *document["payload"], one_line(document["verdict"])]
-
-
-def _error_lines(document: Mapping[str, Any], unit: Scale) -> list[str]:
-    due = document["expected"] if not document["unseen"] else None
-    width = max([len(region["region"]) for region in document["regions"]] + [len("all, largest")])
-    lines = [f"{title('error', unit.si):<{width}}{'without':>12}{'with':>12}{'expected':>12}{'rows':>8}"]
-    for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
-        predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
-        lines.append(_line(words, width, document, figure, unit, predicted))
-    for region in document["regions"]:
-        if region[f"n_{unit.suffix}"]:
-            predicted = region[f"rms_expected_{unit.suffix}"]
-            lines.append(_line(one_line(region["region"]), width, region, "rms", unit, predicted))
-    return lines
-
-
-def _line(words: str, width: int, numbers: Mapping[str, Any], figure: str, unit: Scale, predicted: float | None) -> str:
-    decimals = UNITS[unit.si].decimals
-    before, after = (numbers[f"{figure}_{name}_{unit.suffix}"] for name in ("before", "after"))
-    last = "-" if predicted is None else f"{predicted:.{decimals}f}"
-    rows = numbers[f"n_{unit.suffix}"]
-    return f"{words:<{width}}{before:>12.{decimals}f}{after:>12.{decimals}f}{last:>12}{rows:>8}"
