@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rapid_machine
 
-from truearm.record.robots.text_lines import Dialect
+from truearm.record.robots.text_lines import LineDialect
 from truearm.session.joint_format import parse_reading
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "abb.md"
@@ -81,7 +81,7 @@ def test_truearm_reads_the_joints_that_it_sends(source, monkeypatch):
         rapid_machine.run_rapid(source, controller)
     assert tuple(controller.calls) == STARTS
     lines = "".join(controller.parts).split("\n")[:-1]
-    dialect = Dialect({})
+    dialect = LineDialect({})
     found = [parse_reading(dialect.line(line.encode())) for line in lines]
     readings = [reading for reading in found if reading is not None]
     assert len(readings) >= (SENT - 1) // 2 - 1

@@ -20,7 +20,7 @@ from truearm.record.joint_lines import MAX_LINE, JointLines
 from truearm.record.robots import rtde
 from truearm.record.robots.bags import bag_files
 from truearm.record.robots.sources import FileOptions, readings_of_file
-from truearm.record.robots.text_lines import Dialect, LinesLink
+from truearm.record.robots.text_lines import LineDialect, LinesLink
 from truearm.session.joint_format import parse_reading
 
 rounds = pytest.mark.parametrize("n", [500, pytest.param(10_000, marks=pytest.mark.soak)])
@@ -219,7 +219,7 @@ def odd_lines(rng):
 
 
 def read_lines(pieces, of):
-    link, lines = LinesLink(Played(pieces), Clock(), Dialect(of)), []
+    link, lines = LinesLink(Played(pieces), Clock(), LineDialect(of)), []
     try:
         while True:
             lines += [data for _, data in link.read(0.0)]

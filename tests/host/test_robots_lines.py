@@ -14,7 +14,7 @@ from truearm.record.links import HostClock
 from truearm.record.robots.joint_columns import read_columns
 from truearm.record.robots.joint_table import readings
 from truearm.record.robots.sources import FileOptions, open_source
-from truearm.record.robots.text_lines import Dialect, LinesLink, open_lines
+from truearm.record.robots.text_lines import LineDialect, LinesLink, open_lines
 from truearm.session.joint_format import parse_reading
 
 PATIENCE_S = 5.0  # only a broken link waits so long
@@ -38,10 +38,10 @@ class TestJson:
         ],
     )
     def test_what_needs_no_change_stays_as_it_is(self, line):
-        assert Dialect({}).line(line) == line
+        assert LineDialect({}).line(line) == line
 
     def test_names_and_units_of_the_address(self):
-        dialect = Dialect({"unit": "deg", "t_unit": "ms", "t": "stamp", "q": "pos", "q_cmd": "cmd", "qd": "vel"})
+        dialect = LineDialect({"unit": "deg", "t_unit": "ms", "t": "stamp", "q": "pos", "q_cmd": "cmd", "qd": "vel"})
         line = b'{"stamp": 2500, "pos": [90, 180.0], "cmd": [91, 181], "vel": [1, 2], "seq": 4, "inputs": 3}'
         (row,) = rows(dialect, line)
         assert row == {
@@ -55,13 +55,13 @@ class TestJson:
         }
 
     def test_a_key_for_each_joint_and_a_unit_too(self):
-        (row,) = rows(Dialect({"q": "j1,j2,j3", "unit": "deg,rad,mm"}), b'{"t": 1, "j2": 0.5, "j1": 90, "j3": 250}')
+        (row,) = rows(LineDialect({"q": "j1,j2,j3", "unit": "deg,rad,mm"}), b'{"t": 1, "j2": 0.5, "j1": 90, "j3": 250}')
         assert row["q"] == [90 * DEG, 0.5, 0.25]
 
     def test_a_declaration_among_the_lines(self):
         declaration = b'{"names": {"q": ["a", "b"], "t": "time"}, "unit": "deg", "t_unit": "ns"}'
         same, row, rest = rows(
-            Dialect({}), declaration, b'{"time": 1764000000123456789, "a": 90, "b": 0}', b'{"t": 1, "q": [1]}'
+            LineDialect({}), declaration, b'{"time": 1764000000123456789, "a": 90, "b": 0}', b'{"t": 1, "q": [1]}'
         )
         assert same == declaration
         assert row["q"] == [90 * DEG, 0.0]
@@ -86,11 +86,11 @@ class TestJson:
         ],
     )
     def test_what_is_no_reading_goes_on_as_it_is(self, line):
-        assert Dialect({"unit": "deg,deg"}).line(line) == line
+        assert LineDialect({"unit": "deg,deg"}).line(line) == line
 
     def test_values_that_are_odd_do_not_spoil_the_reading(self):
         (row,) = rows(
-            Dialect({"unit": "deg"}),
+            LineDialect({"unit": "deg"}),
             b'{"t": 1, "q": [90], "q_cmd": "x", "qd": [1, 2], "inputs": "y", "current": [NaN]}',
         )
         assert set(row) == {"t", "q", "qd", "line"}
@@ -109,12 +109,12 @@ class TestJson:
     )
     def test_a_declaration_that_is_not_understood(self, line):
         with pytest.raises(InputError):
-            Dialect({}).line(line)
+            LineDialect({}).line(line)
 
 
 class TestCsv:
     def test_a_header_and_rows(self):
-        dialect = Dialect({})
+        dialect = LineDialect({})
         header = b"t_ms,seq,q1_deg,q2_mm,q1_cmd_deg,q2_cmd_mm,qd1_deg_s,qd2_mm_s,inputs,note\r"
         early, head, row, again, last = rows(
             dialect, b"0,1,2", header, b"1500,7,90,100,91,110,1,20,5,hello\r", header, b"1502,8,90,100,91,110,1,20,5,"
@@ -133,7 +133,7 @@ class TestCsv:
         assert last["t"] == 1.502
 
     def test_columns_of_the_address(self):
-        (row,) = rows(Dialect({"columns": "t_s,q2_rad,q1_rad"}), b"1,2,3")
+        (row,) = rows(LineDialect({"columns": "t_s,q2_rad,q1_rad"}), b"1,2,3")
         assert row == {"t": 1.0, "q": [3.0, 2.0], "line": "1,2,3"}
 
     @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ class TestCsv:
         [b"1,2", b"1,2,3,4", b"1,x,3", b"1,,3", b"1,nan,3", b"1,1_0,3", b"1,inf,3", b"1,2,\xff", "1,2,٣".encode(), b""],
     )
     def test_what_is_no_row_goes_on_as_it_is(self, line):
-        assert Dialect({"columns": "t_s,q1_rad,q2_rad"}).line(line) == line
+        assert LineDialect({"columns": "t_s,q1_rad,q2_rad"}).line(line) == line
 
     @pytest.mark.parametrize(
         ("header", "says"),
@@ -328,7 +328,7 @@ class Played:
 def test_how_the_stream_is_cut_does_not_matter(size):
     sent = b"t_s,q1_deg\n1,90\n" + b'{"names":{"q":"p"}}\n{"t":1,"p":[2]}\n' + b"y" * 9000 + b"\n2,180\n"
     pieces = [sent[i : i + size] for i in range(0, len(sent), size)]
-    link = LinesLink(Played(*pieces), HostClock(), Dialect({}))
+    link = LinesLink(Played(*pieces), HostClock(), LineDialect({}))
     got = b"".join(data for _ in range(len(pieces)) for _, data in link.read(0.0))
     assert [parse_reading(line).q for line in got.splitlines() if parse_reading(line)] == [[90 * DEG], [2.0], [math.pi]]
 

@@ -22,7 +22,7 @@ from truearm.box.configuration_schema import (
     MODULATOR_NS,
     OSRS,
     THERMOMETERS,
-    Words,
+    UnquotedText,
     as_table,
     check,
     config_keys,
@@ -175,7 +175,7 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
         check_known({name: value}, list(keys))
         key = keys[name]
         with at(path.strip()):
-            raw = _value(value.strip(), isinstance(key.value, Words))
+            raw = _value(value.strip(), isinstance(key.value, UnquotedText))
             target[key.called] = key.value.parse(raw, key.spellings[name])
     return new
 

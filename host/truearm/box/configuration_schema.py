@@ -27,7 +27,7 @@ _MANTISSA_END = 2**63
 
 
 @dataclass(frozen=True)
-class Steps:
+class DecimalSteps:
     """An integer in units of 10^-``decimals`` on the wire, a decimal number in a file.
 
     ``options`` lists all allowed values. ``ranges`` (least, most) and the step are in units of the wire.
@@ -94,7 +94,7 @@ class Exact:
 class WireList:
     """A list of ``least`` to ``most`` values of one type."""
 
-    item: Steps | Exact
+    item: DecimalSteps | Exact
     least: int
     most: int
     suffixes: ClassVar[Sequence[str]] = NO_UNIT
@@ -120,7 +120,7 @@ class WireList:
 
 
 @dataclass(frozen=True)
-class Words(Text):
+class UnquotedText(Text):
     """Text; the command line needs no quotes around it. The box accepts any length."""
 
     longest: int = MAX_TEXT
@@ -135,7 +135,7 @@ class Words(Text):
 
 
 @dataclass(frozen=True)
-class Address(Words):
+class Address(UnquotedText):
     """The 1-Wire address of a thermometer: 16 hexadecimal digits."""
 
     def check(self, wire: Any) -> str:
@@ -144,7 +144,7 @@ class Address(Words):
         return wire
 
 
-WireValue = Steps | Exact | WireList | Words
+WireValue = DecimalSteps | Exact | WireList | UnquotedText
 
 
 @dataclass(frozen=True)
@@ -166,19 +166,19 @@ def _key(name: str, value: WireValue, comment: str = "", **more: Any) -> ConfigK
 
 
 def _microseconds(name: str, *ranges: tuple[int, int], step: int = 1, comment: str = "") -> ConfigKey:
-    return _key(f"{name}_us", Steps(ranges, decimals=3, step=step), comment, field=f"{name}_ns")
+    return _key(f"{name}_us", DecimalSteps(ranges, decimals=3, step=step), comment, field=f"{name}_ns")
 
 
-_DEBOUNCE = WireList(Steps(((0, 1_000_000),)), 2, 2)
-_TRIGGER = WireList(Steps(((0, 0), (10, 16_000))), 2, 2)
+_DEBOUNCE = WireList(DecimalSteps(((0, 1_000_000),)), 2, 2)
+_TRIGGER = WireList(DecimalSteps(((0, 0), (10, 16_000))), 2, 2)
 _POLY = WireList(Exact(), 1, MAX_COEFFICIENTS)
-_MILLIDEGREES = Steps(((-(2**31), 2**31),), decimals=3)
+_MILLIDEGREES = DecimalSteps(((-(2**31), 2**31),), decimals=3)
 CALIBRATION = Table[dict[str, Any]](
     (
-        _key("unit", Words()),
+        _key("unit", UnquotedText()),
         _key("poly", _POLY, "value = poly[0] + poly[1] x + poly[2] x² …, x = counts · scale / gain"),
-        _key("serial", Words()),
-        _key("date", Words()),
+        _key("serial", UnquotedText()),
+        _key("date", UnquotedText()),
         _key("sigma", Exact(), "standard deviation of the residuals, in unit", judged=False),
         _key(
             "temperature_degc",
@@ -192,11 +192,11 @@ CALIBRATION = Table[dict[str, Any]](
 )
 CHANNEL = Table[dict[str, Any]](
     (
-        _key("name", Words()),
-        _key("unit", Words()),
+        _key("name", UnquotedText()),
+        _key("unit", UnquotedText()),
         _key("scale", Exact(), "of a count, at gain 1"),
-        _key("gain", Steps(options=GAINS), needed=False),
-        _key("over", Words(), "name of the channel that this one is divided by", needed=False, judged=False),
+        _key("gain", DecimalSteps(options=GAINS), needed=False),
+        _key("over", UnquotedText(), "name of the channel that this one is divided by", needed=False, judged=False),
         Key("calibration", CALIBRATION, optional=True),
     ),
     dict,
@@ -208,9 +208,14 @@ MAGNETOSTRICTIVE = Table[dict[str, Any]](
         _microseconds("timeout", (5008, 999_990_000), step=8),
         _key("us_per_inch", Exact(5, 20, 9), "on the sensor's label"),
         _microseconds("delay", (-100_000, 100_000), comment="of its electronics"),
-        _key("pulse_edge", Steps(options=(1, 2, 0)), "1: first edge of each pulse, 2: second, 0: a gate", needed=False),
-        _key("serial", Words()),
-        _key("date", Words()),
+        _key(
+            "pulse_edge",
+            DecimalSteps(options=(1, 2, 0)),
+            "1: first edge of each pulse, 2: second, 0: a gate",
+            needed=False,
+        ),
+        _key("serial", UnquotedText()),
+        _key("date", UnquotedText()),
     ),
     dict,
 )
@@ -223,10 +228,10 @@ THERMOMETERS = Table[dict[str, Any]](
 )
 CONFIG = Table[dict[str, Any]](
     (
-        _key("osr", Steps(options=OSRS)),
+        _key("osr", DecimalSteps(options=OSRS)),
         _key("debounce_us", _DEBOUNCE, "of trigger inputs 0 and 1; 0: off"),
         _key("trigger_ms", _TRIGGER, "between edges of the output, shortest and longest; [0, 0]: none", needed=False),
-        _key("watchdog_ms", Steps(((0, 0), (100, 8000))), "0: off"),
+        _key("watchdog_ms", DecimalSteps(((0, 0), (100, 8000))), "0: off"),
         Key("magnetostrictive", MAGNETOSTRICTIVE, optional=True),
         Key("thermometers", THERMOMETERS, optional=True),
     ),

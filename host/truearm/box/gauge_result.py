@@ -43,7 +43,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class GaugeCircumstances:
     """How, by whom and on which box a channel was calibrated; "" for what is not known.
 
     ``uncertainty`` [m] is the expanded uncertainty (k = 2) of the reference ``instrument``, None if unknown.
@@ -187,7 +187,7 @@ def _temperature(places: Sequence[Place]) -> dict[str, int]:
 
 def write_page(
     path: Path,
-    of: Circumstances,
+    of: GaugeCircumstances,
     channel: Channel,
     places: Sequence[Place],
     result: PolyFit,
@@ -220,7 +220,7 @@ Facts = tuple[tuple[str, str], ...]
 
 
 def _certificate(
-    of: Circumstances, channel: Channel, places: Sequence[Place], result: PolyFit, new: dict[str, Any]
+    of: GaugeCircumstances, channel: Channel, places: Sequence[Place], result: PolyFit, new: dict[str, Any]
 ) -> tuple[tuple[str, Facts], ...]:
     """Return page one: what was calibrated, against what, and how well."""
     degc = _temperature(places).get("temperature_mdegc")

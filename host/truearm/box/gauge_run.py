@@ -17,7 +17,7 @@ from truearm.box.gauge_places import GaugeRun, KeptPlaces, kept_path, read_kept
 from truearm.box.gauge_result import (
     HEAD,
     MAG,
-    Circumstances,
+    GaugeCircumstances,
     Place,
     calibrate,
     too_few,
@@ -49,7 +49,7 @@ PARTS = 8  # of the samples at a position
 FEWEST = 16  # fewest samples for a mean and its error
 
 
-class Operator(Protocol):
+class GaugeOperator(Protocol):
     """The person who sets the references: is shown the measurements and answers."""
 
     def say(self, text: str) -> None:
@@ -66,7 +66,7 @@ class GaugeOptions:
     ``references``: a file of them, None to ask for each in ``unit``. ``seconds``: of samples at each position.
     ``order``: of the polynomial, None for the one with the smallest cross-validation error. ``serial``: of the sensor, None to
     keep it. ``stroke`` [m]: greatest distance of two references, None for that of a usual sensor. ``page``: file to write, None for a name derived from the channel. ``agreed``: store the calibration
-    without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``Circumstances``.
+    without asking. ``instrument``, ``uncertainty`` [m] and ``operator`` as in ``GaugeCircumstances``.
     """
 
     channel: str
@@ -84,7 +84,7 @@ class GaugeOptions:
     operator: str = ""
 
 
-def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: bool = False) -> None:
+def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, stop: bool = False) -> None:
     """Sample a channel at references, fit its calibration, write the page and store it in the box if the operator agrees.
 
     Raises InputError, TableError, LinkError.
@@ -122,7 +122,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: Operator, stop: 
 
 
 def _stored(
-    box: BoxControl, configs: tuple[dict[str, Any], dict[str, Any]], device: str, agreed: bool, operator: Operator
+    box: BoxControl, configs: tuple[dict[str, Any], dict[str, Any]], device: str, agreed: bool, operator: GaugeOperator
 ) -> bool:
     """Show the changes of the box's configuration, from the first to the second, and return whether the box has them."""
     changes = change_lines(*configs)
@@ -149,7 +149,7 @@ def _told_if_kept(run: GaugeRun, say: Callable[[str], None]) -> Iterator[None]:
         raise
 
 
-def _continued(kept: Path, ident: Ident, channel: Channel, operator: Operator) -> KeptPlaces:
+def _continued(kept: Path, ident: Ident, channel: Channel, operator: GaugeOperator) -> KeptPlaces:
     """Return the places of a run that ended early, if the operator wants them. Raises InputError."""
     of = KeptPlaces(_uid(ident), channel.name, channel.unit, channel.scale)
     found = read_kept(kept, of)
@@ -168,14 +168,14 @@ def _uid(ident: Ident) -> str:
     return one_line(str(ident.document.get("uid", ""))[:32])
 
 
-def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) -> Circumstances:
+def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) -> GaugeCircumstances:
     """Return what the page states about box, sensor, instrument and operator.
 
     ``new`` is the configuration with the sensor's serial number.
     """
     ident = ident_of(box)
     named = [one.get("calibration", {}) for one in new["channels"] if one["name"] == options.channel] or [new[HEAD]]
-    return Circumstances(
+    return GaugeCircumstances(
         channel=options.channel,
         instrument=options.instrument,
         uncertainty=options.uncertainty,
@@ -236,7 +236,7 @@ def _measure_places(
     options: GaugeOptions,
     listed: list[float] | None,
     run: GaugeRun,
-    operator: Operator,
+    operator: GaugeOperator,
 ) -> None:
     """Ask for references and sample at each, until the operator ends."""
     stream, index = found
@@ -262,7 +262,7 @@ def _measure_places(
         operator.say(f"  {_placewords(len(run.places), place, stream.channels[index])}")
 
 
-def _listed(references: Sequence[float], run: GaugeRun, operator: Operator) -> Iterator[float]:
+def _listed(references: Sequence[float], run: GaugeRun, operator: GaugeOperator) -> Iterator[float]:
     """Yield each reference until it has been measured or is skipped; those of an earlier run have been measured."""
     asked_again = False
     measured = [place.reference for place in run.places]
@@ -284,7 +284,7 @@ def _listed(references: Sequence[float], run: GaugeRun, operator: Operator) -> I
                 yield reference
 
 
-def _typed(run: GaugeRun, unit: str, stroke: float, operator: Operator) -> Iterator[float]:
+def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> Iterator[float]:
     """Yield references as they are typed. A single empty line ends them only if the places are enough."""
     asked_again = False
     while len(run.places) < MAX_REFERENCES:
@@ -312,7 +312,7 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: Operator) -> Itera
             yield reference
 
 
-def _are_enough(places: Sequence[Place], end: str, operator: Operator) -> bool:
+def _are_enough(places: Sequence[Place], end: str, operator: GaugeOperator) -> bool:
     """Return whether the measurement may end: with enough places, or before the first. Otherwise tell the operator."""
     missing = too_few(places) if places else ""
     if missing:
@@ -332,7 +332,7 @@ def _beyond(reference: float, other: float, stroke: float) -> str:
     return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"
 
 
-def _agreed(operator: Operator) -> bool:
+def _agreed(operator: GaugeOperator) -> bool:
     return (operator.ask("store it in the box? [y/N] ") or "").lower() in ("y", "yes")
 
 

@@ -34,7 +34,7 @@ TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes
 
 
 @dataclass
-class Window:
+class LastSecond:
     """The last second of a stream."""
 
     blocks: deque[NDArray[np.int32]] = field(default_factory=deque)
@@ -66,7 +66,7 @@ class Watch:
     """Observations of a box since it was started. Times in s and ns of the host's clock."""
 
     ident: Ident
-    windows: dict[int, Window] = field(default_factory=dict)
+    windows: dict[int, LastSecond] = field(default_factory=dict)
     heartbeat: dict[str, Any] = field(default_factory=dict)
     thermometers: dict[int, float] = field(default_factory=dict)  # °C
     clock: OnlineClock = field(default_factory=_clock)
@@ -89,7 +89,7 @@ class Watch:
             if stream is not None and len(sent.data.samples) % (4 * len(stream.channels)) == 0:
                 counts = np.frombuffer(sent.data.samples, "<i4").reshape(-1, len(stream.channels))
                 counts = with_ratios(counts, stream.channels)
-                self.windows.setdefault(stream.id, Window()).take(sent.data.n0, counts, sent.data.period_ns)
+                self.windows.setdefault(stream.id, LastSecond()).take(sent.data.n0, counts, sent.data.period_ns)
         elif sent.kind == HEARTBEAT:
             self.heartbeat = sent.fields
         elif sent.kind == TEMPERATURE:
@@ -171,7 +171,7 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Labelled:
     return rows
 
 
-def _stream_rows(stream: Stream, window: Window | None) -> Labelled:
+def _stream_rows(stream: Stream, window: LastSecond | None) -> Labelled:
     if window is None:
         return [(stream.name, "no samples yet")]
     rate = f"{NS.factor / window.period_ns:.2f} Hz" if window.period_ns else "no fixed rate"

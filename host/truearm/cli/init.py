@@ -100,7 +100,7 @@ def init(
     from truearm.cli.plan_text import visit_lines
     from truearm.files.project_file import Project
     from truearm.files.robot_file import is_urdf
-    from truearm.workflows.project import Wanted, create
+    from truearm.workflows.project import ProjectWanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
     if model is None and not asking:
@@ -160,7 +160,7 @@ def init(
         else ask(None, "Standard deviation of the first bar's length [mm]", _number_of("--zero-sigma-mm"), "0.1")
     )
     bounds = branch_given(branch or None)
-    wanted = Wanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
+    wanted = ProjectWanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
     created = create(folder, wanted)
     if as_json:
         print_json({"written": [str(path) for path in created.written], "plan": created.plan})

@@ -80,12 +80,12 @@ def map_(
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.calibration import read_calibration
-    from truearm.workflows.map import MapFiles, Section, Task, map_files
+    from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
     if task is None and within is not None:
         raise InputError("--within needs --task WxH: it says where the task may be placed")
     varied, shown = _joints_of(joints), numbers_of("--at", at)
-    wanted = None if task is None else Task(_size_of(task), None if within is None else _span_of(within))
+    wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)
     calibration = read_calibration(files.result, files.robot).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.correct.error_map import ErrorMap, Region
+from truearm.correct.error_map import BestRectangle, ErrorMap
 from truearm.results import Figures
 from truearm.text import counted
 from truearm.units import MM
@@ -49,7 +49,7 @@ def _outside(found: ErrorMap) -> int | None:
     return None if found.outside is None else int((found.outside & ~np.isnan(found.error)).sum())
 
 
-def _task_line(found: ErrorMap, region: Region | None, task: str) -> str:
+def _task_line(found: ErrorMap, region: BestRectangle | None, task: str) -> str:
     if region is None:
         return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches."
     u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))

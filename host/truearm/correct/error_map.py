@@ -57,7 +57,7 @@ class ErrorMap(NamedTuple):
     outside: NDArray[np.bool_] | None = None  # (l, k) a joint is outside the fitted readings; None: unknown
 
 
-class Region(NamedTuple):
+class BestRectangle(NamedTuple):
     """The cells of the rectangle with the smallest largest error."""
 
     u: tuple[float, float]  # m
@@ -207,7 +207,7 @@ def _sigma(pair: ModelPair, q: Floats, covariance: Floats, unseen: Floats) -> Fl
 
 def best_region(
     found: ErrorMap, width: float, height: float, within: tuple[float, float, float, float] | None = None
-) -> Region | None:
+) -> BestRectangle | None:
     """Return the rectangle of this size (along u and v) [m] with the smallest largest error, or None if it fits
     nowhere.
 
@@ -233,7 +233,7 @@ def best_region(
     i, j = np.unravel_index(int(np.nanargmin(largest)), largest.shape)
     u, v = found.u[j : j + k], found.v[i : i + n]
     half = 0.5 * cell
-    return Region(
+    return BestRectangle(
         (float(u[0] - half), float(u[-1] + half)),
         (float(v[0] - half), float(v[-1] + half)),
         float(largest[i, j]),

@@ -33,7 +33,7 @@ class SampledCurve(NamedTuple):
     intervals: tuple[tuple[float, float], ...]  # rad, those of ``covered``
 
 
-class Spectrum(NamedTuple):
+class SineAmplitudes(NamedTuple):
     """The amplitudes of single sines in a curve, where its readings determine them.
 
     ``cycles`` (m,) per turn and ``amplitude`` (m,) [rad]. Sines closer than ``resolution`` [cycles per turn] cannot be
@@ -67,7 +67,7 @@ def law_readings(law: CurveKnots) -> Floats:
     return np.linspace(law.first, high, max(2, math.ceil((high - law.first) / STEP) + 1))
 
 
-def spectrum(curve: SampledCurve) -> Spectrum:
+def spectrum(curve: SampledCurve) -> SineAmplitudes:
     """Return the spectrum of a curve over its covered readings."""
     return _spectrum(curve, curve.error)[0]
 
@@ -87,7 +87,7 @@ def strongest_periods(curve: SampledCurve) -> tuple[Period, ...]:
     return tuple(out)
 
 
-def _spectrum(curve: SampledCurve, error: Floats) -> tuple[Spectrum, Floats]:
+def _spectrum(curve: SampledCurve, error: Floats) -> tuple[SineAmplitudes, Floats]:
     """Return the spectrum of an error (n,) at the covered readings, and each sine there (m, k).
 
     Every sine is fitted together with a slow polynomial, whose part would otherwise pass for the lowest cycles.
@@ -98,7 +98,7 @@ def _spectrum(curve: SampledCurve, error: Floats) -> tuple[Spectrum, Floats]:
     readings, values = curve.readings[curve.covered], error[curve.covered]
     cycles = np.arange(float(lowest), LARGEST_CYCLES + 1.0)
     if not cycles.size:
-        return Spectrum(cycles, cycles, math.nan), np.zeros((0, readings.size))
+        return SineAmplitudes(cycles, cycles, math.nan), np.zeros((0, readings.size))
     middle, half = 0.5 * (readings[-1] + readings[0]), 0.5 * (readings[-1] - readings[0])
     slow = np.polynomial.legendre.legvander((readings - middle) / half, 0 if whole else SLOW_DEGREE)
     basis, _ = np.linalg.qr(slow)
@@ -106,7 +106,7 @@ def _spectrum(curve: SampledCurve, error: Floats) -> tuple[Spectrum, Floats]:
     faster = sines - (sines @ basis) @ basis.T
     parts = np.linalg.solve(faster @ faster.swapaxes(1, 2), (faster @ values)[..., None])
     waves = (parts * sines).sum(axis=1)
-    return Spectrum(cycles, np.linalg.norm(parts[..., 0], axis=1), TURN / longest), waves
+    return SineAmplitudes(cycles, np.linalg.norm(parts[..., 0], axis=1), TURN / longest), waves
 
 
 def _basis(chain: Chain, curve: Curve, joint: int, readings: Floats) -> Floats:

@@ -59,7 +59,7 @@ class RobotToWrite:
 Writer = Callable[[RobotToWrite], str]
 
 
-class Fitted(NamedTuple):
+class FormatFit(NamedTuple):
     """The parameters that a format holds, and their error relative to the identified ones over n poses."""
 
     params: Floats  # (p,)
@@ -93,7 +93,7 @@ def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
 
 def fit_to(
     name: str, chain: Chain, nominal: Floats, identified: Floats, adjustable: NDArray[np.bool_], q: Floats
-) -> Fitted:
+) -> FormatFit:
     """Fit the parameters that a format holds and are ``adjustable`` (p,) to the identified robot over poses q (n, j).
 
     Parameters that are not adjustable stay nominal. Raises RobotError without poses, and if no values of the others
@@ -114,7 +114,7 @@ def fit_to(
     poses, simply = predicted(link_frames(chain, nominal, params), q), forward(chain, start, q)
     if missing and adjustable.all():
         _check_worth(name, chain, nominal, identified, poses, lost, q)
-    return Fitted(
+    return FormatFit(
         params=params,
         missing=missing,
         refitted=refitted,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from truearm.box.monitor import Window, value_of
+from truearm.box.monitor import LastSecond, value_of
 from truearm.box.readiness import LINE_CHANNELS, LVDT
 from truearm.live.live_dwells import ENOUGH_NS, ControllerTime, LiveDwell, LiveDwells, Strokes
 from truearm.live.session_progress import SessionProgress, words_of
@@ -59,7 +59,7 @@ class LiveState:
         self.last = ""
         self._rig, self._with_robot = rig, with_robot
         self._ident: Ident | None = None
-        self._windows: dict[int, Window] = {}
+        self._windows: dict[int, LastSecond] = {}
         self._dwells = LiveDwells(with_robot)
         self._box_time, self._robot_time = ControllerTime(), ControllerTime()
         self._strokes = Strokes()
@@ -88,7 +88,7 @@ class LiveState:
             return
         t_ns = self._box_time.host_ns(1000 * data.t0_us, t_ns)
         counts = with_ratios(np.frombuffer(data.samples, "<i4").reshape(-1, len(stream.channels)), stream.channels)
-        self._windows.setdefault(stream.id, Window()).take(data.n0, counts, data.period_ns)
+        self._windows.setdefault(stream.id, LastSecond()).take(data.n0, counts, data.period_ns)
         for k, channel in enumerate(stream.channels):
             if channel.length_unit is None:
                 continue

@@ -109,7 +109,7 @@ class HostClock:
         return utc, (before + after) // 2
 
 
-class Reader:
+class LinkReader:
     """A thread that calls ``receive`` (which returns b"" after a while without data) and stamps what it returns."""
 
     def __init__(self, receive: Callable[[], bytes], clock: Clock) -> None:
@@ -177,7 +177,7 @@ class SerialLink:
         self.name = device
         self._clock = clock
         self._port: serial.SerialBase | None = None
-        self._reader: Reader | None = None
+        self._reader: LinkReader | None = None
         _check_device(device)
         self._open()
 
@@ -227,7 +227,7 @@ class SerialLink:
             raise LinkError(_why_not_open(self.name, exc)) from exc
         self._port = port
         receive = _selecting(port, self.name) if selects else _blocking(port, self.name)
-        self._reader = Reader(receive, self._clock)
+        self._reader = LinkReader(receive, self._clock)
 
 
 def _check_device(device: str) -> None:
@@ -295,7 +295,7 @@ class SocketLink:
         self.name = name
         self._clock = clock
         self._socket = opened
-        self._reader = Reader(self._receive, clock)
+        self._reader = LinkReader(self._receive, clock)
 
     def read(self, timeout_s: float) -> Arrivals:
         return self._reader.read(timeout_s)

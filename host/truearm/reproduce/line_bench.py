@@ -34,14 +34,14 @@ BEHIND = 1e-9  # m, the distance within which the nominal point must reach the l
 STEPS = 8  # of Newton's method from one point of a line to the next
 
 
-class Session(NamedTuple):
+class MeasuredLines(NamedTuple):
     """Lines as measured by their devices, and the observed pose of each device before any identification."""
 
     table: ObservationTable
     by_hand: Mapping[str, Floats]  # (3, 3) by line: the device's orientation as set up by hand, accurate to ANGLE_SIGMA
 
 
-def line_rig(session: Session, rule: LinePlacement, device_sigma: float, joint_noise: bool = True) -> Rig:
+def line_rig(session: MeasuredLines, rule: LinePlacement, device_sigma: float, joint_noise: bool = True) -> Rig:
     """Return a rig with the paper's covariances; a ``rule`` places the devices through the nominal robot.
 
     ``device_sigma`` [m] is the assumed standard deviation of a device's position.
@@ -71,7 +71,7 @@ def prior_of(chain: Chain) -> Mapping[str, float]:
 
 def measured_lines(
     chain: Chain, truth: Floats, n_lines: int, n_points: int, rng: np.random.Generator, unmodelled: float = 0.0
-) -> Session:
+) -> MeasuredLines:
     """Return the readings of the devices for ``n_lines`` lines of ``n_points`` points; the true robot is ``truth``
     (p,).
 
@@ -85,7 +85,9 @@ def measured_lines(
     xyz = xyz + np.sqrt(SENSOR_VARIANCE) * rng.standard_normal(xyz.shape)
     reading = q + np.sqrt(JOINT_VARIANCE) * rng.standard_normal(q.shape)
     by_hand = {name: rotation(ANGLE_SIGMA * rng.standard_normal(3)) @ rot for name, rot in devices.items()}
-    return Session(_table(reading.reshape(-1, q.shape[-1]), xyz.reshape(-1, 3), np.repeat(names, n_points)), by_hand)
+    return MeasuredLines(
+        _table(reading.reshape(-1, q.shape[-1]), xyz.reshape(-1, 3), np.repeat(names, n_points)), by_hand
+    )
 
 
 def gear_error(q: Floats, amplitude: float, rng: np.random.Generator) -> Floats:

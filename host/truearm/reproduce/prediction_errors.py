@@ -44,7 +44,7 @@ from truearm.estimate.solution import Options
 from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
-from truearm.reproduce.line_bench import Session, line_rig, measured_lines, prior_of
+from truearm.reproduce.line_bench import MeasuredLines, line_rig, measured_lines, prior_of
 from truearm.types import Floats, LinePlacement
 
 N_LINES = 4
@@ -63,15 +63,15 @@ class Convergence(NamedTuple):
     ls: Floats  # (P₀, n): least squares started with each P(0) = P₀·I
 
 
-class Experiment(NamedTuple):
+class PredictionExperiment(NamedTuple):
     """The data given to both estimators."""
 
     problem: Problem  # every line placed by its first two points through the nominal robot
-    session: Session
+    session: MeasuredLines
     free: NDArray[np.bool_]  # (p,) robot parameters to identify
 
 
-def experiment(robot: Robot, n_points: int, rng: np.random.Generator) -> Experiment:
+def experiment(robot: Robot, n_points: int, rng: np.random.Generator) -> PredictionExperiment:
     """Return four lines of ``n_points`` points, after two more points that place the line.
 
     The parameters of all rows that are not fixed are free, and truly have the uncertainty of III-C.
@@ -83,7 +83,7 @@ def experiment(robot: Robot, n_points: int, rng: np.random.Generator) -> Experim
     truth = chain.params_nominal + np.where(free, sigma, 0.0) * rng.standard_normal(free.size)
     session = measured_lines(chain, truth, N_LINES, n_points + PLACING, rng)
     problem = build_problem(chain, line_rig(session, LinePlacement.TWO_POINT, DEVICE_SIGMA), session.table, sigma)
-    return Experiment(problem, session, free)
+    return PredictionExperiment(problem, session, free)
 
 
 def convergence(
@@ -103,7 +103,7 @@ def one_pass(robot: Robot, n_points: int, p0s: Sequence[float], rng: np.random.G
     return Convergence(_innovations(problem, session, free), np.array(plain))
 
 
-def _innovations(problem: Problem, session: Session, free: NDArray[np.bool_]) -> Floats:
+def _innovations(problem: Problem, session: MeasuredLines, free: NDArray[np.bool_]) -> Floats:
     """Return the prediction errors (n,) [m] of one pass of the recursive estimator."""
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     rows = recursive.rows_of(problem, problem.start, columns)
@@ -114,7 +114,7 @@ def _innovations(problem: Problem, session: Session, free: NDArray[np.bool_]) ->
     return np.asarray(np.linalg.norm(error, axis=1)[identifying])
 
 
-def predictions(problem: Problem, session: Session, free: NDArray[np.bool_], last: int) -> Floats:
+def predictions(problem: Problem, session: MeasuredLines, free: NDArray[np.bool_], last: int) -> Floats:
     """Return the prediction errors (last,) [m] of the last points that do not place a line, in the order of the table.
 
     free : (p,) robot parameters to identify.
@@ -144,7 +144,7 @@ def fitted_to(problem: Problem, observed: NDArray[np.bool_], columns: NDArray[np
     return fit(only(problem, observed), columns, x, Options(RELINEARISED), 0.0).x if observed.any() else x
 
 
-def placed(chain: Chain, x: Floats, session: Session, rows: NDArray[np.intp]) -> Floats:
+def placed(chain: Chain, x: Floats, session: MeasuredLines, rows: NDArray[np.intp]) -> Floats:
     """Return the device's parameters (6,) as placed by ``rows`` of one line through the robot of x (P,)."""
     known = zip(chain.parameters, x[: len(chain.parameters)].tolist(), strict=True)
     as_known = replace(chain, parameters=tuple(replace(p, nominal=value) for p, value in known))

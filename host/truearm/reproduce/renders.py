@@ -21,7 +21,7 @@ from truearm.estimate.solution import Options
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.uncertainty import CartesianError, tolerance_error
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.reproduce.line_bench import ANGLE_SIGMA, Session, line_rig, measured_lines, prior_of
+from truearm.reproduce.line_bench import ANGLE_SIGMA, MeasuredLines, line_rig, measured_lines, prior_of
 from truearm.results import Figures
 from truearm.types import Floats, LinePlacement, Residuals
 
@@ -84,7 +84,7 @@ def errors_added(chain: Chain, errors: Mapping[str, float]) -> Floats:
 
 def case(
     chain: Chain,
-    session: Session,
+    session: MeasuredLines,
     truth: Floats,
     free: Iterable[str],
     solver: str,
@@ -125,7 +125,7 @@ def _on_other_line(problem: Problem, params: Floats) -> float:
     return _mean(fit(problem, columns, x, Options(), 0.0).information.residual)
 
 
-def before(chain: Chain, session: Session, rule: LinePlacement) -> float:
+def before(chain: Chain, session: MeasuredLines, rule: LinePlacement) -> float:
     """Return the mean error [m] of the identification lines for the nominal robot and a placement rule."""
     table = session.table
     problem = build_problem(chain, line_rig(session, rule, WIDE), table.select(table.line != table.line[-1]))
@@ -156,7 +156,7 @@ def _rank(jac: Floats) -> int:
     return int((parts.singular > 1e-10 * parts.singular[0]).sum())
 
 
-class Section(NamedTuple):
+class CrossSection(NamedTuple):
     """Poses of a vertical cross section of the workspace, θ1 = θ4 = θ6 = 0, elbow up (Fig. 5)."""
 
     x: Floats  # (n,) m
@@ -164,7 +164,7 @@ class Section(NamedTuple):
     q: Floats  # (n, j)
 
 
-def section(chain: Chain, step: float) -> Section:
+def section(chain: Chain, step: float) -> CrossSection:
     """Return poses with the flange's centre on a grid of ``step`` [m], hand pointing down, within the arm's reach.
 
     The elbow and the wrist lie in the plane, so the joints follow from two triangles: with the wrist at w = flange + d6
@@ -182,23 +182,23 @@ def section(chain: Chain, step: float) -> Section:
     q = np.zeros((x.size, len(chain.joints)))
     q[:, 1], q[:, 2] = -shoulder, bend + np.pi / 2.0
     q[:, 4] = np.pi - q[:, 1] - q[:, 2]
-    return Section(x, z, q)
+    return CrossSection(x, z, q)
 
 
-def a_priori(chain: Chain, where: Section) -> CartesianError:
+def a_priori(chain: Chain, where: CrossSection) -> CartesianError:
     """Return the flange's expected error of II-D, before any measurement, from the tolerances of III-C on every row."""
     sigma = prior_of(chain)
     rows = np.array([sigma.get(n, 0.0) if n.startswith("joint") else 0.0 for n in chain.parameter_names])
     return tolerance_error(chain, rows, where.q, np.zeros(3))
 
 
-def error_map(chain: Chain, where: Section, errors: Mapping[str, float]) -> Floats:
+def error_map(chain: Chain, where: CrossSection, errors: Mapping[str, float]) -> Floats:
     """Return (31): the distance (n,) [m] of the identified from the nominal flange."""
     apart = [point_forward(chain, errors_added(chain, e), where.q, np.zeros(3)) for e in ({}, errors)]
     return np.asarray(np.linalg.norm(apart[1] - apart[0], axis=1))
 
 
-def batch_against_recursive(chain: Chain, session: Session) -> tuple[float, float]:
+def batch_against_recursive(chain: Chain, session: MeasuredLines) -> tuple[float, float]:
     """Return the largest relative difference of (12) in one step and (18), (20) point by point, of Δ and of P."""
     rig = line_rig(session, LinePlacement.LEAST_SQUARES, WIDE)
     problem = build_problem(chain, rig, session.table, prior_of(chain))

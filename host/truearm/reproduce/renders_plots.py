@@ -7,7 +7,7 @@ import numpy as np
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
 from truearm.report.page_text import figures
-from truearm.reproduce.renders import Section
+from truearm.reproduce.renders import CrossSection
 from truearm.types import Floats
 
 SHOWN = 12  # runs in the figures; later ones do not change
@@ -44,7 +44,7 @@ def prediction_figure(title: str, caption: str, ml: Floats, plain: Floats, best:
     return drawn(plot, title, caption, parts)
 
 
-def map_figure(title: str, where: Section, error: Floats, direction: Floats | None) -> Figure:
+def map_figure(title: str, where: CrossSection, error: Floats, direction: Floats | None) -> Figure:
     """Return a map with one cell per pose, darker for larger errors, and strokes for ``direction`` (n, 3), side view."""
     half = 0.025
     x_axis = svg.linear_axis("x [m]", float(where.x.min()) - half, float(where.x.max()) + half, 0.1)

@@ -183,7 +183,7 @@ class Cones(NamedTuple):
         return np.asarray(np.any(risen | fallen, axis=-1))
 
 
-class Level(NamedTuple):
+class WindowLimits(NamedTuple):
     """What windows of m of the n exchanges allow under a range of rates, for each of the n + 1 gaps around the
     exchanges.
     """
@@ -195,7 +195,7 @@ class Level(NamedTuple):
     doubtful: NDArray[np.bool_]  # (n + 1,) gaps that a refuted window touches
 
     @classmethod
-    def of(cls, cones: Cones, rates: Rates, m: int) -> Level:
+    def of(cls, cones: Cones, rates: Rates, m: int) -> WindowLimits:
         """Build from the windows of m consecutive exchanges."""
         windows = Cones(*(sliding_window_view(column, m) for column in cones))
         refuted = np.zeros(len(windows.upper_low), dtype=bool)
@@ -242,7 +242,7 @@ def _least_after(values: Floats, m: int, gaps: NDArray[np.intp]) -> Floats:
     return _least_before(values[::-1], m, values.size - gaps)[:, ::-1]
 
 
-class Change(NamedTuple):
+class ExchangeChange(NamedTuple):
     """A clock changed between exchanges ``before`` and ``after``; those between belong to neither side."""
 
     before: int
@@ -256,7 +256,7 @@ class ClockBounds:
     device_ref_us: int
     host_ref_ns: int
     x: Floats  # (n,) ns since device_ref_us, ascending
-    levels: tuple[Level, ...]  # the first is used; where it is in doubt, the next
+    levels: tuple[WindowLimits, ...]  # the first is used; where it is in doubt, the next
 
     @classmethod
     def of(cls, exchanges: Ints) -> ClockBounds:
@@ -270,9 +270,9 @@ class ClockBounds:
         usual = usual_rates(x, low, high)
         cones, widest = (Cones.of(x, low, later, high, rates) for rates in (usual, limit))
         levels = (
-            Level.of(cones, usual, min(SPAN, x.size)),
-            Level.of(widest, limit, min(2, x.size)),
-            Level.of(widest, limit, 1),
+            WindowLimits.of(cones, usual, min(SPAN, x.size)),
+            WindowLimits.of(widest, limit, min(2, x.size)),
+            WindowLimits.of(widest, limit, 1),
         )
         return cls(device_ref, host_ref, x, levels)
 
@@ -297,23 +297,23 @@ class ClockBounds:
             low[which], high[which] = level.at(t[which], gap[which])
         return low, high
 
-    def changes(self) -> tuple[list[Change], NDArray[np.bool_]]:
+    def changes(self) -> tuple[list[ExchangeChange], NDArray[np.bool_]]:
         """Return where a clock changed, in order, and which exchanges (n,) are wrong.
 
         A wrong exchange contradicts those before and after it, which agree with each other.
         """
         level, n, m = self.levels[0], self.x.size, self.levels[0].m
         at = np.flatnonzero(level.refuted)
-        found, wrong = list[Change](), np.zeros(n, dtype=bool)
+        found, wrong = list[ExchangeChange](), np.zeros(n, dtype=bool)
         for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []:
             first, last = int(run[0]), int(run[-1])
             # One change lies before the last exchange of the first window, another after the first exchange of the last
             # window.
-            change = Change(min(last, first + m - 2), max(first + m - 1, last + 1))
+            change = ExchangeChange(min(last, first + m - 2), max(first + m - 1, last + 1))
             if found and change.before <= found[-1].after:
-                change = Change(found.pop().before, change.after)
+                change = ExchangeChange(found.pop().before, change.after)
             found.append(change)
-        changed = list[Change]()
+        changed = list[ExchangeChange]()
         for change in found:
             before = np.arange(max(0, change.before + 1 - m), change.before + 1)
             after = np.arange(change.after, min(n, change.after + m))
@@ -422,7 +422,7 @@ def fit_clock(segment: int, exchanges: Sequence[Exchange] | Ints) -> tuple[Devic
     return clock, _report(clock, every, sane, wrong)
 
 
-def _stretches(sane: Ints, changes: Sequence[Change], wrong: NDArray[np.bool_]) -> tuple[Stretch, ...]:
+def _stretches(sane: Ints, changes: Sequence[ExchangeChange], wrong: NDArray[np.bool_]) -> tuple[Stretch, ...]:
     """Return the windows between the changes, from the exchanges that are not wrong."""
     firsts = [0, *(change.after for change in changes)]
     ends = [*(change.before + 1 for change in changes), len(sane)]

@@ -52,7 +52,7 @@ class PlannedPoses:
     mounted: tuple[dict[str, str], ...]
 
 
-class Row(NamedTuple):
+class PlanRow(NamedTuple):
     """A row of the plan as in ``/plan`` (``types.Plan``)."""
 
     q: list[float]
@@ -64,7 +64,7 @@ class Row(NamedTuple):
 class Marks:
     """Collects the contents of ``/plan`` and ``/events``."""
 
-    rows: list[Row] = field(default_factory=list)
+    rows: list[PlanRow] = field(default_factory=list)
     mountings: list[tuple[int, dict[str, str]]] = field(default_factory=list)  # (t_host_ns, what)
     kinds: dict[str, int] = field(default_factory=dict)
     malformed: int = 0
@@ -93,7 +93,7 @@ class Marks:
         if not numbers or move not in tuple(Move) or (self.rows and len(self.rows[0].q) != len(q or [])):
             self.malformed += 1
             return
-        self.rows.append(Row([float(value) for value in q or []], _fittings(document), move))
+        self.rows.append(PlanRow([float(value) for value in q or []], _fittings(document), move))
 
     @property
     def dwells(self) -> list[int]:

@@ -251,7 +251,7 @@ class Damage:
 
 
 @dataclass
-class Whole:
+class IntactParts:
     """Intact parts of a file. ``spans`` are byte ranges that contain only complete records."""
 
     channels: dict[int, str]
@@ -312,12 +312,12 @@ def words_of(at: int | None, lost_s: float, of_s: float) -> str:
     return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost"
 
 
-def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
+def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
     """Return the intact parts of a file, and whether it has its end. Raises SessionError if hardly anything is intact."""
     size = os.fstat(file.fileno()).st_size
     complete = has_footer(file, size)
     channels, span, counted = _summary(path, file, size) if complete else ({}, None, {})
-    whole = Whole(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
+    whole = IntactParts(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
     at: int | None = len(MCAP0_MAGIC)
     n_bad = 0
     while at is not None and at + RECORD.size <= size:
@@ -342,7 +342,7 @@ def salvage(path: Path, file: BinaryIO) -> tuple[Whole, bool]:
     return whole, complete
 
 
-def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: Whole) -> bool:
+def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: IntactParts) -> bool:
     """Return whether a record passes all possible checks; its contents are added to ``whole``."""
     body = at + RECORD.size
     try:
@@ -374,7 +374,7 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
     return True
 
 
-def _take_messages(path: Path, data: bytes, whole: Whole) -> None:
+def _take_messages(path: Path, data: bytes, whole: IntactParts) -> None:
     channels = dict(whole.channels)
     (messages,) = batches(path, [data], channels)
     whole.channels.update(channels)

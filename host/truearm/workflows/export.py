@@ -11,7 +11,7 @@ import numpy as np
 from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
-from truearm.export.writing import Fitted, RobotToWrite, fit_to, held, named, written
+from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, named, written
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
@@ -74,7 +74,7 @@ class ExportedRobot:
     form: str
     text: str
     mountings: tuple[str, ...]
-    fitted: Fitted
+    fitted: FormatFit
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -197,7 +197,7 @@ def looks_like_ours(head: bytes) -> bool:
     return not head.strip() or MARK.encode() in head
 
 
-def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> Fitted:
+def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | None) -> FormatFit:
     """Return the parameters that the format holds and the user allows to change."""
     chain = calibration.chain
     adjustable = np.ones(len(chain.parameters), dtype=bool)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.correct.error_map import ErrorMap, Region, best_region, error_map
+from truearm.correct.error_map import BestRectangle, ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
@@ -44,7 +44,7 @@ class Section(NamedTuple):
     own_frames: bool = False
 
 
-class Task(NamedTuple):
+class MapTask(NamedTuple):
     """A task of a width and a height [m] for which to find the best place, ``within`` u0, u1, v0, v1 [m] or anywhere."""
 
     size: tuple[float, float]
@@ -68,12 +68,12 @@ class Mapped(NamedTuple):
     """
 
     map: ErrorMap
-    region: Region | None
+    region: BestRectangle | None
     payload: str = ""
 
 
 @step("mapping the errors")
-def map_files(calibration: Calibration, files: MapFiles, section: Section, task: Task | None = None) -> Mapped:
+def map_files(calibration: Calibration, files: MapFiles, section: Section, task: MapTask | None = None) -> Mapped:
     """Make a map by the calibration of ``files.result`` and write the requested files.
 
     Raises InputError with a one-line message.
@@ -139,7 +139,7 @@ def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
     return text.getvalue()
 
 
-def _picture(found: ErrorMap, region: Region | None, calibration: Calibration) -> str:
+def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibration) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{axis(direction)} [mm]" for direction in found.axes]
     title = f"Error of {one_line(calibration.chain.name)[:40]} without calibration"

@@ -66,7 +66,7 @@ OTHERS = """\
 """
 
 
-class Wanted(NamedTuple):
+class ProjectWanted(NamedTuple):
     """The user's input to ``init``, in SI units: bars [m], uncertainty of chucks and spheres [m] and of the first bar's
     length [m].
     """
@@ -183,7 +183,7 @@ def new_plan(path: Path) -> Path:
 
 
 @step("making the project")
-def create(folder: Path, wanted: Wanted) -> Created:
+def create(folder: Path, wanted: ProjectWanted) -> Created:
     """Write truearm.toml, rig.toml and a first plan into a folder.
 
     Existing files are not overwritten. Raises InputError for a folder that is already a project, and whatever loading
@@ -258,7 +258,7 @@ def _all_or_nothing() -> Iterator[_New]:
         raise
 
 
-def _as_known(rig: Rig, wanted: Wanted) -> Rig:
+def _as_known(rig: Rig, wanted: ProjectWanted) -> Rig:
     """Return a first rig with the available bars and the expected accuracy of its measurements; all bars but the first
     to 1 mm.
     """

@@ -58,7 +58,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Work:
+class RecordingWork:
     """What to record, read from files and checked for consistency. ``rows``: the plan as in ``/plan``."""
 
     out: Path
@@ -136,7 +136,9 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     return "; ".join([*reasons, *summary.file_losses])
 
 
-def _record(device: str, work: Work, request: Request, output: TextIO) -> tuple[RecordSummary, SessionWriter, View]:
+def _record(
+    device: str, work: RecordingWork, request: Request, output: TextIO
+) -> tuple[RecordSummary, SessionWriter, View]:
     """Return the summary, the closed file, and the view."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
@@ -196,7 +198,7 @@ def nearest_osr(rate: float) -> int:
     return min(OSRS, key=lambda osr: abs(MODULATOR_HZ / osr - rate))
 
 
-def _work(request: Request) -> Work:
+def _work(request: Request) -> RecordingWork:
     """Return what to record. Raises InputError for options and files that are invalid or inconsistent."""
     from truearm.files.disk import check_writable
     from truearm.files.write_lock import is_held
@@ -212,7 +214,7 @@ def _work(request: Request) -> Work:
     check_writable(out, request.force and before is None, inputs=read)
     if out.exists() and is_held(out):
         raise InputError(f"{out}: is still being written; end that recording first, or give another name")
-    work = _with_files(Work(out, request.robot, request.osr or USUAL_OSR), request)
+    work = _with_files(RecordingWork(out, request.robot, request.osr or USUAL_OSR), request)
     if before is not None:
         work = _going_on(work, request, before)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
@@ -221,7 +223,7 @@ def _work(request: Request) -> Work:
     return replace(work, setup=setup)
 
 
-def _with_files(work: Work, request: Request) -> Work:
+def _with_files(work: RecordingWork, request: Request) -> RecordingWork:
     """Add plan, rig and what is mounted, each checked against the rig."""
     from truearm.errors import RigError
     from truearm.files.disk import read_bytes
@@ -240,7 +242,7 @@ def _with_files(work: Work, request: Request) -> Work:
     return replace(work, rig=rig, rig_toml=read_bytes(request.rig, MAX_BYTES, RigError))
 
 
-def _going_on(work: Work, request: Request, before: Earlier) -> Work:
+def _going_on(work: RecordingWork, request: Request, before: Earlier) -> RecordingWork:
     """Add data from the previous parts where the options do not specify it."""
     from truearm.files.rig_file import parse_rig
 
@@ -259,7 +261,7 @@ def _going_on(work: Work, request: Request, before: Earlier) -> Work:
     )
 
 
-def _purpose(work: Work) -> Purpose:
+def _purpose(work: RecordingWork) -> Purpose:
     """Return the purpose according to the plan, else to what is mounted, else to the rig."""
     moves = {row.get("move", Move.DWELL) for row in work.rows}
     if work.rows:

@@ -81,7 +81,7 @@ class RelabelOptions:
 
 
 @dataclass(frozen=True)
-class Part:
+class RelabelledPart:
     """One file of the session: all of its stops, and the statements about the ``good`` ones, which may be dwells."""
 
     path: Path
@@ -156,13 +156,13 @@ def undo(session: Path) -> dict[str, Any]:
 
 
 @step("reading the session")
-def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig, Readings]:
+def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[RelabelledPart], Rig, Readings]:
     """Return the files, their common rig, and the readings of all good stops."""
     from truearm.session.box_ident import recorded_ident
     from truearm.session.observations import survey
     from truearm.session.session_file import open_session
 
-    parts, readings = list[Part](), list[Readings]()
+    parts, readings = list[RelabelledPart](), list[Readings]()
     rig = None if rig_file is None else read_rig(rig_file)
     for path in paths:
         session = open_finished(path, allow_damaged=True)
@@ -176,7 +176,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Part], Rig
             raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
         found = survey(session.batches, recorded_ident(session))
         good, said, of_part = _of_survey(rig, found)
-        parts.append(Part(path, found, good, said))
+        parts.append(RelabelledPart(path, found, good, said))
         readings.append(of_part)
     assert rig is not None
     if not any(part.good for part in parts):
@@ -240,7 +240,7 @@ def _check_joints(robot: Robot, readings: Readings) -> None:
 
 
 def _chosen(
-    parts: Sequence[Part], said: Sequence[Said], found: MountingChances | None, options: RelabelOptions
+    parts: Sequence[RelabelledPart], said: Sequence[Said], found: MountingChances | None, options: RelabelOptions
 ) -> Chosen:
     """Return the pairing of each dwell."""
     sure: list[Pairing | None] = [None] * len(said) if found is None else found.sure()
@@ -258,7 +258,7 @@ def _chosen(
 
 
 def _asked(
-    parts: Sequence[Part],
+    parts: Sequence[RelabelledPart],
     said: Sequence[Said],
     sure: Sequence[Pairing | None],
     found: MountingChances | None,
@@ -296,7 +296,7 @@ def _asked(
 
 
 def _label(
-    part: Part, k: int, pairing: Pairing | None, found: MountingChances | None, at: int, unanswered: bool
+    part: RelabelledPart, k: int, pairing: Pairing | None, found: MountingChances | None, at: int, unanswered: bool
 ) -> DwellLabel:
     detail = "not answered" if unanswered else "left out"
     p = float("nan")
@@ -313,7 +313,7 @@ def _label(
     return label._replace(probability=p)
 
 
-def _row(part: Part, k: int, label: DwellLabel, readings: Readings, at: int) -> dict[str, Any]:
+def _row(part: RelabelledPart, k: int, label: DwellLabel, readings: Readings, at: int) -> dict[str, Any]:
     said = part.said[k]
     pairing = pairing_of(label.mounted)
     return {

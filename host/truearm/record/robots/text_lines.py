@@ -117,7 +117,7 @@ def _name(name: Any) -> Name:
     raise InputError(f"{quoted(str(name))} is not a name; give the key of a list, or a list of the joints' keys")
 
 
-class Dialect:
+class LineDialect:
     """Converts a robot's lines to a session's lines. ``of``: what the address specifies about them."""
 
     def __init__(self, of: dict[str, str]) -> None:
@@ -177,7 +177,7 @@ class LinesLink:
     skipped there.
     """
 
-    def __init__(self, link: Link, clock: Clock, dialect: Dialect, joined: bool = False) -> None:
+    def __init__(self, link: Link, clock: Clock, dialect: LineDialect, joined: bool = False) -> None:
         self.name = link.name
         self._link = link
         self._clock = clock
@@ -229,7 +229,7 @@ def connect(url: str, clock: Clock, last: Link | None) -> Link:
     return open_lines(url, clock, last.dialect if isinstance(last, LinesLink) else None)
 
 
-def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesLink:
+def open_lines(url: str, clock: Clock, dialect: LineDialect | None = None) -> LinesLink:
     """Open the source behind ``lines+tcp://`` or ``lines+udp://``.
 
     ``dialect``: of an earlier connection, with a header that is still valid. Raises InputError, LinkError.
@@ -239,7 +239,7 @@ def open_lines(url: str, clock: Clock, dialect: Dialect | None = None) -> LinesL
         pairs = parse_qsl(query, True, bool(query), max_num_fields=20)
     except ValueError as exc:
         raise InputError(f"{url!r}: the part after '?' must be a list of NAME=VALUE") from exc
-    dialect = dialect or Dialect(dict(pairs))  # checked before anything is opened
+    dialect = dialect or LineDialect(dict(pairs))  # checked before anything is opened
     plain = address.removeprefix("lines+")
     if plain.startswith("udp"):
         return LinesLink(UdpLink(plain, clock, name=url), clock, dialect)
