@@ -14,8 +14,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A busy machine is no failure: what is fast enough is measured in bench/.
 settings.register_profile("no deadline", settings(), deadline=None)
 settings.load_profile("no deadline")
-# Folders with long files, about a minute each. They run first, so that no worker is left alone with one at the end.
-LONG = ("recipes", "end_to_end", "chip", "firmware")
+# Folders with long files, about a minute each, and other long files. They run first, so that no worker is left alone with
+# one at the end.
+LONG = ("recipes/", "end_to_end/", "chip/", "firmware/", "host/test_wrong_inputs.py")
 
 
 def pytest_xdist_auto_num_workers(config):
@@ -24,7 +25,7 @@ def pytest_xdist_auto_num_workers(config):
 
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=folder_rank)
+    items.sort(key=rank)
     skip_chip_level_without_apt(items)
 
 
@@ -34,9 +35,9 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-def folder_rank(item):
-    folder = item.nodeid.split("/")[1]
-    return LONG.index(folder) if folder in LONG else len(LONG)
+def rank(item):
+    path = item.nodeid.removeprefix("tests/")
+    return next((place for place, name in enumerate(LONG) if path.startswith(name)), len(LONG))
 
 
 def skip_chip_level_without_apt(items):

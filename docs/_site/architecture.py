@@ -7,6 +7,7 @@ follow from others (a → c beside a → b → c) are left out, as are the modul
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +44,7 @@ def imported(path: Path, names: set[str]) -> set[str]:
     return found
 
 
+@cache
 def imports() -> dict[str, set[str]]:
     """Which rooms each room imports."""
     files = rooms()
