@@ -16,7 +16,7 @@ settings.register_profile("no deadline", settings(), deadline=None)
 settings.load_profile("no deadline")
 # Folders with long files, about a minute each, and other long files. They run first, so that no worker is left alone with
 # one at the end.
-LONG = ("recipes/", "end_to_end/", "chip/", "firmware/", "host/test_wrong_inputs.py")
+LONG = ("recipes/", "end_to_end/", "chip/", "firmware/", "host/test_wrong_inputs.py", "test_architecture.py")
 
 
 def pytest_xdist_auto_num_workers(config):
