@@ -119,6 +119,14 @@ def test_a_distance_decides_only_between_known_places(tmp_path):
     assert refused_lines(tmp_path, text.replace("get_actual_tcp_pose()", V)) == {6}
 
 
+def test_where_too_many_targets_decide_all_of_them_do(tmp_path):
+    """Their number is bounded; beyond it, any target may be meant."""
+    path = ", ".join([W] * 120)
+    lines = (f"path = [{path}]", "if path == [1]:", "  sleep(1)", "end", f"movej({V})")
+    assert refused_lines(tmp_path, program(*lines)) == {6}
+    corrected(tmp_path, program(lines[0].replace(path, W), *lines[1:]))
+
+
 # numbers of their own
 
 

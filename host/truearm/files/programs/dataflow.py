@@ -63,6 +63,7 @@ from truearm.files.programs.values import (
     most_choices,
     numbers_origin,
     origin_of,
+    united,
 )
 from truearm.files.programs.variables import Turn
 from truearm.files.programs.work import BLOCK, CHANGED, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
@@ -222,7 +223,7 @@ class Flow(Calls):
             environment.begin({})
             self.stack[-1].turns.append(turn)
             if loop.counter:
-                self.set(loop.counter, (Unknown(f"{loop.counter} counts", 0),), "local")
+                self.set(loop.counter, (Unknown(f"{loop.counter} counts in a loop", 0),), "local")
             if loop.condition is not None:
                 self._decide(loop.condition)
             reached = self.run(loop.body)
@@ -236,7 +237,7 @@ class Flow(Calls):
                 break
             for key in grown:
                 if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
-                    origin = self._origin(environment.get(key) or ())
+                    origin = origin_of(environment.get(key) or ())
                     environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0, "", origin),))
         if loop.condition is not None and self.routines.runs_routine(loop.condition):
             self._decide(loop.condition)  # it is evaluated once more often than the body
@@ -252,12 +253,6 @@ class Flow(Calls):
         """Record that these values decide what the program does."""
         for literal in origin_of(one for one in values if not isinstance(one, str)):
             self.judged.setdefault(literal.start, place)
-
-    def _origin(self, values: Iterable[Value]) -> Origin:
-        """Return the literals that values contain or are computed from."""
-        found = origin_of(values)
-        self.work.spend(len(found) // SEVERAL)
-        return found
 
     def value(self, expression: Expression) -> Values:
         """Return the possible values of an expression."""
@@ -295,7 +290,7 @@ class Flow(Calls):
                 results = combined(start, operator_of(sign, start), given)
                 if len(results) > MOST_NUMBERS and isinstance(results[0], Number):
                     results = (Unknown("it has too many possible values to trace", start),)
-                return self._computed(results, self._origin(chain.from_iterable(given)))
+                return self._computed(results, origin_of(chain.from_iterable(given)))
             case _:
                 assert_never(expression)
 
@@ -307,7 +302,7 @@ class Flow(Calls):
         self.environment.begin({})
         found += self.value(second)
         self.environment.join([{}, self.environment.end()])
-        origin = self._origin(found)
+        origin = origin_of(found)
         return (Unknown(f"the result of {of.sign} cannot be traced", of.start, "", origin),)
 
     @staticmethod
@@ -336,17 +331,15 @@ class Flow(Calls):
         origin = self._read(call.function, [*chain(*arguments, *named.values())])
         for argument in changed:
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
-                was = origin | self._origin(self.value(argument))
+                was = united((origin, origin_of(self.value(argument))))
                 self.assign(argument, (Unknown(f"{call.function} may change it at run time", 0, "", was),), "")
         return self._computed(found, origin)
 
     def _read(self, function: str, given: Sequence[Value]) -> Origin:
         """Return the literals from whose numbers the result of a built-in function is computed."""
         if function in self.language.distances:
-            return NO_ORIGIN if first_unknown(given) else self._origin(given)
-        found = numbers_origin(given)
-        self.work.spend(len(found) // SEVERAL)
-        return found
+            return NO_ORIGIN if first_unknown(given) else origin_of(given)
+        return numbers_origin(given)
 
     def posed(self, at: int, function: Callable[..., Value], arguments: Sequence[Values]) -> Values:
         """Return what a function of poses gives for every choice of its arguments' possibilities (``combined``)."""

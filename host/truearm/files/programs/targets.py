@@ -18,6 +18,7 @@ from truearm.files.programs.motions import Motion
 from truearm.files.programs.program import Program, Refused, refused_at, uncollected
 from truearm.files.programs.syntax import Form, Taught
 from truearm.files.programs.values import (
+    EVERY,
     UNIT_QUATERNION,
     Goal,
     LiteralPoses,
@@ -92,16 +93,13 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
     Raises ProgramError if there are too many targets.
     """
     refused: dict[Refused, None] = {}
+    read = _read_by(program)
     users: dict[Goal, Motion] = {}
     joints: dict[Taught, int] = {}
 
     def refuse(motion: Motion, why: str, remedy: str) -> None:
         refused[refused_at(program, motion.start, why, remedy)] = None
 
-    read = dict(program.judged)
-    for motion in program.motions:
-        for goal in motion.goals:
-            read.update((one.start, read.get(one.start, motion.start)) for one in _computed_from(goal))
     for motion in program.motions:
         for why, remedy in motion.problems:
             refuse(motion, why, remedy)
@@ -234,6 +232,8 @@ def _assigned(
                     why = f"it shares the target of line {shared} with the move of line {other}, but needs different numbers there"
                     if motions[taken] is motion:
                         why = f"its tool, frame or offset differs between its calls, which need different numbers in the target of line {shared}"
+                    if own is None and (n := _goals_at(goal, motion)) > 1:
+                        why += f"; it goes to {n} poses: pass each as an argument of its own, or write the move out for each"
                 refuse(motion, why, "" if own is None else "split")
     unique: dict[object, int] = {}
     index: list[int | None] = []
@@ -248,6 +248,20 @@ def _assigned(
         if at == len(poses):
             poses.append(one)
     return tuple(poses), index
+
+
+def _read_by(program: Program) -> dict[int, int]:
+    """Return the places of the literals whose numbers something else depends on, each with the place of the first."""
+    read = dict(program.judged)
+    goals = [(goal, motion) for motion in program.motions for goal in motion.goals]
+    for goal, motion in goals:
+        for one in _computed_from(goal):
+            read.setdefault(one.start, motion.start)
+    if (place := read.get(EVERY.start)) is not None:
+        for goal, _ in goals:
+            for one in literals_in(goal.target) if isinstance(goal.target, Pose) else (goal.target,):
+                read.setdefault(one.start, place)
+    return read
 
 
 def _computed_from(goal: Goal) -> Iterator[Taught]:
@@ -270,8 +284,13 @@ def _why_read(program: Program, place: int) -> str:
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
     """Return the goal written into its move, if the argument is used nowhere else and goes to nothing else."""
-    alone = sum(1 for other in motion.goals if (other.start, other.end) == (goal.start, goal.end)) == 1
+    alone = _goals_at(goal, motion) == 1
     return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 and not motion.problems else None
+
+
+def _goals_at(goal: Goal, motion: Motion) -> int:
+    """Return the number of goals of a move that its argument for this goal gives."""
+    return sum(1 for other in motion.goals if (other.start, other.end) == (goal.start, goal.end))
 
 
 def _same(a: Goal, b: Goal) -> bool:

@@ -29,6 +29,7 @@ from truearm.files.programs.values import (
     shifted,
     times,
     turned,
+    united,
 )
 from truearm.types import Floats
 from truearm.units import DEG
@@ -44,7 +45,9 @@ def as_pose(value: Value, at: int) -> Pose | Unknown:
     numbers = numbers_of(value)
     if numbers is not None and len(numbers) == SIX and _finite(numbers):
         return fixed_six(numbers)._replace(origin=origin_of((value,)))
-    return unknown_in(value) or Unknown("it is not a pose of six numbers", at)
+    several = isinstance(value, Listed) and len(value.items) == SIX and any(len(item) > 1 for item in value.items)
+    why = "its numbers have several possible values" if several else "it is not a pose of six numbers"
+    return unknown_in(value) or Unknown(why, at)
 
 
 def unknown_in(value: Value) -> Unknown | None:
@@ -114,7 +117,7 @@ def _moved(a: Pose, b: Pose, sense: int, at: int) -> Value:
     a0, a1, a2, x, b0, b1, b2, y, c0, c1, c2, z, *_ = of.rows
     turn = (a0, a1, a2, b0, b1, b2, c0, c1, c2)
     found = times(shifted((sense * x, sense * y, sense * z)), a, turned(turn if sense > 0 else transposed(turn)))
-    return found._replace(origin=found.origin | b.origin)
+    return found._replace(origin=united((found.origin, b.origin)))
 
 
 def _finite(numbers: Sequence[float]) -> bool:

@@ -31,6 +31,9 @@ UNIT_QUATERNION = 1e-3  # tolerance of the norm of a quaternion about 1, if it w
 
 Origin = frozenset[Taught]  # the literals from whose numbers a value is computed
 NO_ORIGIN: Origin = frozenset()
+EVERY = Taught(Form.POSE, "", -1)  # represents all literals, where a value is computed from more than MOST_ORIGINS
+MOST_ORIGINS = 100
+_ALL: Origin = frozenset({EVERY})
 
 
 class Unknown(NamedTuple):
@@ -208,37 +211,50 @@ def distinct(values: Iterable[Value]) -> Values:
     return tuple(found)
 
 
+def united(origins: Iterable[Origin]) -> Origin:
+    """Return the literals of several origins."""
+    found = NO_ORIGIN
+    for one in origins:
+        if one and one is not found:
+            found = found | one if found else one
+            if len(found) > MOST_ORIGINS or EVERY in found:
+                return _ALL
+    return found
+
+
 def origin_of(values: Iterable[Value]) -> Origin:
     """Return the literals that values contain, and those from whose numbers they are computed."""
-    found: set[Taught] = set()
-    for one in values:
-        if isinstance(one, Taught):
-            found.add(one)
-        elif isinstance(one, Number | Unknown | Listed | Fields):
-            found |= one.origin
-        elif isinstance(one, Solved | Pose):
-            pose = one.pose if isinstance(one, Solved) else one
-            found |= pose.origin
-            found.update(literals_in(pose))
-    return frozenset(found) if found else NO_ORIGIN
+    return united(map(_origin_of, values))
+
+
+def _origin_of(value: Value) -> Origin:
+    if isinstance(value, Number | Unknown | Listed | Fields):
+        return value.origin
+    if isinstance(value, Taught):
+        return frozenset({value})
+    if isinstance(value, Solved | Pose):
+        pose = value.pose if isinstance(value, Solved) else value
+        return united((pose.origin, frozenset(literals_in(pose))))
+    return NO_ORIGIN
 
 
 def numbers_origin(values: Sequence[Value]) -> Origin:
     """Return the literals from whose numbers values are computed, but not those that they contain."""
-    return NO_ORIGIN.union(
-        *(one.origin for one in values if isinstance(one, Number | Unknown)),
-        *(one.numbers_origin for one in values if isinstance(one, Listed | Fields)),
+    return united(
+        one.origin if isinstance(one, Number | Unknown) else one.numbers_origin
+        for one in values
+        if isinstance(one, Number | Unknown | Listed | Fields)
     )
 
 
 def computed(value: Value, origin: Origin) -> Value:
     """Return a value as computed also from the numbers of these literals."""
     if isinstance(value, Number | Unknown | Pose) and not origin <= value.origin:
-        return value._replace(origin=value.origin | origin)
+        return value._replace(origin=united((value.origin, origin)))
     if isinstance(value, Listed) and origin:
         return value._replace(items=tuple(tuple(computed(one, origin) for one in item) for item in value.items))
     if isinstance(value, Solved) and origin:
-        return value._replace(pose=value.pose._replace(origin=value.pose.origin | origin))
+        return value._replace(pose=value.pose._replace(origin=united((value.pose.origin, origin))))
     return value
 
 
@@ -338,7 +354,7 @@ def turned(turn: Nine) -> Pose:
 def times(*poses: Pose) -> Pose:
     """Return the product of poses; it has the configuration of the first that has one."""
     like = next((pose.like for pose in poses if pose.like is not None), None)
-    origin = NO_ORIGIN.union(*(pose.origin for pose in poses))
+    origin = united(pose.origin for pose in poses)
     return Pose(tuple(factor for pose in poses for factor in pose.factors), like, origin=origin)
 
 

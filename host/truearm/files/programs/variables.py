@@ -8,7 +8,18 @@ from dataclasses import dataclass, field
 from truearm.files.programs.environment import GLOBAL, TOOL, Environment, Key
 from truearm.files.programs.routines import Routines
 from truearm.files.programs.syntax import Routine
-from truearm.files.programs.values import MAX_NESTED, Fields, Listed, Unknown, Values, joined
+from truearm.files.programs.values import (
+    MAX_NESTED,
+    NO_ORIGIN,
+    Fields,
+    Listed,
+    Origin,
+    Unknown,
+    Values,
+    joined,
+    origin_of,
+    united,
+)
 from truearm.files.programs.work import Work
 
 
@@ -41,13 +52,15 @@ class Variables:
         self.environment = Environment(work)
         self.stack = [Activation(None, GLOBAL, None, 0)]
         self.loose = False
+        self._origins: dict[str, Origin] = {}  # of all values so far of names that may change at any time
 
     def get(self, name: str) -> Values | None:
         """Return the possible values of a name here; None if it is unknown."""
         if name in self.routines.volatile and not any(
             one.routine and one.routine.kind == "beside" for one in self.stack
         ):
-            return (Unknown(f"{name} is changed by code that runs concurrently (a trap, a handler or a thread)", 0),)
+            why = f"{name} is changed by code that runs concurrently (a trap, a handler or a thread)"
+            return (Unknown(why, 0, "", self._origins.get(name, NO_ORIGIN)),)
         at: Activation | None = self.stack[-1]
         while at is not None:
             if (found := self.environment.get((at.scope, name))) is not None:
@@ -64,6 +77,8 @@ class Variables:
         if any(isinstance(one, Listed | Fields) and one.depth > MAX_NESTED for one in values):
             values = (Unknown(f"{name} has too many nested lists to trace", 0),)
         own = (self.stack[-1].scope, name)
+        if name in self.routines.volatile:
+            self._origins[name] = united((self._origins.get(name, NO_ORIGIN), origin_of(values)))
         if self.loose:
             values = joined(self.get(name), values)
         if scope == "global" or (not scope and name == TOOL):
