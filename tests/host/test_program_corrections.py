@@ -330,6 +330,7 @@ def statements(draw):
         "h = 0.004",
         "global n = 0",
         *("def f():", "  global n = n + 1", "  global W2 = W3", "  return n > 1", "end"),
+        *("def c():", "  global i = 1", "  return pose_trans(W3, p[0,0,h,0,0,0])", "end"),
         *("def g():", "  global n = n + 1", "  global W1 = W2", "  return n < 3", "end"),
     ]
     certain = [
@@ -342,7 +343,7 @@ def statements(draw):
     doubtful = [
         "if f():\n    movej(W1)\n  elif g():\n    movej(W2)\n  end", "while g():\n    W2 = W4\n  end", "if i == 1 and f():\n    movej(W3)\n  end",
         "q0 = get_inverse_kin(W3)", "movej(q0)", "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.005,0,0,0]))", "W1[2] = W1[2] + 0.005", "movej(pose_trans(W3, p[0,0,0.005,0,0,0]))", "W2 = pose_trans(W2, p[0,0,0.004,0,0,0])",
-        "h = W1[2] * 0.01", "h = h + path[i][0] * 0.01", "movej(pose_add(W3, p[0,0,h,0,0,0]))", "set_tcp(p[0,0,h,0,0,0])", "if W4[0] > W3[0]:\n    movej(W4)\n  end",
+        "movej(c())", "h = W1[2] * 0.01", "h = h + path[i][0] * 0.01", "movej(pose_add(W3, p[0,0,h,0,0,0]))", "set_tcp(p[0,0,h,0,0,0])", "if W4[0] > W3[0]:\n    movej(W4)\n  end",
         "z = 0.01\n  movej(pose_trans(W4, p[0,0,z,0,0,0]))", "n = 0\n  while n < 3:\n    W4 = pose_add(W4, p[0,0,0.003,0,0,0])\n    movej(W4)\n    n = n + 1\n  end",
     ]  # fmt: skip
     body = draw(st.lists(st.sampled_from(certain + doubtful), min_size=1, max_size=7))
@@ -528,7 +529,7 @@ def modules(draw):
                     "MoveJ inw,v100,fine,t0\\WObj:=w1;", "MoveJ s.at,v100,fine,t0;", "now:=b;", "now:=list{2};", "a_is:=now;", "MoveJ a_is,v100,fine,t0;", "Incr n;", "n:=1;", "Add x,5;", "x:=0;",
                     "now_t:=t1;", "s.at:=a;", "s.at.trans.z:=s.at.trans.z+4;", "set_now;", "shift now;", "shift list{2};", "shift s.at;", "MoveJ RelTool(at(n),0,0,-x),v100,fine,t0;",
                     "w1.oframe.trans.x:=w1.oframe.trans.x+2;", "IF DInput(di1)=1 THEN\n  now:=a;\n  set_now;\nENDIF", "FOR k FROM 1 TO 2 DO\n  go list{k};\n  now:=list{k};\nENDFOR",
-                    "IF f(a)=1 THEN\n  MoveJ now,v100,fine,t0;\nELSEIF f(b)=1 THEN\n  MoveJ now,v100,fine,t0;\nENDIF", "two now;", "x:=a.trans.z*0.01;", "x:=x+now.trans.y*0.01;", "now_t.tframe.trans.z:=x;", "IF a.trans.x>b.trans.x THEN\n  now:=list{3};\nENDIF", "FOR k FROM 1 TO f(b) DO\n  go now;\nENDFOR",
+                    "IF f(a)=1 THEN\n  MoveJ now,v100,fine,t0;\nELSEIF f(b)=1 THEN\n  MoveJ now,v100,fine,t0;\nENDIF", "two now;", "x:=a.trans.z*0.01;", "MoveJ counted(),v100,fine,t0;", "x:=x+now.trans.y*0.01;", "now_t.tframe.trans.z:=x;", "IF a.trans.x>b.trans.x THEN\n  now:=list{3};\nENDIF", "FOR k FROM 1 TO f(b) DO\n  go now;\nENDFOR",
                     "WHILE n<3 DO\n  go Offs(now,0,0,n);\n  n:=n+1;\nENDWHILE\nn:=1;", "now:=CRobT(\\Tool:=t0);", "SearchL\\Stop,di1,now,b,v100,t0;", "go now;", "twice;",
                 ]
             ),
@@ -547,6 +548,7 @@ def modules(draw):
     routines = ["PROC set_now()", "  now:=list{1};", "ENDPROC", "PROC shift(INOUT robtarget p)", "  p.trans.y:=p.trans.y+3;", "ENDPROC"]  # fmt: skip
     routines += ["PROC go(robtarget p)", "  MoveJ p,v100,fine,t0;", "ENDPROC", "FUNC robtarget at(num k)", "  IF k=1 RETURN a;", "  RETURN now;", "ENDFUNC"]  # fmt: skip
     routines += ["FUNC num f(robtarget p)", "  now:=p;", "  RETURN n;", "ENDFUNC", "PROC two(INOUT robtarget p)", "  p:=a;", "  MoveJ now,v100,fine,t0;", "ENDPROC"]  # fmt: skip
+    routines += ["FUNC robtarget counted()", "  n:=n+1;", "  RETURN Offs(now,0,0,4);", "ENDFUNC"]
     routines += ["PROC twice()", "  go now;", "  now:=b;", "  go now;", "ENDPROC"]
     return module(data, [*body, "MoveJ now,v100,fine,t0;"], *routines)
 

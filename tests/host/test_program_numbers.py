@@ -214,3 +214,19 @@ def test_a_link_of_a_urdf_is_asked_for_also_in_own_frames(tmp_path):
     with pytest.raises(ProgramError, match="frame wrist_3_link") as caught:
         correct_program(path, how, names, ProgramOptions(tool=TOOLS[0]))
     assert "own frames" not in str(caught.value)
+
+
+COUNTED = {
+    "script": program("n = 0", f"V = {V}", "def at():", "  global n = n + 1", "  x = 0.01", "  return pose_trans(V, p[0,0,x,0,0,0])", "end", "movej(V)", "movej(at())", "if n == 1:", f"  movej({six(POSES[3])})", "end"),
+    "rapid": module([A, "VAR num n:=0;"], ["MoveJ a,v100,fine,t0;", "MoveJ at(),v100,fine,t0;", "IF n=1 MoveJ b,v100,fine,t0;"], B, "FUNC robtarget at()", "n:=n+1;", "RETURN Offs(a,0,0,20);", "ENDFUNC"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("language", COUNTED)
+def test_a_routine_that_is_called_for_a_target_is_not_written_over(tmp_path, language):
+    """It may do more than return the target, as this one counts."""
+    text = COUNTED[language]
+    (call,) = [k for k, line in enumerate(text.splitlines(), start=1) if "(at()" in line or " at()," in line]
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text, split=True)
+    assert [(one.line, one.remedy) for one in caught.value.refused] == [(call, "")]

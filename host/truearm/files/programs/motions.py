@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from truearm.files.programs.syntax import Expression, Number, Taught, Text, Truth
+from truearm.files.programs.syntax import Taught
 from truearm.files.programs.values import Goal, Pose, Solved, Unknown, Value, Values
 
 UNDECLARED = "name"  # the remedy for a name that the file does not declare, until its use is known
@@ -26,9 +26,8 @@ class Motion:
     problems: dict[tuple[str, str], None] = field(default_factory=dict)  # reason, and the argument to resolve it
 
 
-def goal_of(value: Value, tool: Value, frame: Value, argument: Expression) -> Goal | tuple[str, str]:
-    """Return the goal, or why there is none."""
-    place = (argument.start, argument.end) if not isinstance(argument, Number | Text | Truth) else (-1, -1)
+def goal_of(value: Value, tool: Value, frame: Value, place: tuple[int, int]) -> Goal | tuple[str, str]:
+    """Return the goal, or why there is none; ``place``: of the argument that contains it."""
     if isinstance(value, Unknown):
         return value.why, "" if value.remedy == UNDECLARED else value.remedy
     if isinstance(value, Taught):

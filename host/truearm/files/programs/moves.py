@@ -8,7 +8,7 @@ from itertools import chain
 from truearm.files.programs.environment import HERE, few
 from truearm.files.programs.motions import Motion, goal_of
 from truearm.files.programs.routines import Routines
-from truearm.files.programs.syntax import Call, Expression
+from truearm.files.programs.syntax import Call, Expression, Number, Text, Truth
 from truearm.files.programs.values import Begin, Goal, Unknown, Value, Values, distinct, joined
 from truearm.files.programs.variables import Variables
 from truearm.files.programs.work import GOAL, MOVE, SEVERAL, Work
@@ -51,8 +51,9 @@ class Moves(Variables):
         for tool in tools:
             for frame in frames:
                 for k, (values, argument) in enumerate(targets, start=1):
+                    place = self._place(argument)
                     for value in values:
-                        found = goal_of(value, tool, frame, argument)
+                        found = goal_of(value, tool, frame, place)
                         if isinstance(found, Goal):
                             motion.goals[found] = None
                         else:
@@ -63,6 +64,12 @@ class Moves(Variables):
         motion.straight = straight
         self._leg(motion, self.environment.get(HERE) or ANYWHERE, tuple(ends))
         self.environment.set(HERE, joined(self.environment.get(HERE), reached) if self.loose else reached)
+
+    def _place(self, argument: Expression) -> tuple[int, int]:
+        """Return the place of an argument; without an end if nothing can replace it, because it does something too."""
+        if isinstance(argument, Number | Text | Truth):
+            return -1, -1
+        return argument.start, -1 if self.routines.runs_routine(argument) else argument.end
 
     def _leg(self, motion: Motion, starts: Values, ends: Values) -> None:
         """Record from where and to where a move is made. What begins where a routine does is made for each of its calls."""

@@ -232,8 +232,12 @@ def _assigned(
                     why = f"it shares the target of line {shared} with the move of line {other}, but needs different numbers there"
                     if motions[taken] is motion:
                         why = f"its tool, frame or offset differs between its calls, which need different numbers in the target of line {shared}"
-                    if own is None and (n := _goals_at(goal, motion)) > 1:
-                        why += f"; it goes to {n} poses: pass each as an argument of its own, or write the move out for each"
+                if own is None and goal.start >= 0 > goal.end:
+                    why += "; the call that gives its target may do more, so it is not replaced"
+                elif own is None and (n := _goals_at(goal, motion)) > 1:
+                    why += (
+                        f"; it goes to {n} poses: pass each as an argument of its own, or write the move out for each"
+                    )
                 refuse(motion, why, "" if own is None else "split")
     unique: dict[object, int] = {}
     index: list[int | None] = []
@@ -285,7 +289,7 @@ def _why_read(program: Program, place: int) -> str:
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
     """Return the goal written into its move, if the argument is used nowhere else and goes to nothing else."""
     alone = _goals_at(goal, motion) == 1
-    return PoseTarget(goal, None, motion.start) if alone and goal.start >= 0 and not motion.problems else None
+    return PoseTarget(goal, None, motion.start) if alone and goal.end >= 0 and not motion.problems else None
 
 
 def _goals_at(goal: Goal, motion: Motion) -> int:

@@ -163,7 +163,7 @@ class Goal(NamedTuple):
     frame: Pose
     near: Taught | tuple[float, ...] | None  # joint readings [rad] that select the configuration
     start: int  # of the argument that contains it
-    end: int
+    end: int  # -1 if nothing can replace it
     own_tool: bool = False
 
 
