@@ -149,6 +149,13 @@ def test_bad_text_is_one_clear_line(text, says):
     assert "\n" not in str(caught.value)
 
 
+def test_a_base_fixed_beside_the_path_is_named_with_its_parent():
+    """Universal Robots' base hangs on base_link, as the arm does."""
+    text = robot(joint("j1", "revolute", "a", "b"), joint("beside", "fixed", "a", "d", more=""))
+    with pytest.raises(RobotError, match="or base 'a', to which 'd' is fixed"):
+        chain_from_urdf(text, base="d", tip="b")
+
+
 def test_unknown_base_and_tip():
     with pytest.raises(RobotError, match="no link 'flange'; it has a, b"):
         chain_from_urdf(robot(HOP, links="ab"), tip="flange")

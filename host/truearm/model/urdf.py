@@ -141,7 +141,9 @@ def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_Urdf
     link, seen = tip, {tip}
     while link != base:
         if link not in by_child:
-            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}; choose a tip below the base")
+            above = _fixed_above(base, by_child)
+            other = f", or base {above!r}, to which {base!r} is fixed" if above != base else ""
+            raise RobotError(f"URDF: link {tip!r} is not below link {base!r}; choose a tip below the base{other}")
         path.append(by_child[link])
         link = path[-1].parent
         if link in seen:
@@ -152,6 +154,12 @@ def _path(base: str, tip: str, by_child: Mapping[str, _UrdfJoint]) -> list[_Urdf
     if not path:
         raise RobotError(f"URDF: base and tip are the same link {base!r}; choose two links")
     return path[::-1]
+
+
+def _fixed_above(link: str, by_child: Mapping[str, _UrdfJoint]) -> str:
+    """Return the link from which a link hangs by one fixed joint, such as base_link for a UR's base; otherwise itself."""
+    joint = by_child.get(link)
+    return joint.parent if joint is not None and joint.kind == "fixed" else link
 
 
 def _build(name: str, path: list[_UrdfJoint], base: str, tip: str) -> Chain:
