@@ -230,3 +230,16 @@ def test_a_routine_that_is_called_for_a_target_is_not_written_over(tmp_path, lan
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text, split=True)
     assert [(one.line, one.remedy) for one in caught.value.refused] == [(call, "")]
+
+
+PARTS = {
+    "element": program(f"path = [{W}, {V}]", "if path[0][2] > 0.1:", "  movej(path[0])", "end", "movej(path[1])"),
+    "field": program(f"s = struct(at={W})", "if s.at[2] > 0.1:", "  movej(s.at)", "end", "movej((s.at))"),
+    "element in rapid": module([LIST], ["IF list{1}.trans.z>1 MoveJ list{1},v100,fine,t0;", "MoveJ list{2},v100,fine,t0;"]),
+    "component in rapid": module(["RECORD stop", "  robtarget at;", "  num wait;", "ENDRECORD", f"VAR stop s:=[{robtarget(1)},0.5];"], ["IF s.at.trans.z>1 MoveJ s.at,v100,fine,t0;"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", PARTS)
+def test_a_part_of_a_list_is_written_over_with_its_name(tmp_path, form):
+    assert misses(PARTS[form], corrected(tmp_path, PARTS[form], split=True)).max() < 1e-6

@@ -140,10 +140,10 @@ class ExpressionReader(Reader):
         return left
 
     def postfix(self) -> Expression:
+        start = self.start
         found = self.atom()
         links = 0
         while self.kind == "sign" and self.text in "{.":
-            start = self.start
             links += 1
             self.longer(links)
             if self.step() == ".":

@@ -223,10 +223,10 @@ class _Reader(Reader):
         return Operation(sign, operands, start, self.end)
 
     def postfix(self) -> Expression:
+        start = self.start
         found = self.atom()
         links = 0
         while self.kind == "sign" and self.text in "[.":
-            start = self.start
             links += 1
             self.longer(links)
             if self.step() == ".":
