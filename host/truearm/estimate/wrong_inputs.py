@@ -49,6 +49,7 @@ from truearm.types import ObservationTable
 from truearm.units import UNITS
 
 MOST_NAMED = 3
+SURELY = 6.0  # standard deviations, of a displacement that its own uncertainty does not explain
 MOST_HELD = 6  # names of parameters
 AS_LIKELY = 4.0  # χ² of explanations that are reported with the best
 FAR_FETCHED = 1.0  # score of a wrong constant that is not reported beside a better explanation
@@ -175,10 +176,17 @@ def absurd(estimate: Estimate) -> bool:
 
 
 def elsewhere(estimate: Estimate) -> bool:
-    """Return whether a parameter moved far from its described value: wrong labels may rotate a fixture."""
+    """Return whether parameters moved far from their described values: wrong labels may rotate a fixture.
+
+    If the observations hardly determine one of them, such as the turn of the base about nearly collinear chucks, it may
+    be far away with correct labels, and others follow it along its arc.
+    """
     p = estimate.n_robot_parameters
     wide = np.array([UNITS[unit].wide_sigma for unit in estimate.units[:p]])
-    return bool((np.abs(estimate.value - estimate.nominal)[:p] > FAR * wide).any())
+    moved = np.abs(estimate.value - estimate.nominal)[:p]
+    far = moved > FAR * wide
+    sigma = np.nan_to_num(estimate.sigma[:p])  # NaN: not identifiable
+    return bool(far.any() and (moved > SURELY * sigma)[far].all())
 
 
 def _unusable(estimate: Estimate) -> Unusable | None:
