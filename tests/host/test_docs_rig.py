@@ -55,7 +55,7 @@ CASES = {
     "zero of both bars known to 0.02 mm": changed(zero_sigma=2e-5),
     "zero of both bars known to 0.1 mm": changed(zero_sigma=1e-4),
     "zero of both bars known to 1 mm": changed(zero_sigma=1e-3),
-    "zero of bar46 known, the extension rod's length to 1 mm": changed("bar61", zero_sigma=1e-3),
+    "zero of bar46 known, zero of bar61 to 1 mm": changed("bar61", zero_sigma=1e-3),
     "gain of both bars known to 0.1 %": changed(gain_sigma=1e-3),
     "gain of both bars known to 1 %": changed(gain_sigma=1e-2),
     "zero to 1 mm and gain to 1 %": changed(zero_sigma=1e-3, gain_sigma=1e-2),
