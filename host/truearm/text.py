@@ -34,6 +34,11 @@ def with_article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'aeiouAEIOU' else 'a'} {noun}"
 
 
+def faster(rate_ppm: float, digits: int) -> str:
+    """Return how much faster or slower a clock counts: "28.3 ppm slower"."""
+    return f"{abs(rate_ppm):.{digits}f} ppm {'slower' if rate_ppm < 0 else 'faster'}"
+
+
 def outcome(status: str, iterations: int | None = None) -> str:
     """Return how a fit ended in words, with its number of iterations if given."""
     converged = status == "converged"

@@ -186,7 +186,7 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
     parts = {name.partition(".")[0] for direction in result["hardly_seen"] for name in direction["names"]}
     assert {"link1", "link7"} <= parts
     assert (
-        "3 combinations of parameters are weakly identifiable, less accurately than from a drawing (1 mm, 5 mrad"
+        "3 combinations of parameters are weakly identifiable: these observations determine them less accurately than a drawing does (1 mm, 5 mrad"
         in text
     )
     assert f"Next: {POSES} to determine 3 more parameters better than a drawing" in text

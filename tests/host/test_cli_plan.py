@@ -168,7 +168,10 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
             (["--branch", ",".join([pair] * 6)], "needs LOW:HIGH in deg, LOW below HIGH")
             for pair in ("", "1", "1:0", "a:b", "0:nan")
         ),
-        (["--branch", ",".join(["0:9999"] * 6)], "--branch: a bound lies outside the joint's limits"),
+        (
+            ["--branch", ",".join(["0:9999"] * 6)],
+            "--branch: the bounds of joint1 must lie within its limits, -165 to 165 deg",
+        ),
         (["--reserve-mm", "37"], "lower --reserve-mm or --spread-mm"),
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),

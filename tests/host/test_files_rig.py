@@ -252,7 +252,10 @@ WRONG = {
     "flat normal": ('[[plane]]\nname="p"\nxyz_m=[0,0,0]\nnormal=[0,0,0]\nsigma_m=1e-5\n', "normal: must not be zero"),
     "socket twice": (SOCKET + SOCKET, "[[socket]] 2: 'p/0' is already defined"),
     "odd place": (SOCKET.replace('"p"', '"a b"'), "[[socket]] 1: place: 'a b' is not a name"),
-    "same socket": ('[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n', "from itself"),
+    "same socket": (
+        '[[socket_distance]]\nsockets = ["0", "0"]\ndistance_m = 1\nsigma_m = 1\n',
+        "both are '0'; name two different sockets",
+    ),
 }
 
 

@@ -66,7 +66,7 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     (line,) = (
         line for line in run("inspect", tmp_path / "s.mcap")[1].splitlines() if line.startswith("clock, segment")
     )
-    assert line.endswith(f"the host counts {clock['rate_ppm']:+.3f} ppm faster")  # one window has no range
+    assert line.endswith(f"the host counts {-clock['rate_ppm']:.3f} ppm slower")  # one window has no range
     assert said["robot"]["rate_hz"] == pytest.approx(125.0, abs=0.1)
     assert (said["dwells"]["found"], said["dwells"]["observations"], said["dwells"]["rejected"]) == (5, 5, {})
 

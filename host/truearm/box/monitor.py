@@ -16,7 +16,7 @@ from truearm.box.readiness import LVDT, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.interrupt import asked_to_stop
 from truearm.session.losses import COUNTERS
-from truearm.text import counted, one_line
+from truearm.text import counted, faster, one_line
 from truearm.units import DEGC, MDEGC, MS, NS, US
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def clock_words(watch: Watch) -> str:
     if now is None:
         return "not known yet"
     return (
-        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, host {now.rate_ppm:+.1f} ppm faster, "
+        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, host {faster(now.rate_ppm, 1)}, "
         f"shortest round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')}"
     )
 

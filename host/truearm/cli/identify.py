@@ -89,8 +89,8 @@ def identify(
         Prior | None,
         typer.Option(
             help=f"Prior about the nominal values. weak: sigma of {' and '.join(tolerances('weak')[:2])}. wide: {' and '.join(tolerances('wide')[:2])}. "
-            "where-needed: like weak, but for weakly identifiable parameters only. Without this option: none for --solver ls; otherwise "
-            "weak for a URDF; otherwise where-needed for lm and recursive, wide for map, none for renders-1991."
+            "where-needed: like weak, but for weakly identifiable parameters only. Default for a URDF: weak. Default for "
+            "other robots: where-needed; wide with --solver map, none with renders-1991. The solver ls uses no prior."
         ),
     ] = None,
     solver: Annotated[

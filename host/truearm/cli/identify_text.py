@@ -228,8 +228,8 @@ def unseen(document: Document) -> list[str]:
     if weak:
         what = counted(len(weak), "combination")
         lines.append(
-            f"{what} of parameters {'is' if len(weak) == 1 else 'are'} weakly identifiable, less accurately than from a drawing "
-            f"({drawing()}):"
+            f"{what} of parameters {'is' if len(weak) == 1 else 'are'} weakly identifiable: these observations determine "
+            f"{'it' if len(weak) == 1 else 'them'} less accurately than a drawing does ({drawing()}):"
         )
         lines += _directions(weak, "hardly_seen")
     return lines

@@ -54,10 +54,10 @@ def init(
     ] = None,
     chucks: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Chucks (magnetic cups) on the table (3).", **PARTS),
+        typer.Option(metavar="N", help="Chucks (magnetic cups) on the table. Default: 3.", **PARTS),
     ] = None,
     spheres: Annotated[
-        int | None, typer.Option(metavar="N", help="Spheres (steel balls) on the robot's end (3).", **PARTS)
+        int | None, typer.Option(metavar="N", help="Spheres (steel balls) on the robot's end. Default: 3.", **PARTS)
     ] = None,
     bars: Annotated[
         str | None,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from truearm.session.dwells import MOUNTING
+from truearm.session.dwells import MOUNTING, NEED_DECISION
 from truearm.session.losses import COUNTERS, EXTREMES
-from truearm.text import counted, one_line
+from truearm.text import counted, faster, one_line
 from truearm.types import BAR_MOUNTED
 from truearm.units import DEGC, MM_S, NS, ONE, UM, URAD, US, Scale
 
@@ -146,8 +146,8 @@ def _clock(reports: list[Mapping[str, Any]]) -> Iterator[str]:
     for report in reports:
         varies = f" (varies by {report['rate_range_ppm']:.3f} ppm)" if report["windows"] > 1 else ""
         yield (
-            f"clock, segment {report['segment']}: host − box {NS.to_si(report['offset_ns']):.6f} s, the host counts {report['rate_ppm']:+.3f} ppm "
-            f"faster{varies}"
+            f"clock, segment {report['segment']}: host − box {NS.to_si(report['offset_ns']):.6f} s, the host counts "
+            f"{faster(report['rate_ppm'], 3)}{varies}"
         )
         yield (
             f"  error at most {_of_ns(report['bound_ns'], '.1f')} µs; of this, {_of_ns(report['half_asymmetry_ns'], '.1f')} µs is half the shortest "
@@ -189,7 +189,7 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     for report in robot["clock"]:
         yield from _edges(report["edges"])
         yield (
-            f"  clock: the host counts {report['rate_ppm']:+.3f} ppm faster{_spread(report['spread_ns'], '.1f')}; readings arrive "
+            f"  clock: the host counts {faster(report['rate_ppm'], 3)}{_spread(report['spread_ns'], '.1f')}; readings arrive "
             f"{_of_ns(report['jitter_ns'], '.0f')} µs later than the fastest one (mean); a constant latency cannot be determined"
         )
 
@@ -265,7 +265,7 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
             f"  each point uses {max(row['window_s'] for row in good):.2f} s of samples; its time is known to {US.text(late_s, '.0f')} "
             f"({UM.text(off_m, '.0f')} at this speed); a constant delay remains, which identify estimates from lines driven there and back"
         )
-    yield f"  {'pass':>6} {'t robot/s':>10} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
+    yield f"  {'pass':>6} {'robot time/s':>12} {'mm/s':>7} {'points':>6} {'noise x, y, z/µm':>17} {'joints/µrad':>11}  line"
     shown = passes["table"] if len(passes["table"]) <= DWELLS else [row for row in passes["table"] if row["reason"]]
     for row in shown[:DWELLS]:
         yield _pass_line(row)
@@ -280,7 +280,7 @@ def _pass_line(row: Mapping[str, Any]) -> str:
     dropped = "".join(f", {counted(count, 'point')} not made: {reason}" for reason, count in row["dropped"].items())
     became = f", {row['reason']}" if row["reason"] else ""
     return (
-        f"  {row['pass']:>6} {row['t_robot_s']:>10.1f} {_number(row['speed_m_s'], '.1f', MM_S):>7} {row['points']:>6} {noise:>17} "
+        f"  {row['pass']:>6} {row['t_robot_s']:>12.1f} {_number(row['speed_m_s'], '.1f', MM_S):>7} {row['points']:>6} {noise:>17} "
         f"{joints:>11}  {one_line(row['line'])}{way}{became}{dropped}"
     )
 
@@ -292,13 +292,13 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
         yield f"  settling time: median {good[len(good) // 2]:.2f} s, longest {good[-1]:.2f} s"
     shown = rows if len(rows) <= DWELLS else [row for row in rows if row["reason"] not in ("", MOUNTING)]
     if shown:
-        yield f"  {'dwell':>6} {'t robot/s':>10} {'settling/s':>10} {'used/s':>7} {'pose':>5}  of"
+        yield f"  {'dwell':>6} {'robot time/s':>12} {'settling/s':>10} {'used/s':>7} {'pose':>5}  mounted"
     for row in shown[:DWELLS]:
         fittings = " ".join(row[key] for key in BAR_MOUNTED if key in row)
         became = f"{row['reason']}: {row['detail']}" if row["detail"] else row["reason"]
         pose = "-" if row["pose"] is None else row["pose"]
         yield (
-            f"  {row['dwell']:>6} {row['t_robot_s']:>10.1f} {row['settling_s']:>10.2f} {row['used_s']:>7.2f} {pose:>5}  "
+            f"  {row['dwell']:>6} {row['t_robot_s']:>12.1f} {row['settling_s']:>10.2f} {row['used_s']:>7.2f} {pose:>5}  "
             f"{one_line(fittings) or '-'}{', ' if became else ''}{one_line(became)}"
         )
     if len(shown) > DWELLS:
@@ -306,6 +306,8 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _explained(reason: str, planned: bool) -> str:
+    if reason in NEED_DECISION:
+        return " (decide what was mounted with truearm relabel)"
     if reason != "no plan match":
         return ""
     if planned:

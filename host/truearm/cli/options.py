@@ -116,6 +116,14 @@ PayloadOption = Annotated[
 # Rig and plan
 _RIG = "Rig: chucks, spheres, bars, sockets, devices (.toml)."
 RigOption = Annotated[Path, typer.Option("--rig", metavar="FILE", help=_RIG)]
+RecordedRigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig",
+        metavar="FILE",
+        help=f"{_RIG} It is stored in the session. Default with --resume: the rig of that session.",
+    ),
+]
 SessionRigOption = Annotated[
     Path | None, typer.Option("--rig", metavar="FILE", help=f"{_RIG} Default: the rig in the session.")
 ]

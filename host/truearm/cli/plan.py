@@ -82,7 +82,9 @@ ProgramOption = Annotated[
 InputOption = Annotated[
     int | None,
     typer.Option(
-        min=0, metavar="N", help="Digital input on which the box answers. Default: the program does not wait for it."
+        min=0,
+        metavar="N",
+        help="Digital input that follows --output-line by way of the box: the program waits for it, at most 5 s. Default: no waiting.",
     ),
 ]
 OutputOption = Annotated[

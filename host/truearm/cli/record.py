@@ -16,7 +16,7 @@ from truearm.cli.options import (
     OptionalBoxOption,
     PlainOption,
     PlanOption,
-    SessionRigOption,
+    RecordedRigOption,
     out_file,
 )
 from truearm.cli.output import print_json, print_lines
@@ -48,7 +48,7 @@ def record(
         ),
     ] = None,
     plan: PlanOption = None,
-    rig: SessionRigOption = None,
+    rig: RecordedRigOption = None,
     mounted: Annotated[
         str | None,
         typer.Option(

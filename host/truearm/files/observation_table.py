@@ -127,7 +127,9 @@ def _check_kinds(
                 )
         for column in leaves[kind[i]]:
             if filled[column][i]:
-                raise TableError(f"{where}: {with_article(kind[i])} row has no {titles[column]}; leave that cell empty")
+                raise TableError(
+                    f"{where}: {with_article(kind[i])} row has no {column if column in names else titles[column]}; leave that cell empty"
+                )
 
 
 def _field(column: str | Quantity) -> str:

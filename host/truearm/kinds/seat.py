@@ -148,7 +148,7 @@ def _socket(place: str = "", **point: Any) -> Socket:
 
 def _socket_distance(sockets: tuple[str, str], distance: float, sigma: float) -> SocketDistance:
     if sockets[0] == sockets[1]:
-        raise SchemaError(f"the distance of socket {sockets[0]!r} from itself is not a measurement")
+        raise SchemaError(f"sockets: both are {sockets[0]!r}; name two different sockets")
     return SocketDistance(sockets, distance, sigma)
 
 

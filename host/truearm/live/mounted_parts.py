@@ -19,7 +19,7 @@ def parse_mounted(text: str) -> dict[str, str]:
         key, separator, name = (part.strip() for part in entry.partition("="))
         if key not in MOUNTABLE or not separator or not name:
             raise InputError(
-                f"mounted: {entry[:40]!r} is not KEY=NAME; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"
+                f"mounted: {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"
             )
         if key in mounting:
             raise InputError(f"mounted: {key} is named twice")

@@ -9,6 +9,7 @@ from truearm.model.builtin import names_with_branch
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
+from truearm.units import DEG, MM
 
 MIN_JOINTS = 6  # with fewer, an arm cannot orient the tool freely
 
@@ -35,6 +36,10 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
     limits = np.array([(joint.lower, joint.upper) for joint in chain.joints])
     if len(given.lower) != len(limits):
         raise PlanError(Argument("branch"), f": needs bounds of {len(limits)} joints, has {len(given.lower)}")
-    if (given.lower < limits[:, 0]).any() or (given.upper > limits[:, 1]).any():
-        raise PlanError(Argument("branch"), ": a bound lies outside the joint's limits")
+    outside = np.flatnonzero((given.lower < limits[:, 0]) | (given.upper > limits[:, 1]))
+    if outside.size:
+        joint = chain.joints[outside[0]]
+        scale = DEG if joint.kind == "revolute" else MM
+        limits_text = f"{scale.of(joint.lower):.6g} to {scale.text(joint.upper, '.6g')}"
+        raise PlanError(Argument("branch"), f": the bounds of {joint.name} must lie within its limits, {limits_text}")
     return given

@@ -29,7 +29,7 @@ class Motion:
 def goal_of(value: Value, tool: Value, frame: Value, place: tuple[int, int]) -> Goal | tuple[str, str]:
     """Return the goal, or why there is none; ``place``: of the argument that contains it."""
     if isinstance(value, Unknown):
-        return value.why, "" if value.remedy == UNDECLARED else value.remedy
+        return (f"{value.why}; declare it there", "") if value.remedy == UNDECLARED else (value.why, value.remedy)
     if isinstance(value, Taught):
         return Goal(value, Pose(()), Pose(()), None, *place)
     near, own = None, False

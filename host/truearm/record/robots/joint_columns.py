@@ -74,13 +74,12 @@ def with_point(cell: str) -> str:
 
 def parse_renames(text: str) -> tuple[tuple[str, str], ...]:
     """Parse OURS=THEIRS,… into pairs (ours, theirs); {} in both stands for a joint's number. Raises InputError."""
-    pairs = tuple(
-        (ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in text.split(","))
-    )
-    for ours, theirs in pairs:
+    parts = text.split(",")
+    pairs = tuple((ours.strip(), theirs.strip()) for ours, _, theirs in (part.partition("=") for part in parts))
+    for part, (ours, theirs) in zip(parts, pairs, strict=True):
         if not theirs or not ours or (NUMBERED in ours) != (NUMBERED in theirs) or theirs.count(NUMBERED) > 1:
             raise InputError(
-                f"{quoted(f'{ours}={theirs}')}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
+                f"{quoted(part)}: write OURS=THEIRS, such as t_s=timestamp or q{NUMBERED}_rad=actual_q_{NUMBERED}, "
                 f"with {NUMBERED} for a joint's number on both sides or none"
             )
     return pairs

@@ -45,7 +45,9 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
 
 
 def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
-    if path.exists() and not path.is_file():
+    if not path.exists():
+        raise TableError(f"{path}: no such file")
+    if not path.is_file():
         raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
