@@ -291,8 +291,8 @@ class ObservationTable:
     """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 
     - ``kind``: one of ``kinds.registry.NAMES``.
-    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row (NaN: touched,
-      0). NaN for other kinds.
+    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row
+      (NaN means 0, a touch). NaN for other kinds.
     - ``xyz`` [m]: the measured point of a line, position or pose row, in the device's axes.
     - ``rotation`` [rad]: the measured rotation vector of a pose row.
     - ``q_rate``: joint velocities, NaN where the robot was at rest or they were not measured.
