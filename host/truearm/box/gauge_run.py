@@ -223,7 +223,9 @@ def _find(ident: Ident, name: str) -> tuple[Stream, int]:
         off = "; its stream is off (truearm box config set magnetostrictive.period_us=983.04)" if name == HEAD else ""
         raise InputError(f"the box has no channel {name[:40]!r}{off}; it has {names}")
     if found[0].channels[found[1]].fault:
-        raise InputError(f"channel {name} cannot be used: {found[0].channels[found[1]].fault}")
+        raise InputError(
+            f"channel {name} cannot be used: {found[0].channels[found[1]].fault}; correct it with truearm box config set"
+        )
     return found
 
 

@@ -34,8 +34,11 @@ FASTEST = 10.0  # m/s; a higher speed was written in another unit
 
 def concatenate(*plans: Plan) -> Plan:
     """Return several plans, visited one after the other. Raises PlanError if their numbers of joints differ."""
-    if len({plan.q.shape[1] for plan in plans}) != 1:
-        raise PlanError(f"the plans are for different robots: they have {[plan.q.shape[1] for plan in plans]} joints")
+    joints = sorted({plan.q.shape[1] for plan in plans})
+    if len(joints) != 1:
+        raise PlanError(
+            f"the plans are for different robots: they have {' and '.join(str(n) for n in joints)} joints; give plans for one robot"
+        )
     return Plan(**{name: np.concatenate([getattr(plan, name) for plan in plans]) for name in Plan.columns()})
 
 
