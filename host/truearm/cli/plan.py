@@ -84,7 +84,7 @@ InputOption = Annotated[
     typer.Option(
         min=0,
         metavar="N",
-        help="Digital input that follows --output-line by way of the box: the program waits for it, at most 5 s. Default: no waiting.",
+        help="Digital input of another device that acknowledges --output-line: the program waits up to 5 s for it. The box does not acknowledge. Default: no waiting.",
     ),
 ]
 OutputOption = Annotated[
