@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import sys
+import time
 
 INTERRUPTED = 130  # ExitCode.INTERRUPTED, before anything can be imported
+SOON_S = 0.01
+
+
+def keep_interrupts() -> None:
+    """Raise Ctrl-C again if it strikes in a callback whose exceptions Python ignores.
+
+    Python calls one after each import, when it forgets the module's lock.
+    """
+
+    def again() -> None:
+        time.sleep(SOON_S)  # until the callback has ended
+        _thread.interrupt_main()
+
+    def hook(ignored: sys.UnraisableHookArgs) -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            _thread.start_new_thread(again, ())
+        else:
+            sys.__unraisablehook__(ignored)
+
+    sys.unraisablehook = hook
 
 
 def run() -> None:
     """Run the command line and end the process with its exit code."""
+    keep_interrupts()
     try:
         from truearm.cli.main import main
 

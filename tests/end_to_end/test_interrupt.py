@@ -34,6 +34,28 @@ def test_interrupted_demo_is_one_line_and_130(tmp_path, after_s):
     assert not (tmp_path / "report.html").exists()
 
 
+IN_A_CALLBACK = """
+import signal, time, weakref
+from truearm.__main__ import keep_interrupts
+keep_interrupts()
+class Lock: pass
+lock = Lock()
+reference = weakref.ref(lock, lambda _: signal.raise_signal(signal.SIGINT))
+try:
+    del lock
+    time.sleep(5)
+    print("lost")
+except KeyboardInterrupt:
+    print("kept")
+"""
+
+
+def test_an_interrupt_in_a_callback_is_not_lost():
+    """As of an import, in which Python forgets the module's lock: the demo once ran to its end."""
+    done = subprocess.run([sys.executable, "-c", IN_A_CALLBACK], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("kept\n", "")
+
+
 def test_full_disk_behind_standard_output():
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full on this platform")
