@@ -328,6 +328,7 @@ def statements(draw):
         "i = 0",
         "q0 = get_inverse_kin(W2)",
         "h = 0.004",
+        "s = struct(at=W4, all=[W3, W1])",
         "global n = 0",
         *("def f():", "  global n = n + 1", "  global W2 = W3", "  return n > 1", "end"),
         *("def c():", "  global i = 1", "  return pose_trans(W3, p[0,0,h,0,0,0])", "end"),
@@ -343,7 +344,8 @@ def statements(draw):
     doubtful = [
         "if f():\n    movej(W1)\n  elif g():\n    movej(W2)\n  end", "while g():\n    W2 = W4\n  end", "if i == 1 and f():\n    movej(W3)\n  end",
         "q0 = get_inverse_kin(W3)", "movej(q0)", "movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.005,0,0,0]))", "W1[2] = W1[2] + 0.005", "movej(pose_trans(W3, p[0,0,0.005,0,0,0]))", "W2 = pose_trans(W2, p[0,0,0.004,0,0,0])",
-        "movej(c())", "h = W1[2] * 0.01", "h = h + path[i][0] * 0.01", "movej(pose_add(W3, p[0,0,h,0,0,0]))", "set_tcp(p[0,0,h,0,0,0])", "if W4[0] > W3[0]:\n    movej(W4)\n  end",
+        "movej(c())", "movej(s.at)", "s.at = W1", "movej(s.all[i])", f"movej(get_inverse_kin(W3, tcp=p{written(TOOLS[0])}))", "movej(get_inverse_kin(pose_trans(W4, p[0,0,h,0,0,0])))",
+        "path[0] = pose_trans(path[0], p[0,0,h,0,0,0])", "if path[1][0] > W1[0]:\n    movej(path[0])\n  end", "h = W1[2] * 0.01", "h = h + path[i][0] * 0.01", "movej(pose_add(W3, p[0,0,h,0,0,0]))", "set_tcp(p[0,0,h,0,0,0])", "if W4[0] > W3[0]:\n    movej(W4)\n  end",
         "z = 0.01\n  movej(pose_trans(W4, p[0,0,z,0,0,0]))", "n = 0\n  while n < 3:\n    W4 = pose_add(W4, p[0,0,0.003,0,0,0])\n    movej(W4)\n    n = n + 1\n  end",
     ]  # fmt: skip
     body = draw(st.lists(st.sampled_from(certain + doubtful), min_size=1, max_size=7))
