@@ -151,7 +151,8 @@ class _Reader(Reader):
         self.close(f"{kind} {name}", start)
         how: Literal["routine", "beside"] = "beside" if kind == "thread" else "routine"
         routine = Routine(name, tuple(parameters), body, how, start, inner=tuple(self.found))
-        self.found = [*outer, routine]
+        self.found = outer
+        outer.append(routine)
         return routine
 
     def choice(self) -> If:
