@@ -10,7 +10,7 @@ WORK, WORK_EACH = 500_000, 0.25  # units for any program, and for each byte of i
 # what something costs, in units
 TOKEN, STATEMENT, DEEPER = 1, 1, 1  # of the text, as it is read: tokens, statements, brackets and blocks
 MOVE, GOAL = 5, 5  # and each of its possible goals
-CALL, BLOCK = 50, 2  # of a routine; one of the blocks of a choice
+CALL, BLOCK = 70, 2  # of a routine; one of the blocks of a choice
 GEOMETRY = 14  # a function of poses
 ELEMENT = 1  # an operator, an element or a list
 CHANGED = 5  # an assignment to an element, for each list or record that contains it
