@@ -42,7 +42,7 @@ ONE_DIRECTION = math.radians(1.0)  # permitted variation of gravity between rows
 
 
 class Gravity(NamedTuple):
-    """Gravity's direction in the base frame, whether it is known, and by how much it varies between rows [rad]."""
+    """Gravity's direction in the base frame, whether it is known, and the largest angle of a row's to it [rad]."""
 
     direction: tuple[float, float, float]
     known: bool
@@ -77,7 +77,9 @@ def candidates(
     reasons: list[str] = []
     if mode in (LawMode.AUTO, LawMode.SAG) and gravity.apart > ONE_DIRECTION:
         apart = DEG.text(gravity.apart, ".1f")
-        reasons.append(f"gravity differs by up to {apart} between the rows: sag is fitted to one mounting at a time")
+        reasons.append(
+            f"gravity is up to {apart} from its mean direction over the rows: sag is fitted to one mounting at a time"
+        )
     elif mode in (LawMode.AUTO, LawMode.SAG):
         laws += _sags(chain, q, gravity.direction, payloads)
         if not laws:
