@@ -75,3 +75,14 @@ def test_one_place_says_that_further_places_would_tell_more(panda):
     assert e.held_out.figures["m"].mean > 3 * np.mean(e.residual["m"][e.fitted]), (
         "it predicts elsewhere far worse than it fits"
     )
+
+
+@pytest.mark.parametrize("place", ["backcenter", "frontcenter"])
+def test_at_one_place_no_error_is_found_that_shrinks_the_arm(panda, place):
+    """One distance of 50 mm between two sockets determines the scale: an error of a socket, or of the base between the rows of the
+    sockets, explains all residuals to first order, by an arm of no size."""
+    chain, rig, free, prior = panda
+    table = read_table(MUKCA / "panda_3.csv", chain.joint_units)
+    e = identify(chain, rig, table.select(table.place == place), free=free, prior_sigma=prior)
+    assert e.status == "converged"
+    assert e.systematic is None

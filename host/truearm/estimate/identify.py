@@ -29,6 +29,7 @@ from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.outliers import MOST, gross_rows, without_outliers
 from truearm.estimate.pose_effect import pose_effect
+from truearm.estimate.prediction import FIRST_ORDER
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
@@ -42,7 +43,7 @@ from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain, forward
 from truearm.progress import step
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, WithOutliers
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, SystematicErrors, WithOutliers
 from truearm.types import Floats, ObservationTable, Residuals, not_left_out, rms
 from truearm.units import UNITS
 
@@ -172,7 +173,7 @@ def identify(
                 taken, x, columns, Fitted.of(as_fitted), FitChi2(chi2, freedom, unweighted.band[1]), how
             )
     if wrong is not None:
-        wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
+        wrong = _within_first_order(wrong, chain, x, table.q[fitted])
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -261,6 +262,17 @@ def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
     p = len(chain.parameters)
     apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
     return rms(np.linalg.norm(apart, axis=1))
+
+
+def _within_first_order(found: SystematicErrors, chain: Chain, x: Floats, q: Floats) -> SystematicErrors | None:
+    """Return the findings with how far they move the end over the poses; None if that is too far for their tests.
+
+    The tests are of first order. Where only the distance of two sockets determines the scale, for example, an error that
+    frees it explains everything by an arm that shrinks to a point.
+    """
+    found = replace(found, moves=moves(chain, x, x + found.shift, q))
+    farthest = np.linalg.norm(forward(chain, x[: len(chain.parameters)], q)[:, :3, 3], axis=1).max()
+    return None if found.moves > FIRST_ORDER * farthest else found
 
 
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
