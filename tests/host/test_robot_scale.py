@@ -15,14 +15,14 @@ PANDA = truearm.load_robot("panda")
 OPTIONS = truearm.IdentifyOptions(joint_laws="none")
 
 
-def calibrated(ratio: float) -> truearm.Identification:
+def calibrated(ratio: float, robot: truearm.Robot = PANDA) -> truearm.Identification:
     """A real arm in three places, with the distance of its tool's sockets in the rig multiplied."""
-    rows = truearm.read_table(DATA / "panda_3.csv", PANDA)
+    rows = truearm.read_table(DATA / "panda_3.csv", robot)
     rows = rows.select(np.isin(rows.place, ["backcenter", "backleft", "backright"]))
     rig = truearm.read_rig(DATA / "rig.toml")
     (known,) = rig.socket_distances
     rig = replace(rig, socket_distances=(replace(known, distance=ratio * known.distance),))
-    return truearm.identify(PANDA, rows, rig, options=OPTIONS)
+    return truearm.identify(robot, rows, rig, options=OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -58,3 +58,32 @@ def test_heat_is_no_scale(arm):
     estimate = arm.estimate
     warm = replace(estimate, value=1.0007 * estimate.nominal)
     assert robot_scale(PANDA.chain, warm) is None
+
+
+@pytest.fixture(scope="module")
+def urdf_arm() -> truearm.Robot:
+    """The arm of the same rows, from a URDF file: only sums of its lengths are identifiable."""
+    return truearm.load_robot(str(DATA / "panda.urdf"), tip="ball_link")
+
+
+@pytest.mark.parametrize("ratio", [1.1, 1.4])
+def test_a_wrong_distance_is_said_where_only_sums_of_lengths_are_identifiable(urdf_arm, ratio):
+    """1.4 is a distance entered as 70 mm instead of 50. The weak prior holds back up to a tenth of so large a change."""
+    scale = calibrated(ratio, urdf_arm).estimate.scale
+    assert scale is not None
+    assert scale.factor == pytest.approx(ratio, abs=0.1 * (ratio - 1.0))
+
+
+def test_one_wrong_length_of_a_urdf_file_is_no_scale(urdf_arm, tmp_path):
+    text = (DATA / "panda.urdf").read_text()
+    assert text.count("0.384") == 1
+    (tmp_path / "panda.urdf").write_text(text.replace("0.384", "0.404"))
+    assert calibrated(1.0, truearm.load_robot(str(tmp_path / "panda.urdf"), tip="ball_link")).estimate.scale is None
+    assert calibrated(1.0, urdf_arm).estimate.scale is None
+
+
+def test_independent_tolerances_of_a_urdf_file_are_rarely_a_scale(urdf_arm):
+    rng, estimate = np.random.default_rng(9), calibrated(1.0, urdf_arm).estimate
+    size = np.where(np.array(estimate.units) == "m", 5e-3, 0.0)
+    drawn = (replace(estimate, value=estimate.nominal + size * rng.standard_normal(size.size)) for _ in range(2000))
+    assert sum(robot_scale(urdf_arm.chain, one) is not None for one in drawn) < 12

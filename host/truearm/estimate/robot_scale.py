@@ -7,34 +7,42 @@ the robot is 2 % larger than its drawing. Tolerances do not do that, since those
 Test: the changes ΔL of k lengths follow s·L + e, with L the nominal lengths (0 for most offsets of axes) and independent
 e of one unknown variance. F = s² ΣL² (k − 1)/Σe² has 1 and k − 1 degrees of freedom if s = 0 (regression through the
 origin). Heat also scales a robot, by parts in ten thousand, so the scale must exceed what a drawing tolerates.
+
+A robot from a URDF file often has lengths of which only sums are identifiable, such as two along one axis. So the test
+uses orthonormal combinations of the lengths: those that no null direction changes, and that the observations determine
+at least as well as a drawing. Independent e of one variance stay so in orthonormal combinations.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import Chain
 from truearm.results import Estimate, RobotScale
+from truearm.types import Floats
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # probability that independent tolerances are reported as a scale
 LEAST = 3.0  # standard deviations of the scale, by a drawing's tolerance of each length
 LEAST_LENGTHS = 4
+NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about 1
+
+Indices = NDArray[np.intp]
 
 
 def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:
     """Return the ratio of the robot's lengths to the nominal ones; None if it is 1 within tolerances and chance.
 
-    Lengths that place base or tool do not count, nor those that the observations determine less well than a drawing.
+    Lengths that place base or tool do not count.
     """
-    p = estimate.n_robot_parameters
     tolerance = UNITS["m"].weak_sigma
-    lengths = np.array([parameter.unit == "m" for parameter in chain.parameters])
-    lengths &= estimate.free[:p] & (estimate.sigma[:p] < tolerance)
-    lengths &= ~mounting(chain, chain.params_nominal).either
-    nominal, change = estimate.nominal[:p][lengths], (estimate.value - estimate.nominal)[:p][lengths]
+    lengths = _lengths(chain, estimate)
+    combined = _determined(estimate, lengths, tolerance)
+    nominal = combined.T @ estimate.nominal[lengths]
+    change = combined.T @ (estimate.value - estimate.nominal)[lengths]
     k, squares = nominal.size, float(nominal @ nominal)
     if k < LEAST_LENGTHS or squares == 0.0:
         return None
@@ -47,3 +55,24 @@ def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:
     if chance > LEVEL:
         return None
     return RobotScale(1.0 + scale, float(np.sqrt(variance / squares)), k, chance)
+
+
+def _lengths(chain: Chain, estimate: Estimate) -> Indices:
+    """Return the indices (m,) of the free lengths between the robot's joints."""
+    p = estimate.n_robot_parameters
+    lengths = np.array([parameter.unit == "m" for parameter in chain.parameters])
+    return np.flatnonzero(lengths & estimate.free[:p] & ~mounting(chain, chain.params_nominal).either)
+
+
+def _determined(estimate: Estimate, lengths: Indices, tolerance: float) -> Floats:
+    """Return orthonormal combinations (m, k) of ``lengths`` (m,) that are identifiable, with σ below ``tolerance`` [m]."""
+    at = {estimate.parameter_names[i]: row for row, i in enumerate(lengths)}
+    null = np.zeros((lengths.size, len(estimate.null_space)))
+    for column, direction in enumerate(estimate.null_space):
+        for name, share in zip(direction.names, direction.weights, strict=True):
+            if name in at:
+                null[at[name], column] = share
+    parts = np.linalg.svd(null)
+    seen = parts.U[:, int((parts.S > NO_SHARE).sum()) :]
+    variance, turn = np.linalg.eigh(seen.T @ estimate.covariance[np.ix_(lengths, lengths)] @ seen)
+    return np.asarray(seen @ turn[:, variance < tolerance**2])
