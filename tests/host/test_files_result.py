@@ -212,6 +212,8 @@ IMPOSSIBLE = {
     "a suggestion to free what the robot does not have": (("suggested_free", 0), "link9.x", "suggested_free: names"),
     "a negative variance": (("covariance", "matrix", 0, 0), -1e-9, "covariance: exceeds its variances"),
     "a sigma of another covariance": (("parameters", 0, "sigma"), 1.0, "parameter link1.x: its sigma is not that"),
+    "options that are a number": (("made_with",), 7, "made_with: allow: is not a list of texts"),
+    "an allowed error that is no text": (("made_with", "allow"), {"a": 1}, "made_with: allow: is not a list of texts"),
     "a range from the end to the beginning": (
         ("joint_range", "lower", 0),
         9.0,

@@ -53,6 +53,10 @@ def check_consistent(document: Mapping[str, Any]) -> None:
     if not set(document.get("suggested_free", ())) <= set(names):
         raise SchemaError(f"suggested_free: names parameters that the result does not have, {WHOLE}")
     _check_order("chi2_band", document.get("chi2_band"))
+    made_with = document.get("made_with") or {}  # None: written by an earlier version
+    allowed = made_with.get("allow", []) if isinstance(made_with, Mapping) else None
+    if not isinstance(allowed, list) or not all(isinstance(text, str) for text in allowed):
+        raise SchemaError(f"made_with: allow: is not a list of texts, {WHOLE}")
     for entry in (document.get(name) or {} for name in ("unexplained", "held_out", "held_out_before")):
         for suffix in SUFFIXES:
             for low, high in (("low", "mean"), ("mean", "high"), ("mean", "rms"), ("rms", "max")):
