@@ -9,6 +9,7 @@ import pytest
 import truearm
 from truearm.estimate.robot_scale import LEVEL, robot_scale
 from truearm.report.result_words import scale_sentences
+from truearm.results import Unusable
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 PANDA = truearm.load_robot("panda")
@@ -43,6 +44,13 @@ def test_a_distance_that_is_two_percent_wrong_is_said(arm):
 def test_a_correct_arm_has_no_scale(arm):
     assert arm.document["scale"] is None
     assert scale_sentences(arm.document) == []
+
+
+@pytest.mark.parametrize("state", [{"status": "max_iterations"}, {"unusable": Unusable.WRONG_INPUTS}])
+def test_a_fit_that_is_not_usable_has_no_scale(arm, state):
+    twice = replace(arm.estimate, value=2.0 * arm.estimate.nominal)
+    assert robot_scale(PANDA.chain, twice) is not None
+    assert robot_scale(PANDA.chain, replace(twice, **state)) is None
 
 
 def test_independent_tolerances_are_rarely_a_scale(arm):

@@ -36,8 +36,10 @@ Indices = NDArray[np.intp]
 def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:
     """Return the ratio of the robot's lengths to the nominal ones; None if it is 1 within tolerances and chance.
 
-    Lengths that place base or tool do not count.
+    Lengths that place base or tool do not count. None also for a fit that is not usable: its lengths say nothing.
     """
+    if estimate.unusable or estimate.status != "converged":
+        return None
     tolerance = UNITS["m"].weak_sigma
     lengths = _lengths(chain, estimate)
     combined = _determined(estimate, lengths, tolerance)

@@ -177,7 +177,7 @@ class ReadingOrder:
         for is_columns, rows in groupby(others, lambda row: messages.topics[messages.topic[row]] == COLUMNS):
             several = list(rows)
             ends = np.searchsorted(lines, several).tolist()
-            # Nearly always all of them hold; together they take a fifth of the time.
+            # Nearly always all of them hold; together they take less than half the time (bench/session.py: joints).
             if is_columns and (said := self._of_columns(messages, several, lines[begin : ends[-1]])) is not None:
                 due += self._wait(said)
                 begin = ends[-1]
