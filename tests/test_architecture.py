@@ -43,7 +43,7 @@ ROOMS = {
     "correct": {"model"},
     "export": {"model"},
     "session": set(),
-    "files": {"kinds", "model"},
+    "files": {"estimate", "kinds", "model"},  # of estimate its registry: the names of solvers, losses and priors
     "record": {"files", "session"},
     "report": {"estimate", "kinds"},  # the registries, which say what solvers, losses and kinds are
     "box": {"files", "record", "report", "session"},

@@ -7,15 +7,17 @@ needed.
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from truearm.results import ErrorForm
-from truearm.schema import SchemaError
+from truearm.estimate.solvers import SOLVERS, Loss, Prior
+from truearm.results import ErrorForm, Unusable, WrongInput
+from truearm.schema import SchemaError, quoted
 from truearm.types import Floats
 from truearm.units import SUFFIXES, UNITS
 
@@ -29,12 +31,21 @@ SIZES = frozenset(("chi2_reduced", "chi2_freedom", "chi2_drop", "sigma", "size",
 SIZES |= {"o1", "o2", "o3", "o4"}
 OF_UNIT = re.compile(r"(rms|rms_\w+|mean|low|high|max|tool_moves|n)_(mm|mrad|us|deg)")
 WHOLE = "so the file is damaged; copy it again or identify again"
+EARLIER_PRIOR = "default"  # what earlier versions called Prior.WHERE_NEEDED
+WORDS: Mapping[str, Collection[str | bool | None]] = {
+    "solver": tuple(SOLVERS),
+    "loss": tuple(Loss),
+    "prior": (*Prior, EARLIER_PRIOR),
+    "usable": (True, False),
+    "unusable_because": (None, *Unusable),
+}
 
 
 def check_consistent(document: Mapping[str, Any]) -> None:
     """Raise SchemaError for a field of a result that contradicts itself or another."""
     for where, key, value in _fields({k: v for k, v in document.items() if k not in ("parameters", "covariance")}, ""):
         _check_number(where, key, value)
+    _check_words(document)
     names = [parameter["name"] for parameter in document["parameters"]]
     free = [parameter["name"] for parameter in document["parameters"] if parameter["free"]]
     for parameter in document["parameters"]:
@@ -98,6 +109,22 @@ def _fields(value: Any, where: str, key: str = "") -> Iterator[tuple[str, str, A
             yield from _fields(part, where, key)
     else:
         yield where, key, value
+
+
+def _check_words(document: Mapping[str, Any]) -> None:
+    """Raise SchemaError for a word that this version never writes, and for a verdict that contradicts its reason."""
+    for key, known in WORDS.items():
+        value = document.get(key, next(iter(known)))
+        if not isinstance(value, str | bool | None) or value not in known:
+            text = ", ".join(json.dumps(word) for word in known)
+            raise SchemaError(
+                f"{key}: {quoted(value)} is not one of {text}: the file is damaged or comes from a later truearm; update truearm, or identify again"
+            )
+    for i, one in enumerate(document.get("explanations", ()), start=1):
+        if one["what"] not in tuple(WrongInput):
+            raise SchemaError(f"explanations: item {i}: what: {quoted(one['what'])} is not known, {WHOLE}")
+    if "usable" in document and document["usable"] != (document.get("unusable_because") is None):
+        raise SchemaError(f"usable: contradicts unusable_because, {WHOLE}")
 
 
 def _check_number(where: str, key: str, value: Any) -> None:

@@ -14,6 +14,7 @@ from truearm.errors import InputError
 from truearm.estimate.solvers import Prior
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project
+from truearm.files.result_consistency import EARLIER_PRIOR
 from truearm.files.robot_file import load_robot
 from truearm.files.stored_result import read_result
 from truearm.progress import step
@@ -25,7 +26,6 @@ from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
 
-EARLIER_NAME = "default"  # of the prior "where-needed", in earlier results
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
 
@@ -102,7 +102,7 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in made.items() if key in names
     }
-    if given.get("prior") == EARLIER_NAME:
+    if given.get("prior") == EARLIER_PRIOR:
         given["prior"] = Prior.WHERE_NEEDED.value
     hold_out = made.get("hold_out", [])
     if (
