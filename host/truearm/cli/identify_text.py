@@ -21,6 +21,7 @@ from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
     all_identifiable,
+    copy_sentences,
     drawing,
     gain_words,
     kind_name,
@@ -66,7 +67,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
         console.print(line)
     for line in () if hardly_matters(document) else systematic_sentences(document, _option):
         console.print(line)
-    for line in (*scale_sentences(document), *dwell_lines(document, files.inputs)):
+    for line in (*copy_sentences(document), *scale_sentences(document), *dwell_lines(document, files.inputs)):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))

@@ -122,6 +122,12 @@ def document_of(
     return with_checksum(document)
 
 
+def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[str, str]]:
+    """Return the rows that are copies, each with the row that it copies; ``copied`` (n,) is that row, or -1."""
+    rows = np.flatnonzero(copied >= 0).tolist()
+    return [{"source": source_name(table, row), "of": source_name(table, int(copied[row]))} for row in rows]
+
+
 def _coefficients(estimate: Estimate) -> int:
     """Return the number of joint-law parameters.
 

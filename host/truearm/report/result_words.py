@@ -8,9 +8,10 @@ from typing import Any, assert_never
 from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
 from truearm.results import MeanError, PoseError, ResidualParts
-from truearm.text import counted, with_article
+from truearm.text import counted, one_line, with_article
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
+MAX_COPIES = 5  # copied rows that are named
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
@@ -34,6 +35,20 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
         f"{name}: the joint readings are {MS.text(abs(value_s), '.3f')} {late} (σ {MS.text(sigma_s, '.2g')}), including the "
         "shortest latencies of the links."
     )
+
+
+def copy_sentences(document: Mapping[str, Any]) -> list[str]:
+    """Return which rows were left out because they are copies; empty if there are none."""
+    copies = document["copies"]
+    if not copies:
+        return []
+    named = ", ".join(f"{one_line(row['source'])} of {one_line(row['of'])}" for row in copies[:MAX_COPIES])
+    more = f" and {len(copies) - MAX_COPIES} more (copies in the JSON result)" if len(copies) > MAX_COPIES else ""
+    are, them = ("is a copy", "It is") if len(copies) == 1 else ("are copies", "They are")
+    return [
+        f"{counted(len(copies), 'row')} {are} of earlier rows, with the same joints, readings and names to the last digit: "
+        f"{named}{more}. {them} left out, because a copy is no measurement."
+    ]
 
 
 def scale_sentences(document: Mapping[str, Any]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from truearm.report.result_words import copy_sentences
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, title
@@ -104,6 +105,7 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
+    lines += copy_sentences(document)
     return [*lines, *document["payload"], one_line(document["verdict"])]
 
 

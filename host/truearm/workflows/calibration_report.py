@@ -42,13 +42,17 @@ def write_page(
     from truearm.report.certificate import facts_of
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
-    from truearm.report.result_words import scale_sentences
+    from truearm.report.result_words import copy_sentences, scale_sentences
     from truearm.report.systematic_words import hardly_matters, systematic_sentences
     from truearm.report.usability_words import usability_sentences
 
     table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
-    systematic = (*scale_sentences(found.document), *systematic_sentences(found.document, str))
+    systematic = (
+        *copy_sentences(found.document),
+        *scale_sentences(found.document),
+        *systematic_sentences(found.document, str),
+    )
     little = hardly_matters(found.document)
     page = CalibrationPage(
         title=f"Calibration of {found.chain.name}",

@@ -14,6 +14,7 @@ from truearm import option_defaults
 from truearm.arguments import check_fields, with_choices
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
+from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
@@ -26,7 +27,7 @@ from truearm.estimate.robot_scale import robot_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
-from truearm.files.result_document import document_of
+from truearm.files.result_document import copies_of, document_of
 from truearm.files.result_file import Input, RobotFrames, looks_like_result, with_checksum, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.stored_result import stored_result
@@ -222,13 +223,12 @@ def _held_out_facts(table: ObservationTable, held: Mask | None) -> dict[str, Any
     }
 
 
-def _check_rows(chain: Chain, table: ObservationTable, selection: Selection) -> None:
-    """Raise ProblemError for rows without information: a single row, or readings that never change though the robot
-    moves.
+def _check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
+    """Raise ProblemError for ``rows`` (n,) without information: a single row, or readings that never change though the
+    robot moves.
 
     A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
     """
-    rows = np.ones(len(table), dtype=bool) if selection.held_out is None else ~selection.held_out
     if rows.sum() == 1:
         raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; measure more poses")
     for name, kind in kinds().items():
@@ -299,15 +299,17 @@ def identified(
     observations and robot do not form a problem that can be solved.
     """
     chain = robot.chain
-    _check_rows(chain, table, selection)
     prior = Prior(options.prior or default_prior(robot, options.solver))
     named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
-    leave_out = tuple(map(parse_rows, options.leave_out))
+    copied = copied_rows(chain, rig, table)
+    copies = [(row, row + 1) for row in np.flatnonzero(copied >= 0).tolist()]
+    leave_out = (*map(parse_rows, options.leave_out), *copies)
     unused = rows_left_out(leave_out, len(table))
     if selection.held_out is not None:
         unused |= selection.held_out
     if unused.all():
         raise ProblemError("no observations are left to fit; hold out or leave out fewer")
+    _check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects = tuple(map(parse_effect, options.allow))
     allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
@@ -356,7 +358,8 @@ def identified(
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
-    document |= {"sessions": [count._asdict() for count in counts], "made_with": made_with}
+    document |= {"sessions": [count._asdict() for count in counts], "copies": copies_of(copied, table)}
+    document |= {"made_with": made_with}
     document = with_checksum({**document, **_held_out_facts(table, selection.held_out)})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

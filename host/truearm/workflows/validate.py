@@ -20,11 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
+from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
+from truearm.files.result_document import copies_of
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
@@ -140,6 +142,8 @@ def validated(
     nothing of the rig can be kept.
     """
     chain, stored = calibration.chain, calibration.stored
+    copied, every = copied_rows(chain, rig, table), table
+    table = table.select(copied < 0)
     kept = _identified_rig(calibration) if keep_rig else {}
     allowed = _allowed(calibration) if keep_rig else ()
     raw, after = (
@@ -183,6 +187,7 @@ def validated(
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
         "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
+        "copies": copies_of(copied, every),
         "settled": n_settled,
         "kept": n_kept,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
