@@ -16,7 +16,9 @@ PAGE = ROOT / "docs" / "how-to" / "extending.md"
 FILE = re.compile(r"^New file `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 LINE = re.compile(r"^New lines? in `([^`]+)`, after `([^`]+)`:\n\n```\w*\n(.*?)^```$", re.M | re.S)
 TEXT = re.compile(r"^In `([^`]+)`, `([^`]+)` becomes `([^`]+)`\.$", re.M)
-NOISE = shutil.ignore_patterns("__pycache__", "*.egg-info")
+# Compiled files are copied too: with the sources' times they stay valid, and nothing is compiled again. A file that
+# another process is writing has a number behind its name.
+NOISE = shutil.ignore_patterns("*.pyc.*", "*.egg-info")
 # Commands that need no separate process share one, which imports everything once.
 ALL_IN_ONE = """
 import contextlib, io, json, sys
