@@ -25,7 +25,7 @@ from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere,
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
-from truearm.kinds.unknowns import Fault, Layout, Number, point_numbers
+from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
@@ -80,12 +80,12 @@ class BallBarRows(Group):
         )
 
 
-def bar_numbers(name: str, bar: BallBar) -> list[Number]:
+def bar_numbers(name: str, bar: BallBar) -> list[RigNumber]:
     """Return zero and gain of a bar, its expansion, and the temperature drift of its gain."""
-    zero = Number(f"{name}.zero", "m", bar.zero, bar.zero_sigma)
-    gain = Number(f"{name}.gain", "1", bar.gain, bar.gain_sigma)
-    expansion = Number(f"{name}.expansion", "1/K", bar.expansion, bar.expansion_sigma)
-    return [zero, gain, expansion, Number(f"{name}.gain_drift", "1/K", bar.gain_drift, bar.gain_drift_sigma)]
+    zero = RigNumber(f"{name}.zero", "m", bar.zero, bar.zero_sigma)
+    gain = RigNumber(f"{name}.gain", "1", bar.gain, bar.gain_sigma)
+    expansion = RigNumber(f"{name}.expansion", "1/K", bar.expansion, bar.expansion_sigma)
+    return [zero, gain, expansion, RigNumber(f"{name}.gain_drift", "1/K", bar.gain_drift, bar.gain_drift_sigma)]
 
 
 def warmer(table: ObservationTable, bars: Sequence[BallBar]) -> Floats:

@@ -18,7 +18,7 @@ from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_
 from truearm.kinds.quantities import DISTANCE
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
-from truearm.kinds.unknowns import Layout, Number, or_inf
+from truearm.kinds.unknowns import Layout, RigNumber, or_inf
 from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
@@ -70,10 +70,10 @@ def frame_of(normal: Floats) -> Floats:
     return np.stack([e1, np.cross(n0, e1), n0])
 
 
-def plane_numbers(name: str, flat: Plane) -> list[Number]:
+def plane_numbers(name: str, flat: Plane) -> list[RigNumber]:
     """Return offset and tilts of a plane relative to its declared pose."""
-    tilts = [Number(f"{name}.tilt{k}", "rad", 0.0, or_inf(flat.tilt_sigma)) for k in (1, 2)]
-    return [Number(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
+    tilts = [RigNumber(f"{name}.tilt{k}", "rad", 0.0, or_inf(flat.tilt_sigma)) for k in (1, 2)]
+    return [RigNumber(f"{name}.offset", "m", 0.0, or_inf(flat.offset_sigma)), *tilts]
 
 
 def use_rig(scope: Scope, rows: Indices) -> RigUse:

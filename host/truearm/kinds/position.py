@@ -30,7 +30,7 @@ from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
-from truearm.kinds.unknowns import XYZ, Fault, Layout, Number, Used, or_inf
+from truearm.kinds.unknowns import XYZ, Fault, Layout, RigNumber, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_vector
 from truearm.model.transforms import cross
@@ -157,7 +157,7 @@ def points_of(
         for i, (label, device) in enumerate(zip(labels, devices, strict=True))
     ]
     poses = Used(labels, numbers, which)
-    offset = Number(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
+    offset = RigNumber(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     number = offset if _moving(scope) else offset._replace(sigma=0.0)
     clock = Used([""], [[number]], np.zeros(len(rows), dtype=np.intp), (Fault(slice(None), step=False),))
     declared = [rotation(np.array(d.rotation)) for d in devices]
@@ -180,7 +180,7 @@ def points_of(
     return (targets, poses, clock), make
 
 
-def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[Number]:
+def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[RigNumber]:
     """Return x, y, z, rx, ry, rz of a device; if the rig has no pose, from its readings and the nominal robot."""
     sigmas = [or_inf(device.sigma)] * 3 + [or_inf(device.turn_sigma)] * 3
     if device.xyz is not None:
@@ -192,7 +192,7 @@ def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, plac
         values = [*p, *rotation_vector(rot @ rotation(np.array(device.rotation)).T)]
     units = ("m", "m", "m", "rad", "rad", "rad")
     parts = zip((*XYZ, "rx", "ry", "rz"), units, values, sigmas, strict=True)
-    return [Number(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in parts]
+    return [RigNumber(f"{name}.{k}", unit, float(value), sigma) for k, unit, value, sigma in parts]
 
 
 def _device_cov(scope: Scope, rows: Indices, devices: Sequence[Device], which: Indices) -> Floats:

@@ -15,7 +15,7 @@ from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices
 from truearm.kinds.quantities import Quantity
-from truearm.kinds.unknowns import MOVED, Fault, Layout, Number, Used, enumerate_labels, point_numbers
+from truearm.kinds.unknowns import MOVED, Fault, Layout, RigNumber, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Point, Rig
@@ -64,7 +64,7 @@ def use(
     rows: Indices,
     what: str,
     known: Mapping[str, Entry],
-    numbers: Callable[[str, Entry], list[Number]],
+    numbers: Callable[[str, Entry], list[RigNumber]],
     faults: tuple[Fault, ...] = MOVED,
     *,
     item: str = "",

@@ -15,7 +15,7 @@ from truearm.units import SMALLEST
 XYZ = ("x", "y", "z")
 
 
-class Number(NamedTuple):
+class RigNumber(NamedTuple):
     """A number of the rig: known exactly (sigma 0), with a prior (finite), or without one (inf)."""
 
     name: str
@@ -45,7 +45,7 @@ class Used(NamedTuple):
     """The distinct items that some rows use (chucks, bars, …), their numbers, and which of them each row uses."""
 
     labels: list[Hashable]
-    numbers: list[list[Number]]  # one inner list per item
+    numbers: list[list[RigNumber]]  # one inner list per item
     which: Indices  # (n,)
     faults: tuple[Fault, ...] = MOVED  # of each item
 
@@ -81,9 +81,9 @@ def enumerate_labels(labels: Sequence[Hashable]) -> tuple[list[Hashable], Indice
     return list(order), np.fromiter(map(order.__getitem__, labels), dtype=np.intp, count=len(labels))
 
 
-def point_numbers(name: str, point: Point) -> list[Number]:
+def point_numbers(name: str, point: Point) -> list[RigNumber]:
     """Return the three coordinates of a point of the rig."""
-    return [Number(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
+    return [RigNumber(f"{name}.{k}", "m", v, or_inf(point.sigma)) for k, v in zip(XYZ, point.xyz, strict=True)]
 
 
 def or_inf(sigma: float | None) -> float:

@@ -31,7 +31,7 @@ from truearm.files.programs.program import (
 from truearm.files.programs.syntax import Taught
 from truearm.files.programs.targets import (
     PoseTarget,
-    Targets,
+    ProgramTargets,
     literal_poses,
     nears_of,
     poses_of,
@@ -216,7 +216,7 @@ def correct_program(
 def _straight_moves(
     pair: ModelPair,
     program: Program,
-    targets: Targets,
+    targets: ProgramTargets,
     of_pose: Mapping[int, int],
     of_joints: Mapping[int, int],
     corrected: CorrectedTargets,
@@ -385,7 +385,7 @@ def _problems(program: Program, done: Correction, places: Sequence[int]) -> list
     return [refused_at(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
 
 
-def _other_configurations(program: Program, targets: Targets, done: Correction) -> list[Refused]:
+def _other_configurations(program: Program, targets: ProgramTargets, done: Correction) -> list[Refused]:
     """Return the revisits in which the arm needs a different correction from that of its first visit to the pose.
 
     Their rows follow those of the poses.

@@ -27,14 +27,14 @@ from truearm.types import Floats
 from truearm.units import DEG, MM
 
 
-class Solution(NamedTuple):
+class SolvedLiterals(NamedTuple):
     """New poses of the literals, and the targets that depend on each other in a circle."""
 
     literals: LiteralPoses
     circular: tuple[PoseTarget, ...]
 
 
-def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | None = None) -> Solution:
+def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | None = None) -> SolvedLiterals:
     """Return the literals for which every target has the commanded pose ``told`` (n, 4, 4), each in its frame.
 
     ``known`` are the original ``literal_poses``.
@@ -58,13 +58,13 @@ def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | No
     while left:
         ready = [not ({o.start for o in literals_in(pose)} - {literal.start}) & waiting for _, literal, pose, _ in left]
         if not any(ready):
-            return Solution(literals, tuple(one for one, _, _, _ in left))
+            return SolvedLiterals(literals, tuple(one for one, _, _, _ in left))
         for (_, literal, pose, i), now in zip(left, ready, strict=True):
             if now:
                 literals.matrices[literals.rows[literal.start]] = _solved(pose.factors, literal, told[i], literals)
         left = [entry for entry, now in zip(left, ready, strict=True) if not now]
         waiting = {literal.start for _, literal, _, _ in left}
-    return Solution(literals, ())
+    return SolvedLiterals(literals, ())
 
 
 def _solved(factors: Sequence[Factor], literal: Taught, goal: Floats, literals: LiteralPoses) -> Floats:
@@ -84,7 +84,7 @@ class Change(NamedTuple):
 
 
 @uncollected()
-def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, new: Solution) -> list[Change]:
+def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, new: SolvedLiterals) -> list[Change]:
     """Return the changes of the text that give every target its commanded pose."""
     seen = list({one.literal.start: one.literal for one in targets if one.literal is not None}.values())
     poses = new.literals.matrices[[new.literals.rows[literal.start] for literal in seen]]

@@ -65,7 +65,7 @@ class Revisit(NamedTuple):
     at: int  # of the move
 
 
-class Targets(NamedTuple):
+class ProgramTargets(NamedTuple):
     """What is to be corrected: poses, and joint readings as literals; and the moves that cannot be corrected.
 
     ``lines`` are the straight moves; those in ``loose`` (by place) may also begin elsewhere. ``origins``: the robot's
@@ -86,7 +86,7 @@ Refuse = Callable[[Motion, str, str], None]
 
 
 @uncollected()
-def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
+def targets_of(program: Program, joint_moves: bool, split: bool) -> ProgramTargets:
     """Return which literals receive the corrections. ``joint_moves``: joint readings are corrected too; otherwise they
     are kept.
 
@@ -124,7 +124,7 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> Targets:
     index_of = dict(zip(users, index, strict=True))
     origins, revisits = _ways(program, poses, index_of)
     lines, loose = _straight_ways(program, index_of)
-    return Targets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits)
+    return ProgramTargets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits)
 
 
 def _straight_ways(program: Program, index: Mapping[Goal, int | None]) -> tuple[tuple[Line, ...], tuple[int, ...]]:
