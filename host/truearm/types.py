@@ -35,6 +35,7 @@ CENTRE = Annotated[Triple, POSITION]
 BAR_MOUNTED = ("bar", "chuck", "sphere")  # what is mounted for a ball-bar reading
 REFERENCE_DEGC = 20.0  # reference temperature of lengths, ISO 1
 LINE_MOUNTED = ("line", "target")  # what is mounted for a line pass
+MOUNTED = (*BAR_MOUNTED, *LINE_MOUNTED)
 
 
 class Move(StrEnum):
@@ -271,6 +272,10 @@ class Rig:
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
+
+    def mounted(self) -> dict[str, Mapping[str, Any]]:
+        """Return what may be mounted: by each word of ``MOUNTED``, the entries by name."""
+        return dict(zip(MOUNTED, (self.bars, self.chucks, self.spheres, self.lines, self.targets), strict=True))
 
     def with_named(self, field: str, entries: Mapping[str, Any]) -> Rig:
         """Return the rig with the entries of one type replaced."""

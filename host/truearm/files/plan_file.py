@@ -151,8 +151,7 @@ def _angle(cell: str, where: str) -> float:
 def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
     """Raise PlanError for the first row that names something unknown to the rig, or no target where there are several."""
     lines = rig.lines or dict.fromkeys(plan.line[plan.lines].tolist())  # a rig that lists none accepts any
-    known_names = {"bar": rig.bars, "chuck": rig.chucks, "sphere": rig.spheres, "line": lines, "target": rig.targets}
-    for column, known in known_names.items():
+    for column, known in {**rig.mounted(), "line": lines}.items():
         for pose, identifier in enumerate(getattr(plan, column)):
             chosen = column == "target" and plan.move[pose] == Move.LINE and len(known) > 1
             if identifier not in known and (identifier or chosen):

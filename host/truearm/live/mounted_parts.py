@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from truearm.errors import InputError
 from truearm.live.session_progress import MOUNTABLE
-
-if TYPE_CHECKING:
-    from truearm.types import Rig
+from truearm.types import BAR_MOUNTED, Rig
 
 
 def parse_mounted(text: str) -> dict[str, str]:
@@ -29,14 +26,7 @@ def parse_mounted(text: str) -> dict[str, str]:
 
 def check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
     """Raise InputError for a part that the rig called ``name`` does not have; a rig without lines accepts any."""
-    known = (
-        ("bar", rig.bars),
-        ("chuck", rig.chucks),
-        ("sphere", rig.spheres),
-        ("line", rig.lines or None),
-        ("target", rig.targets or None),
-    )
-    for key, names in known:
-        if key in mounting and names is not None and mounting[key] not in names:
+    for key, names in rig.mounted().items():
+        if key in mounting and (names or key in BAR_MOUNTED) and mounting[key] not in names:
             listed = ", ".join(sorted(names)) or "none"
             raise InputError(f"mounted: {key} {mounting[key][:40]!r} is not in {name} (it has {listed})")

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move
+from truearm.types import BAR_MOUNTED, LINE_MOUNTED, MOUNTED, Floats, Move
 
 MOUNTABLE = (*BAR_MOUNTED, "shell", *LINE_MOUNTED)
-CHANGED = (*BAR_MOUNTED, *LINE_MOUNTED)  # changed by hand; a shell is a position of the robot
 TOLERANCE = np.pi / 180.0  # rad or m, as in session.dwells
 
 
@@ -124,7 +123,7 @@ def _near(planned: Sequence[float], q: Floats) -> bool:
 
 def pairing_of(row: Mapping[str, Any]) -> dict[str, str]:
     """Return what a row of the plan needs mounted."""
-    return {key: str(row[key]) for key in CHANGED if row.get(key)}
+    return {key: str(row[key]) for key in MOUNTED if row.get(key)}  # a shell is a position of the robot
 
 
 def words_of(pairing: Mapping[str, str]) -> str:

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from truearm.session.message_columns import Messages, Source, columns_of
 from truearm.session.plan_matching import Marks, PlannedPoses, contradict, match_plan, nearest_pose, passes_of
 from truearm.session.samples import ChannelSamples
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig, Strings
+from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
@@ -323,7 +324,8 @@ def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) 
 
 
 def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
-    for key, known in (("bar", rig.bars), ("chuck", rig.chucks), ("sphere", rig.spheres)):
+    for key in BAR_MOUNTED:
+        known = rig.mounted()[key]
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
             raise RigError(
@@ -346,9 +348,10 @@ def table_of(
 def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
     rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
 
-    def words(key: str) -> Strings:
-        return np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
-
+    mounted: dict[str, Any] = {
+        key: np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
+        for key in (*BAR_MOUNTED, "shell")
+    }
     side = np.full((len(rows), joints), np.nan)
     if bins is not None and rows:
         side[:] = [came_from(bins, dwell) for _, dwell in rows]
@@ -360,10 +363,7 @@ def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | Non
         source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
         time=np.array([0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows], dtype=np.float64),
         side=np.where(side == 0.0, np.nan, side),
-        bar=words("bar"),
-        chuck=words("chuck"),
-        sphere=words("sphere"),
-        shell=words("shell"),
+        **mounted,
     )
 
 

@@ -33,11 +33,10 @@ from truearm.errors import RigError
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, LinePass
-from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Floats, Move, Rig
+from truearm.types import LINE_MOUNTED, MOUNTED, Floats, Move, Rig
 
 Indices = NDArray[np.intp]
-NAMED = (*BAR_MOUNTED, *LINE_MOUNTED)
-FITTINGS = (*NAMED, "shell")
+FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64
 REPEAT = 0.25
 BACK = 1.125
@@ -192,7 +191,7 @@ def _near_pairs(q: Floats, plan: PlannedPoses, tolerance: float, said: Sequence[
 
 def contradict(said: Mapping[str, str], planned: Mapping[str, str]) -> bool:
     """Return whether what was said to be mounted contradicts the plan."""
-    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in NAMED)
+    return any(said.get(key) and planned.get(key) and said[key] != planned[key] for key in MOUNTED)
 
 
 def _ways(pairs: Sequence[_Pair], closeness: Sequence[float], poses: int) -> tuple[list[float], list[int]]:
@@ -230,7 +229,7 @@ def _ambiguous(pairs: list[_Pair], plan: PlannedPoses) -> dict[int, tuple[str, .
     backward = [_Pair(pair.dwell, poses - 1 - pair.pose, 0.0) for pair in reversed(pairs)]
     beginning = _ways(backward, exact, poses)[0][::-1]
     greatest = max(ending, default=0.0)
-    keys = [key for key in NAMED if any(mounted.get(key) for mounted in plan.mounted)]
+    keys = [key for key in MOUNTED if any(mounted.get(key) for mounted in plan.mounted)]
     suits: dict[int, dict[str, None]] = {}
     for pair, end, begin in zip(pairs, ending, beginning, strict=True):
         if end + begin - 1.0 == greatest:

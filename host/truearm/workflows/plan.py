@@ -310,11 +310,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     _check(files)
     known = _known(files)
     limits = _limits(_reserve(options.reserve, files.result))
-    pairing = Pairing(
-        _named("bar", options.bar, known.rig.bars),
-        _named("chuck", options.chuck, known.rig.chucks),
-        _named("sphere", options.sphere, known.rig.spheres),
-    )
+    pairing = Pairing(**{key: _named(key, getattr(options, key), known.rig.mounted()[key]) for key in BAR_MOUNTED})
     wanted = ApproachesWanted(options.poses, options.rounds, options.long_dwell, APPROACH_CANDIDATES, options.seed)
     site = make_site(known, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell))
@@ -322,9 +318,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
         write_plan(files.out, route.visits.of_robot(known.chain.name))
     _write_programs(files, route.stops, options.dwell)
     return {
-        "bar": pairing.bar,
-        "chuck": pairing.chuck,
-        "sphere": pairing.sphere,
+        **vars(pairing),
         "poses": options.poses,
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
