@@ -31,7 +31,7 @@ from truearm.types import Floats
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
 STRAIGHT = 1e-5  # rad: the arc of such a turn deviates from its tangent by 0.05 nm at a metre
 NEWTON_STEPS = 8  # from parameters that are added to those of the base's pose
-ARRIVED = 1e-12  # rad, m
+NEAR = 1e-6  # rad, m: the next of Newton's steps leaves about the square of it
 
 
 def added(x: Floats, delta: Floats) -> Floats:
@@ -118,9 +118,9 @@ def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Flo
         now = _posed(base, out)
         left = goal_rot @ now.transform[:3, :3].T
         error = np.concatenate([rotation_vector(left), goal_shift - left @ now.transform[:3, 3]])
-        if np.abs(error).max() <= ARRIVED:
+        out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
+        if np.abs(error).max() <= NEAR:
             points = x[beside]
             out[beside] += points @ rot.T + shift - points - (points @ skew(omega).T + v)
             return out
-        out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
     return added_to
