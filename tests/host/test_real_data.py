@@ -1,5 +1,6 @@
 """Real arms: settings were chosen on the fitted places alone, and what one place cannot determine is reported."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,12 @@ import pytest
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import free_without_gains, weak_prior
+from truearm.estimate.wrong_inputs import explanations_of
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
+from truearm.results import WrongInput
+from truearm.units import DEG
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 
@@ -86,3 +90,12 @@ def test_at_one_place_no_error_is_found_that_shrinks_the_arm(panda, place):
     e = identify(chain, rig, table.select(table.place == place), free=free, prior_sigma=prior)
     assert e.status == "converged"
     assert e.systematic is None
+
+
+def test_radians_in_columns_of_degrees_are_named_where_only_sockets_were_seated(panda):
+    chain, rig, free, _ = panda
+    table = read_table(MUKCA / "panda_1.csv", chain.joint_units)
+    tiny = replace(table, q=DEG.scale * table.q)
+    rows = np.ones(len(table), dtype=bool)
+    (found,), _ = explanations_of(chain, rig, tiny, rows, free, {})
+    assert (found.what, found.text) == (WrongInput.UNITS, "the joint readings are in radians, not in degrees")

@@ -67,18 +67,20 @@ def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
     """Return columns and points in the other unit."""
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
-    if all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used):
-        for unit, scale, names in (
-            ("rad", DEG.scale, ("degrees", "radians")),
-            ("m", MM.scale, ("millimetres", "metres")),
-        ):
-            which = np.array([of == unit for of in chain.joint_units])
-            if which.any():
-                for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
-                    q = np.where(which, factor * table.q, table.q)
-                    rate = np.where(which, factor * table.q_rate, table.q_rate)
-                    text = f"the joint readings are in {are}, not in {called}"
-                    yield Interpretation(text, chain, rig, replace(table, q=q, q_rate=rate), free)
+    returns = not all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used)
+    for unit, scale, names in (
+        ("rad", DEG.scale, ("degrees", "radians")),
+        ("m", MM.scale, ("millimetres", "metres")),
+    ):
+        which = np.array([of == unit for of in chain.joint_units])
+        if which.any():
+            for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+                if returns and factor < 1.0:
+                    continue
+                q = np.where(which, factor * table.q, table.q)
+                rate = np.where(which, factor * table.q_rate, table.q_rate)
+                text = f"the joint readings are in {are}, not in {called}"
+                yield Interpretation(text, chain, rig, replace(table, q=q, q_rate=rate), free)
     for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
         if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
             continue
