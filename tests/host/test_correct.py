@@ -171,6 +171,23 @@ def test_a_singular_target_is_refused_and_never_a_wild_number(method):
     assert np.isfinite(done.q).all()
 
 
+@pytest.mark.parametrize("name", ["ur5e", "irb120"])
+def test_a_target_at_an_exact_singularity_is_refused(name):
+    """Two axes of the wrist on one line: no step towards it may divide by what is zero."""
+    chain = builtin_robot(name).chain
+    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    rng = np.random.default_rng(4)
+    q = rng.uniform(np.maximum(lower, -1.5), np.minimum(upper, 1.5), (12, len(lower)))
+    q[:, 4] = 0.0
+    targets, pair_ = forward(chain, chain.params_nominal, q), ModelPair(chain, *2 * (chain.params_nominal,))
+    for starts in (None, q + rng.normal(0.0, 0.05, q.shape)):  # a search may find another configuration
+        done = correct(pair_, targets, configuration=Configuration(starts))
+        assert np.isfinite(done.q).all()
+        assert all(
+            p if starts is not None else p or e < 1e-9 for p, e in zip(done.problem, done.after[:, 0], strict=True)
+        )
+
+
 def test_unreachable_targets_are_refused():
     q = good_poses(3)
     targets = nominal_poses(q)

@@ -24,17 +24,17 @@ _REMEDIES = {
 
 
 def lines(found: CorrectedFile) -> list[str]:
-    """Return what was corrected, target by target, and the warnings."""
+    """Return the moves that were not corrected, what was corrected, target by target, and the warnings."""
     done, calibration, chain = found.correction, found.calibration, found.calibration.chain
     if found.own_frames:
         frames = "Targets are in the robot's own base and flange frames; these mountings are not corrected:"
     else:
         frames = f"Targets are poses of {chain.end_frame} in {chain.base_frame}; the mountings of robot and tool are corrected too:"
     text = [
+        *refused_lines(found.refused),
         one_line(frames),
         *(f"  {one_line(line)}" for line in mounting_lines(chain, calibration.nominal, calibration.identified)),
     ]
-    text += refused_lines(found.refused)
     text.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
     rows = list(zip(found.places, done.before, done.after, strict=True))
     text += [f"{place:<10}{_cells(before, after)}" for place, before, after in rows[:SHOWN]]

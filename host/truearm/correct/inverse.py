@@ -5,7 +5,7 @@ Levenberg–Marquardt on the pose error e (position, rotation vector), all targe
     Δq = Jᵀ·(J·Jᵀ + λ²·I)⁻¹·e ,
 
 with a separate λ for each target, divided by ten after a step that reduced ‖e‖ and multiplied by ten after any other.
-Near the solution λ vanishes and the steps are Newton's: the error is squared at each step, down to rounding. For a
+Near the solution λ is negligible and the steps are Newton's: the error is squared at each step, down to rounding. For a
 robot with more joints than needed, and for a target without orientation, the joint motion from the starting point is
 the smallest.
 
@@ -31,7 +31,7 @@ MAX_STEPS = 100
 TOLERANCE = 1e-12  # LEVERs and rad, of ‖e‖; rounding leaves about 1e-16 for an arm of one metre
 GOOD = 1e-10  # of ‖e‖, 0.05 nm: counts as reached
 LARGEST_STEP = 0.5  # rad, m
-DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-9, 1e3
+DAMPING_START, DAMPING_LEAST, DAMPING_MOST = 1e-3, 1e-6, 1e3  # the square of the least exceeds the rounding of J·Jᵀ
 N_SAMPLES = 20_000  # random joint vectors as candidates to start a search from
 N_NEAR = 150  # of these, the ones considered for each target, and
 N_STARTS = 24  # used as starts: the most different ones, since an arm with six joints has up to 16 configurations
