@@ -140,7 +140,8 @@ class Number:
         if self.unknown and raw == UNKNOWN:
             return None
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            raise SchemaError(f"{quoted(raw)} is not a number" + f' (or "{UNKNOWN}")' * self.unknown)
+            remedy = "write a number without quotes" if isinstance(raw, str) else "write one number"
+            raise SchemaError(f"{quoted(raw)} is not a number" + f' (or "{UNKNOWN}")' * self.unknown + f"; {remedy}")
         if not abs(raw) <= HUGE:  # also rejects NaN; an integer of a thousand digits has no float and no text
             raise SchemaError("not a finite number of reasonable size")
         unit = SUFFIXES[suffix]

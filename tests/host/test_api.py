@@ -558,7 +558,7 @@ def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, tab
 
 def test_files_that_are_not_there(folder, tmp_path, result):
     for name in ("missing.mcap", "missing.csv"):
-        with pytest.raises(truearm.SessionError, match=rf"{name}: no such file$"):
+        with pytest.raises(truearm.SessionError, match=rf"{name}: no such file; check its name and folder$"):
             truearm.read_session(tmp_path / name)
     for call in (truearm.read_session, truearm.read_rig, truearm.read_result):
         with pytest.raises(InputError, match=r"^path: '' is not the name of a file$"):

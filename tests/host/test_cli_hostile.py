@@ -203,12 +203,12 @@ ROWS = {
 }
 RIGS = {
     "not a number": (edited("irb120.toml", "0.06]", "nan]"), "finite number"),
-    "no bar": ("", "the rig has none"),
+    "no bar": ("", "the rig needs at least one chuck"),
     "far": (edited("irb120.toml", "0.06]", "6.0]"), "cannot reach any pose"),
     "an evil name": (edited("irb120.toml", '"c1"', '"c1;rm -rf"'), "is not a name of up to 64 letters"),
 }
 OPTIONS = {
-    f"{PLAN} --minutes 5": "give a budget",
+    f"{PLAN} --minutes 5": "give one budget, either",
     f"{PLAN.replace('--poses 36', '--minutes 1e308')}": "--minutes",
     f"{PLAN.replace('--poses 36', '--minutes nan')}": "--minutes",
     f"{PLAN.replace('--poses 36', '--poses 99999')}": "ask for fewer poses",

@@ -127,9 +127,9 @@ def test_lines_with_a_delay_that_is_not_known(folder, capsys):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (["--minutes", "5"], "give a budget"),
+        (["--minutes", "5"], "give one budget, either"),
         (["--speed-mm-s", "nan"], "--speed-mm-s"),
-        (["--target", "x"], "the rig has none"),
+        (["--target", "x"], "the rig has no target; add a [[target]] to it"),
         (
             ["--region", "5000:5001,0:1,0:1"],
             "only 0 lines of 200 mm fit within the arm's reach; ask for shorter, slower",
@@ -152,13 +152,13 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (["--minutes", "5"], "give a budget"),
+        (["--minutes", "5"], "give one budget, either"),
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
         (["--model", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "cannot reach the region"),
-        (["--bar", "nope"], "--bar 'nope': the rig has bar25, bar32"),
+        (["--bar", "nope"], "--bar 'nope': is not in the rig; use one of bar25, bar32"),
         *(
             (["--region", text], f"--region {text!r}: needs LOW:HIGH in mm")
             for text in ("0:1,2:3,5:4", "a:b,0:1,0:1", "0:1,0:1,0:nan", "0:1:2,0:1,0:1")

@@ -132,9 +132,9 @@ def test_write_table_leaves_no_other_file(tmp_path: Path) -> None:
 
 WRONG = {
     "empty": ("", "is empty"),
-    "blank": ("\n \n", "column 1 ('')"),
+    "blank": ("\n \n", "has no column 'kind' (its header begins with '')"),
     "no rows": ("kind,q1_rad,place,socket\n", "no rows"),
-    "no header": ("seat,0.5,front,0\n", "'seat'"),
+    "no header": ("seat,0.5,front,0\n", "(its header begins with 'seat'), so it is no table of observations"),
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
     "not an observation kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),

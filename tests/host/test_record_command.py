@@ -184,7 +184,7 @@ class TestRefused:
         (tmp_path / "s.mcap").write_text("precious")
         arguments = ["--box", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
         assert main(["record", *arguments]) == 1
-        assert "is the box plugged in?" in capsys.readouterr().err
+        assert "not found; plug the box in" in capsys.readouterr().err
         assert (tmp_path / "s.mcap").read_text() == "precious"
 
     def test_a_box_that_says_nothing_leaves_no_file(self, tmp_path, capsys, monkeypatch):

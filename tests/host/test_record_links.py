@@ -170,7 +170,7 @@ class TestTerminal:
         os.close(box)
 
     def test_not_there(self, tmp_path):
-        with pytest.raises(LinkError, match="is the box plugged in"):
+        with pytest.raises(LinkError, match="not found; plug the box in"):
             SerialLink(str(tmp_path / "ttyACM9"), HostClock())
 
     def test_no_serial_port(self, tmp_path):

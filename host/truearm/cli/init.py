@@ -14,6 +14,7 @@ import typer
 from truearm.cli.options import BranchOption, JsonOption, branch_given
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
+from truearm.file_names import no_such_file
 from truearm.model.builtin import builtin_names
 from truearm.record.robots.sources import check_address, sources_help
 from truearm.units import MM
@@ -149,7 +150,7 @@ def init(
         )
     )
     lengths = ask(
-        bars, "Lengths of the bars at mid-travel [mm], between commas (Enter for two that suit the arm)", _lengths
+        bars, "Lengths of the bars at mid-travel [mm], separated by commas (Enter for two that suit the arm)", _lengths
     )
     places = ask(
         known, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", _known, UNKNOWN
@@ -207,7 +208,7 @@ def _model(text: str) -> str:
     if not is_urdf(text):
         load_robot(text)
     elif not Path(text).is_file():
-        raise InputError(f"{text}: no such file")
+        raise InputError(no_such_file(Path(text)))
     return text
 
 

@@ -51,7 +51,7 @@ def _outside(found: ErrorMap) -> int | None:
 
 def _task_line(found: ErrorMap, region: BestRectangle | None, task: str) -> str:
     if region is None:
-        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches."
+        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches: give a smaller task, or a larger --within."
     u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
     names = [axis(direction) for direction in found.axes]
     return (

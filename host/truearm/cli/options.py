@@ -183,7 +183,7 @@ def rigs_of(given: list[str] | None) -> dict[str, Path]:
             raise InputError(f"--rig {text}: {which}")
         files[name] = path
     if "" in files and len(files) > 1:
-        raise InputError(f"--rig {files['']}: several rigs need names, --rig NAME=FILE")
+        raise InputError(f"--rig {files['']}: several rigs need names; write --rig NAME=FILE")
     return files
 
 
@@ -212,7 +212,7 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
     except ValueError:
         values = ()
     if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
-        raise InputError(f"{option} {text[:60]}: needs {count or 'some'} numbers between commas")
+        raise InputError(f"{option} {text[:60]}: needs {count or 'one or more'} numbers, separated by commas")
     return values
 
 
@@ -234,7 +234,9 @@ def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], t
     except ValueError:
         spans = []
     if not spans or not all(low < high and math.isfinite(high - low) for low, high in spans):
-        raise InputError(f"{option} {text[:60]!r}: needs LOW:HIGH in {scale.suffix}, LOW below HIGH, between commas")
+        raise InputError(
+            f"{option} {text[:60]!r}: needs LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas"
+        )
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
 
@@ -244,7 +246,7 @@ def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) 
         return None
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
         text = ",".join(f"{value:g}" for value in shown)
-        raise InputError(f"{option} {text[:60]}: needs {len(units)} numbers between commas")
+        raise InputError(f"{option} {text[:60]}: needs {len(units)} numbers, separated by commas")
     return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 

@@ -160,14 +160,14 @@ def _origin_places(data: bytes) -> dict[str, _Place]:
         stack.pop()
 
     def doctype(*_: object) -> None:
-        raise RobotError("URDF must not contain a document type or entities")
+        raise RobotError("URDF must not contain a document type or entities; remove them")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
-        raise RobotError(f"URDF is not valid XML: {error}") from error
+        raise RobotError(f"URDF is not valid XML: {error}; correct this place, or export the URDF again") from error
     return places
 
 

@@ -59,7 +59,9 @@ def read_rows(text: str, name: str, error: type[InputError] = TableError) -> lis
 def check_width(row: Row, width: int, name: str, error: type[InputError] = TableError) -> None:
     """Raise ``error`` if a row does not have as many cells as the header."""
     if len(row.cells) != width:
-        raise error(f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {width}")
+        raise error(
+            f"{name} row {row.number}: has {counted(len(row.cells), 'cell')}, the header has {width}; give every column a cell, an empty one if it has no value"
+        )
 
 
 def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
@@ -143,7 +145,7 @@ def number(cell: str, where: str) -> float:
         raise TableError(f"{where}: {cell} is not a finite number; leave out rows without a reading")
     # float() would accept "1_000" and digits of other scripts; a table with these was not written as numbers.
     if not _is_number(cell):
-        raise TableError(f"{where}: {quoted(cell)} is not a number")
+        raise TableError(f"{where}: {quoted(cell)} is not a number; write digits with a decimal point, such as -12.5")
     return float(cell)
 
 

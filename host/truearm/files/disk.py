@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import Argument, InputError
+from truearm.file_names import no_such_file
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
@@ -23,7 +24,7 @@ def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
         if path.is_dir():
             raise error(f"{path}: is a directory; give a file")
         if not path.exists():
-            raise error(f"{path}: no such file")
+            raise error(no_such_file(path))
         if not path.is_file():  # reading a pipe or a device would block or never end
             raise error(f"{path}: is not a regular file; save the data to a file first")
         with path.open("rb") as file:
@@ -57,7 +58,7 @@ def parse_toml(
     try:
         return tomllib.loads(text, parse_float=parse_float)
     except tomllib.TOMLDecodeError as exc:
-        raise error(f"{name}: is not TOML: {exc}") from exc
+        raise error(f"{name}: is not TOML: {exc}; correct this place") from exc
     except RecursionError as exc:
         raise error(f"{name}: is nested too deeply") from exc
     except ValueError as exc:  # tomllib passes on errors of int()'s limit of digits and of impossible dates

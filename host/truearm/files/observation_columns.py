@@ -35,6 +35,11 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
 
     Columns x_… other than x_m and x_mm are skipped, as is note.
     """
+    if not difflib.get_close_matches("kind", [title.lower() for title in header]):
+        raise TableError(
+            f"{name}: has no column 'kind' (its header begins with {quoted(header[0])}), so it is no table of observations; "
+            "give a table (.csv) with a header, or a session (.mcap)"
+        )
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):

@@ -46,7 +46,7 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     columns = read_header(header, name)
     joints = joint_columns(columns, joint_units, name)
     if not rows:
-        raise TableError(f"{name}: has a header but no rows of observations")
+        raise TableError(f"{name}: has a header but no rows; write one row per observation below it")
     kind = _kinds(rows, columns["kind"], name)
     names = {column: identifiers(rows, columns.get(column), name) for column in registry.identifiers()}
     measured = {quantity.field: _measured(rows, columns, quantity, name) for quantity in registry.quantities()}

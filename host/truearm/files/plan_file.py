@@ -63,7 +63,7 @@ def parse_plan(text: str, name: str) -> Plan:
             f"or {','.join(_names(True, False))},q1_rad,..., with or without {ROBOT} before the joints"
         )
     if len(rows) == 1:
-        raise PlanError(f"{name}: has a header but no poses")
+        raise PlanError(f"{name}: has a header but no poses; make a plan with truearm plan")
     for pose, row in enumerate(rows[1:]):
         check_width(row, len(header), name, PlanError)
         _check_names(dict(zip(names, row.cells, strict=False)), pose, f"{name} row {row.number}")
@@ -142,7 +142,7 @@ def _speed(cell: str, where: str) -> None:
 
 def _angle(cell: str, where: str) -> float:
     if len(cell) > 60 or not NUMBER.fullmatch(cell):
-        raise PlanError(f"{where}: {cell[:40]!r} is not a number")
+        raise PlanError(f"{where}: {cell[:40]!r} is not a number; write digits with a decimal point, such as -0.25")
     if abs(float(cell)) > UNITS["rad"].largest:
         raise PlanError(f"{where}: {cell} rad is more than ten turns; are the joints in degrees?")
     return float(cell)

@@ -63,7 +63,7 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
     """Parse the text of a table of targets; ``name`` stands for the file in messages. Raises TargetError or TableError."""
     header, rows = read_cells(text, name)
     if not rows:
-        raise TargetError(f"{name}: has a header but no targets")
+        raise TargetError(f"{name}: has a header but no targets; write one row per target below it")
     if len(rows) > MAX_TARGETS:
         raise TargetError(f"{name}: has {len(rows)} targets, the maximum is {MAX_TARGETS}; split it")
     joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(joint_units, start=1)]

@@ -107,7 +107,7 @@ def parse_robot(text: str) -> Robot:
     try:
         doc = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # tomllib propagates int()'s digit limit and impossible dates
-        raise RobotError(f"robot file is not valid TOML: {error}") from error
+        raise RobotError(f"robot file is not valid TOML: {error}; correct this place") from error
     with raising(RobotError, "robot file"):
         head, description = read_tables(doc, HEAD)
         sets = _set_names(description, head["nominal"])

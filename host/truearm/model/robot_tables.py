@@ -109,7 +109,7 @@ def _unit(kind: str) -> str:
 
 def _joint(name: str, kind: str, lower: float, upper: float) -> Joint:
     if lower >= upper:
-        raise SchemaError(f"{name}: its lower limit is not below its upper limit")
+        raise SchemaError(f"{name}: its lower limit is not below its upper limit; correct them")
     return Joint(name, kind, lower, upper)
 
 
@@ -118,6 +118,8 @@ def read_tables(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[st
 
     Raises SchemaError.
     """
+    if "convention" not in doc:
+        raise SchemaError(f"needs convention, one of {', '.join(CONVENTIONS)}; is this the file of a robot?")
     with at("convention"):
         convention = Choice(tuple(CONVENTIONS)).parse(doc.get("convention"))
     return CONVENTIONS[convention](doc, head)

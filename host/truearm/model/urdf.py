@@ -73,9 +73,9 @@ def _parse(text: str) -> Xml:
     try:
         root = fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise RobotError("URDF must not contain a document type or entities") from error
+        raise RobotError("URDF must not contain a document type or entities; remove them") from error
     except (ParseError, ValueError) as error:
-        raise RobotError(f"URDF is not valid XML: {error}") from error
+        raise RobotError(f"URDF is not valid XML: {error}; correct this place, or export the URDF again") from error
     if root.tag != "robot":
         raise RobotError(f"URDF must start with <robot>, starts with <{root.tag}>")
     return root

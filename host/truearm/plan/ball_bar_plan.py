@@ -81,13 +81,12 @@ def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site
 
 def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
     """Return every chuck with every sphere, for some bars or, by default, all. Raises PlanError for missing items."""
+    if not (rig.bars and rig.chucks and rig.spheres):
+        raise PlanError("the rig needs at least one chuck, one sphere and one bar")
     missing = [bar for bar in bars if bar not in rig.bars]
     if missing:
-        raise PlanError(Argument("bars"), f" {missing[0]!r}: the rig has {', '.join(rig.bars) or 'none'}")
-    pairings = [Pairing(bar, c, s) for bar in (bars or rig.bars) for c in rig.chucks for s in rig.spheres]
-    if not pairings:
-        raise PlanError("the rig needs at least one chuck, one sphere and one bar")
-    return pairings
+        raise PlanError(Argument("bars"), f" {missing[0]!r}: is not in the rig; use one of {', '.join(rig.bars)}")
+    return [Pairing(bar, c, s) for bar in (bars or rig.bars) for c in rig.chucks for s in rig.spheres]
 
 
 def plan_ballbar(
@@ -103,7 +102,7 @@ def plan_ballbar(
     Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
-        raise PlanError("give a budget: either a number of poses or minutes")
+        raise PlanError("give one budget, either a number of poses or minutes")
     with step("planning poses") as advance:
         return _planned(site, known, pairings, wanted, pace, region, advance)
 

@@ -73,7 +73,7 @@ def plan_lines(
     Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """
     if (wanted.n_lines is None) == (wanted.minutes is None):
-        raise PlanError("give a budget: either a number of lines or minutes")
+        raise PlanError("give one budget, either a number of lines or minutes")
     point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
     n = wanted.n_lines or _most(wanted)
     many = max(wanted.n_candidates, n if wanted.n_lines else 1)

@@ -262,12 +262,12 @@ def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
 
 
 _HINTS = {
-    errno.ENOENT: "not found; is the box plugged in?",
+    errno.ENOENT: "not found; plug the box in, or find its port with truearm box list",
     errno.EACCES: "permission denied; on Linux, join the group that owns it (dialout)",
-    errno.EBUSY: "is in use by another program",
-    errno.EAGAIN: "is in use by another program",
-    errno.ENOTTY: "is not a serial port",
-    errno.EISDIR: "is a directory, no serial port",
+    errno.EBUSY: "is in use by another program; close it",
+    errno.EAGAIN: "is in use by another program; close it",
+    errno.ENOTTY: "is not a serial port; find the box's with truearm box list",
+    errno.EISDIR: "is a directory, no serial port; find the box's with truearm box list",
     errno.ETIMEDOUT: "does not answer; is the address right, and the machine on?",
     errno.EHOSTUNREACH: "cannot be reached; is the address right, and the network up?",
     errno.ENETUNREACH: "cannot be reached; is the address right, and the network up?",

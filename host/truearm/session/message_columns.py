@@ -27,6 +27,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, SessionError
+from truearm.file_names import no_such_file
 from truearm.types import Message
 
 MAX_CHUNK_BYTES = 64 << 20
@@ -51,7 +52,7 @@ def open_file(path: Path) -> BinaryIO:
             raise SessionError(f"{path}: is not a regular file; give a session recorded by truearm record")
         return path.open("rb")
     except FileNotFoundError as exc:
-        raise SessionError(f"{path}: no such file") from exc
+        raise SessionError(no_such_file(path)) from exc
     except (OSError, ValueError) as exc:
         raise SessionError(f"{path}: cannot be read: {getattr(exc, 'strerror', exc)}") from exc
 

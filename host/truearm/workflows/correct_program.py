@@ -52,7 +52,7 @@ Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
     "The arm's configuration was searched for: at each target the one nearest to the previous target. If the controller uses "
-    "another one, give joints near those of the first target (home), q1_deg … in a table, or qnear in a URScript."
+    "another one, give joints near those of the first target as home, as q1_deg … in a table, or as qnear in a URScript."
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -185,7 +185,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give a budget: ", Argument("poses"), " or ", Argument("minutes"))
+        raise InputError("give one budget, either ", Argument("poses"), " or ", Argument("minutes"))
     known = _known(files)
     planned = planned_ball_bar(known, budget, _with_reserve(options, files.result))
     route = planned.route
@@ -284,7 +284,7 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give a budget: ", Argument("lines"), " or ", Argument("minutes"))
+        raise InputError("give one budget, either ", Argument("lines"), " or ", Argument("minutes"))
     known = _known(files)
     target = _target(known, options.target)
     wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
@@ -342,8 +342,18 @@ def _named(what: str, given: str | None, have: Iterable[str]) -> str:
     """Return one of the rig's names, by default the first."""
     names = list(have)
     if (given is None and not names) or (given is not None and given not in names):
-        raise InputError(Argument(what), f" {given or 'is missing'}: the rig has {', '.join(names) or 'none'}")
+        raise InputError(*_not_in_rig(what, given, names))
     return names[0] if given is None else given
+
+
+def _not_in_rig(what: str, given: str | None, have: Sequence[str]) -> tuple[str, ...]:
+    """Return the message for a name that the rig does not have, or has to be chosen."""
+    if not have:
+        return (f"the rig has no {what}; add a [[{what}]] to it",)
+    listed = ", ".join(have)
+    if given is None:
+        return f"the rig has several {what}s; choose one of {listed} with ", Argument(what)
+    return Argument(what), f" {given}: is not in the rig; use one of {listed}"
 
 
 def _limits(reserve: float | None) -> Limits:
@@ -381,7 +391,7 @@ def _target(known: Known, name: str | None) -> str:
     if name is None and len(have) <= 1:
         return have[0] if have else ""
     if name not in have:
-        raise InputError(Argument("target"), f" {name or 'is missing'}: the rig has {', '.join(have) or 'none'}")
+        raise InputError(*_not_in_rig("target", name, have))
     return name
 
 

@@ -205,7 +205,7 @@ def _work(request: Request) -> RecordingWork:
 
     if (request.out is None) == (request.resume is None):
         raise InputError(
-            "give ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to continue one"
+            "give either ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to continue one"
         )
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import Argument, InputError, SessionError
+from truearm.file_names import no_such_file
 from truearm.record.robots.joint_table import NO_ARRIVAL, AddedReading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
@@ -59,7 +60,7 @@ def bag_files(path: Path) -> list[Path]:
     """Return the files of a bag in order: name_0.mcap, name_1.mcap …. Raises InputError."""
     if not path.is_dir():
         if not path.exists():
-            raise InputError(f"{path}: no such file")
+            raise InputError(no_such_file(path))
         return [path]
     try:
         names = sorted(path.iterdir(), key=_numbered)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from truearm.errors import Argument, InputError, TableError
+from truearm.file_names import no_such_file
 from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
@@ -46,7 +47,7 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
 
 def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
     if not path.exists():
-        raise TableError(f"{path}: no such file")
+        raise TableError(no_such_file(path))
     if not path.is_file():
         raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
