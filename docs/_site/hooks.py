@@ -19,13 +19,12 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import truearm
-from truearm.cli.main import app
+from truearm.cli.main import command_tree
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = {"protocol/SPEC.md": "reference/wire.md", "CHANGELOG.md": "changes.md"}  # file of the repository → page
@@ -94,7 +93,7 @@ def _link(found: re.Match[str], home: str, uri: str) -> str:
 
 def command_pages() -> dict[str, str]:
     """Text of the page of each command by name, in the order of ``truearm --help``; subcommands stand on their command's page."""
-    root: Any = typer.main.get_command(app)
+    root: Any = command_tree()
     return {name: command_page(f"truearm {name}", command) for name, command in root.commands.items()}
 
 

@@ -5,10 +5,8 @@ from functools import partial
 import cbor2
 import numpy as np
 import pytest
-from tests.end_to_end.conftest import interpreter
-from typer.testing import CliRunner
+from tests.end_to_end.conftest import interpreter, truearm
 
-from truearm.cli.main import app
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.session.observations import survey
@@ -93,7 +91,7 @@ def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
 
 def test_inspect_shows_it(session):
     path, *_ = session
-    said = CliRunner().invoke(app, ["inspect", str(path)]).output
+    said = truearm("inspect", path).stdout
     assert f"trigger on input {INPUT} (inverted, in use)" in said
     assert "edges used" in said
 

@@ -23,7 +23,8 @@ def commands(command, words=()):
         yield from commands(sub, (*words, name))
 
 
-COMMANDS = dict(commands(cli.command_tree()))
+# of the trees that a command line gets: one for each word
+COMMANDS = dict(one for name in cli.command_tree().commands for one in commands(cli.command_tree(name)))
 
 
 def test_the_codes_that_scripts_rely_on():

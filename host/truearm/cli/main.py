@@ -83,19 +83,8 @@ _PLAINER = (
 )
 _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
 
-app = typer.Typer(
-    name="truearm",
-    help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
-    epilog=f"Exit codes: {table()}\n\nExample: truearm demo",
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    add_completion=True,
-)
-for _command in COMMANDS:
-    _class = SimulateCommand if _command is simulate else ProjectCommand
-    app.command(_command.__name__.strip("_").replace("_", "-"), cls=_class)(_command)
-app.add_typer(box, name="box")
-app.add_typer(plan)
+COMMAND_OF = {command.__name__.strip("_").replace("_", "-"): command for command in COMMANDS}
+GROUP_OF = {"box": box, "plan": plan}
 
 
 def _print_version(wanted: bool) -> None:
@@ -104,7 +93,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
 def _root(
     context: typer.Context,
     version: Annotated[
@@ -116,9 +104,30 @@ def _root(
 
 
 @functools.cache
-def command_tree() -> Any:
-    """Return the commands as typer builds them. Built once: building takes longer than most refused command lines."""
+def command_tree(only: str | None = None) -> Any:
+    """Return the commands as typer builds them, or with ``only`` one of them: to build all takes as long as to import typer."""
+    app = typer.Typer(
+        name="truearm",
+        help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
+        epilog=f"Exit codes: {table()}\n\nExample: truearm demo",
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        add_completion=True,
+    )
+    app.callback(invoke_without_command=True)(_root)
+    for name, command in COMMAND_OF.items():
+        if only in (None, name):
+            app.command(name, cls=SimulateCommand if command is simulate else ProjectCommand)(command)
+    for name, group in GROUP_OF.items():
+        if only in (None, name):
+            app.add_typer(group, name=name)
     return typer.main.get_command(app)
+
+
+def tree_for(arguments: Sequence[str]) -> Any:
+    """Return the commands that a command line may use: the one that it names, or all."""
+    first = arguments[0] if arguments else None
+    return command_tree(first if first in {*COMMAND_OF, *GROUP_OF} else None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -165,7 +174,7 @@ def _discard_stdout() -> None:
 
 def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
     """Return a function from an argument's name to the option that this command line's command declares for it."""
-    command = command_tree()
+    command = tree_for(arguments)
     for word in arguments:
         if word not in getattr(command, "commands", {}):
             break
@@ -199,9 +208,9 @@ def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:
 
 
 def _run(arguments: list[str]) -> int:
-    command = command_tree()
     if _COMPLETE in os.environ:  # the shell asks for completions on standard output
-        return int(command.main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
+        return int(command_tree().main(prog_name="truearm", standalone_mode=False) or ExitCode.DONE)
+    command = tree_for(arguments)
     try:
         # Not command.main(): it prints errors in a box of several lines and swallows KeyboardInterrupt.
         answers = defaults(Path.cwd())
