@@ -208,7 +208,7 @@ def test_what_the_converters_faults_cost_is_a_gap_and_counted(disturbed):
 
 def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(level, tmp_path):
     with lab_of(level, faults=[Fault(5.0, "hang")]) as lab:
-        session = record_lab(lab, tmp_path / "s.mcap", 10)
+        session = record_lab(lab, tmp_path / "s.mcap", 8.5)
     causes = [beat["reset_cause"] for beat in session.heartbeats()]
     assert causes[0] == 1
     assert causes[-1] == 2
@@ -220,7 +220,7 @@ def test_a_firmware_that_hangs_is_restarted_by_its_watchdog(level, tmp_path):
 
 def test_an_exception_is_told_at_the_next_connect_and_kept_until_reset(level, tmp_path):
     with lab_of(level, faults=[Fault(5.0, "crash")]) as lab:
-        record_lab(lab, tmp_path / "a.mcap", 6)
+        record_lab(lab, tmp_path / "a.mcap", 4.5)  # until it has booted again
         again = record_lab(lab, tmp_path / "b.mcap", 1)
     (fault,) = again.summary.faults
     assert "its firmware stopped with an error earlier" in fault
