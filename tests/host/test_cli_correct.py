@@ -258,9 +258,11 @@ def test_bad_options_are_one_line(bench, tmp_path, capsys, more, says):
 def test_nothing_is_overwritten(bench, capsys):
     result, program = bench.folder / "result.json", bench.folder / "program.mod"
     before = program.read_bytes()
+    (bench.folder / "other.mod").write_bytes(before)
     for out, says in (
         (program, "is already an input"),
-        (bench.folder / "program.script", "exists; give a new name, a corrected program never replaces a file"),
+        (bench.folder / "program.script", "would be written as .mod; give a name that ends in .mod or .prg"),
+        (bench.folder / "other.mod", "exists; give a new name, a corrected program never replaces a file"),
     ):
         code, _, err = run(capsys, "correct", result, program, "--out", out, *FRAMES)
         assert code == 2

@@ -160,6 +160,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--within", "0:1,0:1"), "--within needs --task"),
         (("map", result, "--cell", "0.1"), "--cell"),
         (("map", tmp_path / "bad.json"), "null_space: item 1: weights: item 1: 'much' is not a number"),
+        (("map", result, "--picture", tmp_path / "a.png"), "a.png: would be written as .svg; give a name that ends in"),
         (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is not a file that this command writes"),
     ]
     for arguments, says in cases:

@@ -191,7 +191,7 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, 
 
 @pytest.mark.parametrize("option", ["--out", "--rig-out", "--program"])
 def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, option):
-    suffix = ".script" if option == "--program" else ".csv"
+    suffix = {"--out": ".csv", "--rig-out": ".toml", "--program": ".script"}[option]
     own, precious = folder / f"own{option}{suffix}", folder / f"precious{suffix}"
     precious.write_text("precious")
     given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)

@@ -47,13 +47,13 @@ def said(copy):
     for name in ROBOTS:
         table, result = f"{name}.csv", f"{name}.json"
         commands.append(("identify", table, "--model", name, "--rig", "rig.toml", "--out", result))
-        commands.append(("export", result, "--format", "screws", "--out", f"{name}.screws", "--over", table))
+        commands.append(("export", result, "--format", "screws", "--out", f"screws-{name}.json", "--over", table))
     return copy.run_each(*commands)
 
 
 def position_errors(copy, name):
     """Return the distance [mm], (n,), between the file's own formula and the disturbed robot."""
-    document = json.loads((copy.folder / f"{name}.screws").read_text())
+    document = json.loads((copy.folder / f"screws-{name}.json").read_text())
     wanted = forward(*disturbed(name), joints())
     return np.array(
         [

@@ -101,7 +101,13 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
     )
     inputs = [] if options.references is None else [options.references]
     kept = kept_path(page)  # if it exists, a page belongs to the same run: it was interrupted at the last question
-    check_writable(page, options.force or kept.exists(), inputs=inputs, ours=lambda head: MARK.encode() in head)
+    check_writable(
+        page,
+        options.force or kept.exists(),
+        inputs=inputs,
+        ours=lambda head: MARK.encode() in head,
+        suffixes=[".html"],
+    )
     with conversation(device, stop=stop) as box:
         stream, index = _find(ident_of(box), channel)
         config = checked_config(box)

@@ -35,7 +35,7 @@ def get(
     from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
-        check_writable(out, force)
+        check_writable(out, force, suffixes=[".toml"])
     with conversation(device, stop=stop) as box:
         found = box.config()
     text = format_config(found)

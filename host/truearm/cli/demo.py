@@ -138,7 +138,7 @@ def demo(
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
     simulated, robot = subject.simulated, subject.robot
     if truth_out is not None:
-        check_writable(truth_out, force, inputs=subject.choice.files, ours=looks_like_truth)
+        check_writable(truth_out, force, inputs=subject.choice.files, ours=looks_like_truth, suffixes=[".json"])
     own_folder(out, MARK)
     interpreter = find_interpreter()
     if interpreter is None:

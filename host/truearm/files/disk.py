@@ -9,7 +9,7 @@ import re
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -108,13 +108,19 @@ def sha256(path: Path) -> str:
 
 
 def check_writable(
-    path: Path, force: bool = True, *, inputs: Iterable[Path] = (), ours: Callable[[bytes], bool] | None = None
+    path: Path,
+    force: bool = True,
+    *,
+    inputs: Iterable[Path] = (),
+    ours: Callable[[bytes], bool] | None = None,
+    suffixes: Sequence[str] = (),
 ) -> None:
     """Raise InputError if ``path`` cannot become a file, or should not.
 
     Called before long computations, in addition to handling errors when writing. ``inputs`` are files that must not be
     overwritten. ``ours`` tells from the first kilobyte of an existing file whether truearm wrote it; such a file may be
-    replaced with ``force``.
+    replaced with ``force``. ``suffixes`` are those of such a file: a name may have one of them or none, since other
+    programs, and truearm when it reads the file again, go by the suffix.
     """
     try:
         _check_writable(path, inputs, ours)
@@ -122,6 +128,8 @@ def check_writable(
             raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
     except OSError as exc:  # a name that is too long, or a folder without permission
         raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+    if suffixes and path.suffix and path.suffix.lower() not in suffixes:
+        raise InputError(f"{path}: would be written as {suffixes[0]}; give a name that ends in {' or '.join(suffixes)}")
 
 
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:

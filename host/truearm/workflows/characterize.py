@@ -79,7 +79,7 @@ def characterize_files(
     paths = session_parts(files.session)
     if files.out is not None:
         read = [*paths, *filter(None, [files.rig, files.plan]), *files.robot.files]
-        check_writable(files.out, files.force, inputs=read, ours=looks_like_noise)
+        check_writable(files.out, files.force, inputs=read, ours=looks_like_noise, suffixes=[".toml"])
     chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
     opened = {path: open_finished(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)

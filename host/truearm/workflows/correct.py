@@ -15,7 +15,7 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, TargetError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.programs.program import Refused, is_program
+from truearm.files.programs.program import Refused, is_program, suffixes_like
 from truearm.files.robot_file import RobotChoice, is_urdf
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import point_jacobians
@@ -136,14 +136,18 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
     read = [files.result, files.targets, *files.robot.files]
-    check_writable(files.out, program or files.force, inputs=read, ours=None if program else looks_like_targets)
+    ours, suffixes = (None, suffixes_like(files.targets)) if program else (looks_like_targets, (".csv",))
+    check_writable(files.out, program or files.force, inputs=read, ours=ours, suffixes=suffixes)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; give a new name, a corrected program never replaces a file")
     request = _request(calibration, options)
     written = [*read, files.out]
-    for path, ours in ((files.residuals, looks_like_targets), (files.report, looks_like_page)):
+    for path, known, suffix in (
+        (files.residuals, looks_like_targets, ".csv"),
+        (files.report, looks_like_page, ".html"),
+    ):
         if path is not None:
-            check_writable(path, files.force, inputs=written, ours=ours)
+            check_writable(path, files.force, inputs=written, ours=known, suffixes=[suffix])
             written.append(path)
     done = (
         _correct_program(files, calibration, request, options)

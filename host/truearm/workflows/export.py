@@ -137,9 +137,9 @@ def export_file(
     """
     check_names(result, out, over, curves)
     inputs = [result, *robot.files, *filter(None, [over])]
-    check_writable(out, force, inputs=inputs, ours=looks_like_ours)
+    check_writable(out, force, inputs=inputs, ours=looks_like_ours, suffixes=[FORMATS[options.form].suffix])
     if curves is not None:
-        check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves)
+        check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves, suffixes=[".csv"])
     calibration = read_calibration(result, robot).carrying(*options.payload)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
     table = None if curves is None else curve_table(_curves(calibration, curves))

@@ -198,8 +198,13 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         inputs=tuple(with_parts(list(files.sources.inputs))),
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
-    wanted = (files.out, looks_like_result), (files.save_table, looks_like_table), (files.report, looks_like_page)
-    check_files(sources, files.robot, [(path, ours) for path, ours in wanted if path is not None], files.force)
+    wanted = (
+        (files.out, looks_like_result, ".json"),
+        (files.save_table, looks_like_table, ".csv"),
+        (files.report, looks_like_page, ".html"),
+    )
+    outputs = [(path, ours, suffix) for path, ours, suffix in wanted if path is not None]
+    check_files(sources, files.robot, outputs, files.force)
     robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)

@@ -40,7 +40,9 @@ from truearm.workflows.session_rigs import Assigned, session_rigs
 if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
-Output = tuple[Path, Callable[[bytes], bool]]  # a file to write, and a test of its beginning for a file of truearm
+Output = tuple[
+    Path, Callable[[bytes], bool], str
+]  # a file to write, a test of its beginning for a file of truearm, its suffix
 
 
 @dataclass(frozen=True)
@@ -73,17 +75,17 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
     """
     if Path("-") in sources.inputs:
         raise InputError("-: standard input is not read; save the data to a file first")
-    if any(path == Path("-") for path, _ in outputs):
+    if any(path == Path("-") for path, *_ in outputs):
         raise InputError("-: is not a file name; ", Argument("as_json"), " prints the result to standard output")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
             raise InputError(f"{path}: is given twice; its observations would count twice; give it once")
-    for i, (path, _) in enumerate(outputs):
-        if any(same_file(path, other) for other, _ in outputs[:i]):
+    for i, (path, *_) in enumerate(outputs):
+        if any(same_file(path, other) for other, *_ in outputs[:i]):
             raise InputError(f"{path}: is named for two outputs; give each its own file")
-    for path, ours in outputs:
-        check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours)
+    for path, ours, suffix in outputs:
+        check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours, suffixes=[suffix])
 
 
 class DwellCount(NamedTuple):

@@ -82,10 +82,15 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     read = [files.result, *files.robot.files]
     if files.out is not None:
         check_writable(
-            files.out, files.force, inputs=read, ours=lambda head: not head.strip() or head.startswith(MARK.encode())
+            files.out,
+            files.force,
+            inputs=read,
+            ours=lambda head: not head.strip() or head.startswith(MARK.encode()),
+            suffixes=[".csv"],
         )
     if files.picture is not None:
-        check_writable(files.picture, files.force, inputs=[*read, *filter(None, [files.out])], ours=_looks_like_picture)
+        written = [*read, *filter(None, [files.out])]
+        check_writable(files.picture, files.force, inputs=written, ours=_looks_like_picture, suffixes=[".svg"])
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:

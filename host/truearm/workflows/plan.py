@@ -409,7 +409,9 @@ def _check(files: PlanFiles) -> None:
     read = [*files.robot.files, files.rig, files.result, *files.measured]
     inputs = [path for path in read if path is not None and path.exists()]
     for i, path in enumerate(outputs):
-        check_writable(path, files.force, inputs=[*inputs, *outputs[:i]], ours=partial(_is_ours, path.suffix.lower()))
+        suffixes = [".csv"] if path == files.out else [".toml"] if path == files.rig_out else []
+        ours = partial(_is_ours, path.suffix.lower())
+        check_writable(path, files.force, inputs=[*inputs, *outputs[:i]], ours=ours, suffixes=suffixes)
 
 
 def _is_ours(suffix: str, head: bytes) -> bool:

@@ -57,7 +57,7 @@ def report_files(files: ReportFiles) -> Identification:
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     choice = files.made_from.robot
-    check_files(sources, choice, [(files.out, looks_like_page)], files.made_from.force)
+    check_files(sources, choice, [(files.out, looks_like_page, ".html")], files.made_from.force)
     inputs = hashed_inputs(sources, choice)
     _check_inputs(files.result, stored.document, {one.sha256 for one in inputs})
     robot = load_robot(choice.robot or stored.robot.name, choice.base, choice.tip)

@@ -242,7 +242,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
         rig = thermal.declared(rig)
     if options.truth_out is not None:
         read = [path for path in (options.plan, options.rig, *options.model.files) if path is not None]
-        check_writable(options.truth_out, options.force, inputs=read, ours=looks_like_truth)
+        check_writable(options.truth_out, options.force, inputs=read, ours=looks_like_truth, suffixes=[".json"])
     world = World(
         seed,
         plan,

@@ -60,6 +60,11 @@ class Program:
         return {motion.start: motion for motion in self.motions}
 
 
+def suffixes_like(path: Path) -> tuple[str, ...]:
+    """Return the suffixes of programs in the language of a program."""
+    return SCRIPT_SUFFIXES if language_of(path) == "urscript" else RAPID_SUFFIXES
+
+
 def is_program(path: Path) -> bool:
     """Return whether a file is a robot program, by its suffix."""
     return path.suffix.lower() in (*RAPID_SUFFIXES, *SCRIPT_SUFFIXES)
