@@ -70,7 +70,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
         ),
         (["--model", "nope"], "'nope' is neither a built-in robot"),
         (["--masses-kg", "1,2"], "--masses-kg: needs 6 masses, one per joint of puma560, has 2"),
-        (["--masses-kg", "1,2,x"], "--masses-kg 1,2,x: needs some numbers"),
+        (["--masses-kg", "1,2,x"], "--masses-kg 1,2,x: needs one or more numbers"),
         (["--tolerance", "1"], "--tolerance 1: needs 2 numbers"),
         (["--gear-periods-deg", "0"], "--gear-periods-deg 0: a period is from 0.1"),
         (["--fast", "--protocol", "rtde"], "--fast opens no ports; leave out --protocol"),
