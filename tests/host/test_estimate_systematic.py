@@ -10,6 +10,7 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 
 import truearm
 from truearm.errors import InputError
+from truearm.estimate import systematic_candidates
 from truearm.estimate.identify import SolverOptions, identify, modelled_of
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
@@ -169,6 +170,20 @@ def test_clean_worlds_give_no_finding():
     """By the family-wise level each gives one with probability 1e-3 at most."""
     for seed in range(8):
         assert worlds.identified(worlds.clean(worlds.plan(), np.random.default_rng(seed))).systematic is None
+
+
+def test_nothing_is_off_by_more_than_a_part_can_be(monkeypatch):
+    """A chuck is 2 mm off. A bar's gain of 0.02, which makes all lengths equal, would explain such residuals as well."""
+    plan, rng = worlds.plan(), np.random.default_rng(1)
+    off = 2e-3 * worlds.direction(rng) * (plan.chuck == "c1")[:, None]
+    rows = worlds.table(plan, worlds.lengths(plan, off) + SIGMA * rng.normal(size=len(plan)))
+    assert the_one(worlds.identified(rows)).effect.what == "chuck.c1"
+    monkeypatch.setattr(systematic_candidates, "MOST_OFF", 0.1)  # of 10 mm and 52 mrad
+    most = {"m": 1e-3, "rad": 5.2e-3, "1": 1e-3}
+    sizes = [of for one in findings(worlds.identified(rows)) for of in one.off_by]
+    # The sizes that are reported are those of a fit of all findings, the bound is on each by itself.
+    assert sizes
+    assert all(abs(of.value) <= 1.5 * most[of.unit] for of in sizes)
 
 
 def test_few_clean_rows_give_no_finding_by_default():

@@ -31,7 +31,8 @@ a clean data set gives any finding is at most LEVEL, regardless of how the candi
 chance the most probable is reported. Each number of an item has the weak prior of its unit (``units``) and every start
 row of a step is equally probable, so the logarithm of the evidence is ½ drop − ½ Σ log(1 + λ) − log(candidates), with λ
 the eigenvalues of V in units of that prior (Kass and Raftery 1995). Candidates at least a hundredth as probable are
-reported with it.
+reported with it. An item that would have to be off by more than MOST_OFF, such as a bar with a gain near 0 that makes all
+lengths alike, explains nothing.
 
 **Steps and gradual changes.** A zero that wanders for an hour looks like a step at some row, and as certain. With each
 step, the evidence of a random walk of the same item, and of each that can drift, is therefore compared. One that is not

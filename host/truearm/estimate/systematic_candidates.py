@@ -28,6 +28,7 @@ from truearm.estimate.systematic_score import (
 from truearm.kinds.linearised import Indices
 from truearm.results import DriftWith
 from truearm.types import Floats
+from truearm.units import UNITS
 
 MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection
@@ -35,6 +36,7 @@ WINDOW_KNOTS = 36
 WANDER_KNOTS = 12
 WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
+MOST_OFF = 20.0  # σ of manual mounting (units: 0.2 m, 1 rad, a gain of 20 %): nothing that was ever used is off by more
 LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
 MOST_BLOCK = 300  # rows: each of their residuals is a column
 LIKELY = 0.95  # that an error begins and ends within the rows named
@@ -159,8 +161,14 @@ def _within(family: Family, evidence: Floats) -> tuple[tuple[int, int], tuple[in
 
 
 def _drops(family: Family, test: ScoreTest) -> tuple[Floats, Indices, Floats]:
-    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans."""
+    """Return the drop of χ² (w,), degrees of freedom (w,) and eigenvalues of V (w, d) for the family's spans.
+
+    An item that would have to be off by more than MOST_OFF explains nothing.
+    """
     rows, (w, d, _) = test.rows, family.left.shape
+    numbers = () if family.cause is None else family.cause.numbers
+    units = [UNITS[test.errors.unit(number)] for number in numbers]
+    most = np.array([MOST_OFF * unit.wide_sigma / unit.weak_sigma for unit in units])
     drop, freedom, known = np.zeros(w), np.zeros(w, dtype=np.intp), np.zeros((w, d))
     beside = np.concatenate([rows.added, rows.residual[:, None]], axis=1)
     for some, sums in family.sums(family.columns(test.errors, rows, test.how), (beside,), rows):
@@ -168,7 +176,9 @@ def _drops(family: Family, test: ScoreTest) -> tuple[Floats, Indices, Floats]:
         values, vectors = np.linalg.eigh(family.left[some] - by_added @ by_added.swapaxes(1, 2))
         seen = values > SEEN * family.size[some, None]
         along = np.einsum("wij,wi->wj", vectors, score)
-        drop[some] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        size = np.where(seen, along / np.where(seen, values, 1.0), 0.0)
+        off = np.abs(np.einsum("wij,wj->wi", vectors, size)).reshape(len(size), -1, most.size)
+        drop[some] = np.where((off <= most).all(axis=(1, 2)), (size * along).sum(axis=1), 0.0)
         freedom[some], known[some] = seen.sum(axis=1), np.where(seen, values, 0.0)
     return drop, freedom, known
 
