@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.host.clock_scenarios import CHANGES, box_scenario, changing_scenario, robot_scenario, table
 
-from truearm.session.device_clock import SPAN
+from truearm.session.clock_bounds import SPAN
 
 
 def judge(outcomes, widest_us):
@@ -68,7 +68,7 @@ def test_wrong_exchanges_are_no_steps():
 
 @pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 1000), marks=pytest.mark.soak)], ids=["12", "988"])
 def test_steps_that_nothing_can_show(seeds):
-    """Only in a stretch of fewer than SPAN exchanges, between two steps or at an end, may the bound be broken (session/device_clock.py)."""
+    """Only in a stretch of fewer than SPAN exchanges, between two steps or at an end, may the bound be broken (session/clock_bounds.py)."""
     for seed in seeds:
         found = changing_scenario(seed, replace(CHANGES["steps"], apart=0.0))
         at, exchange = np.sort(found.known.host.at), np.sort(found.known.crystal.true(1e-6 * found.known.rows[:, 1]))
