@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from ur10_bench import RIG, ROBOT
 
+from truearm.estimate import joint_laws, law_elsewhere
 from truearm.estimate.problem import build_problem
 from truearm.model.chain import joint_frames, point_forward
 from truearm.types import ObservationTable
@@ -124,6 +125,49 @@ def null_ratios(seeds, n, mode):
         ]
         out.append(errors[0] / errors[1])
     return np.array(out)
+
+
+def rms_error(found, table):
+    return np.sqrt((judged(found, rig_of(1), table)[0] ** 2).sum(axis=1).mean())
+
+
+def test_few_poses_in_a_corner_make_no_other_pose_worse_than_the_geometry(monkeypatch):
+    """Two curves of joint 2 and the sag of joints 2 and 3 pass for one curve there, which errs elsewhere."""
+    rng = np.random.default_rng(29)
+    params, angles = truth_of(rng, True)
+    corner = MIDDLE + rng.uniform(-0.8, 0.8, 6)
+
+    def rows(n, middle, wide, noise):
+        q = middle + rng.uniform(-wide, wide, (n, 6))
+        at = point_forward(ROBOT.chain, params, angles(q), POINTS[0])
+        return table_of(q, at + rng.normal(0.0, noise, at.shape), np.full(n, "t0"))
+
+    table, here, elsewhere = rows(30, corner, 0.3, NOISE), rows(100, corner, 0.3, 0.0), rows(100, MIDDLE, WIDE, 0.0)
+    geometry, laws = (fitted(table, rig_of(1), mode) for mode in ("none", "auto"))
+    assert rms_error(laws, here) < 0.5 * rms_error(geometry, here)
+    assert rms_error(laws, elsewhere) < 1.03 * rms_error(geometry, elsewhere)
+    error, cov = judged(laws, rig_of(1), elsewhere)
+    assert coverage(error, cov)[0] > 0.8
+    monkeypatch.setattr(joint_laws, "nearer_geometry", lambda of, anywhere, found, misfit: found)
+    assert rms_error(fitted(table, rig_of(1), "auto"), elsewhere) > 1.1 * rms_error(geometry, elsewhere)
+
+
+def test_many_poses_determine_laws_that_the_geometry_does_not_move(monkeypatch):
+    moved = []
+
+    def noted(of, anywhere, found, misfit):
+        result = law_elsewhere.nearer_geometry(of, anywhere, found, misfit)
+        apart = (
+            build_problem(of.problem.chain, rig_of(1), inside).groups[0].evaluate(of.problem.chain, x).residual
+            for x in (found.x, result.x)
+        )
+        moved.append(np.abs(np.subtract(*apart)).max())
+        return result
+
+    monkeypatch.setattr(joint_laws, "nearer_geometry", noted)
+    table, inside, _ = world(3, 200, True)
+    fitted(table, rig_of(1), "sag")
+    assert 0.0 < moved[-1] < 0.2 * NOISE
 
 
 @pytest.mark.soak

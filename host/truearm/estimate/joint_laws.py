@@ -16,10 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
+from truearm.estimate.law_elsewhere import nearer_geometry
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
 from truearm.estimate.law_rows import law_rows
 from truearm.estimate.law_systematic import law_systematic
@@ -28,7 +30,7 @@ from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, normal_matrix
-from truearm.estimate.problem import Rigs, build_problem
+from truearm.estimate.problem import Problem, Rigs, build_problem, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
@@ -68,6 +70,7 @@ class _Fitted(NamedTuple):
     of: LawProblem
     learned: Learned
     posterior: Posterior
+    result: Posterior  # nearer the geometry where the rows do not determine the difference
     seen: Information
     held_out: HeldOut | None
     error: Residuals  # of the held-out rows
@@ -179,9 +182,17 @@ class _Work:
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)
         found = posterior(of, learned)
-        seen = observe(of.problem, found.x, np.zeros(found.x.size, dtype=bool))
-        held_out, error = judged(of.problem, found.x, self.rig, self.table, self.held, self.effects)
-        return _Fitted(of, learned, found, seen, held_out, error)
+        result = nearer_geometry(of, self.anywhere(of.problem.chain), found, self.before.chi2_reduced)
+        seen = observe(of.problem, result.x, np.zeros(result.x.size, dtype=bool))
+        held_out, error = judged(of.problem, result.x, self.rig, self.table, self.held, self.effects)
+        return _Fitted(of, learned, found, result, seen, held_out, error)
+
+    def anywhere(self, chain: Chain) -> Problem:
+        """Compile some of the rows, in random poses, for a robot with laws."""
+        rows = np.flatnonzero(self.before.fitted)
+        some = np.unique(np.linspace(0, rows.size - 1, min(rows.size, LEAST_POSES)).astype(int))
+        table = in_any_pose(self.chain, self.table.select(rows[some]))
+        return without_knowledge(build_problem(chain, self.rig, table))
 
     @property
     def effects(self) -> list[Modelled]:
@@ -193,7 +204,7 @@ class _Work:
         return ~(self.before.fitted | self.before.left_out)
 
     def centred(self, best: _Fitted) -> Posterior:
-        return _centred(best.of, best.posterior, self.table.q[self.before.fitted])
+        return _centred(best.of, best.result, self.table.q[self.before.fitted])
 
     def problem(self, laws: Sequence[Law]) -> LawProblem:
         """Compile the fitted rows for a robot with laws."""
@@ -212,7 +223,7 @@ class _Work:
 
     def estimate(self, best: _Fitted) -> Estimate:
         """Return the previous estimate with everything that the laws change."""
-        of, learned, fitted, seen, held_out, error = best
+        of, learned, fitted, _, seen, held_out, error = best
         before, problem, found = self.before, of.problem, self.centred(best)
         x, p = found.x, problem.n_robot
         at, added = before.n_robot_parameters, p - before.n_robot_parameters
@@ -224,8 +235,8 @@ class _Work:
         covariance = _without_null(covariance, before, problem.names, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        rows = law_rows(of, found, learned.noise)
-        freedom = before.rank + _followed(of, found)
+        rows = law_rows(of, fitted, learned.noise)
+        freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         how = measured_order(self.table, before.fitted)
         wrong = law_systematic(of, fitted, learned.noise, how, quality)
