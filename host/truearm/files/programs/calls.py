@@ -12,7 +12,7 @@ from truearm.files.programs.routines import Routines
 from truearm.files.programs.syntax import Block, Call, Element, Expression, Loop, Name, Routine, Truth
 from truearm.files.programs.values import Begin, Unknown, Value, Values, all_of, joined
 from truearm.files.programs.variables import Activation
-from truearm.files.programs.work import CALL, Work
+from truearm.files.programs.work import CALL, SEVERAL, Work
 
 MAX_CALLS = 20  # nesting depth of routines
 MOST_EFFECTS = 8  # of a routine with the same arguments: maximum number that are remembered
@@ -82,14 +82,7 @@ class Calls(Moves, ABC):
             )
             self._unrepeatable()
             return (Unknown(f"{routine.name} calls itself", at.start),)
-        parent = next(
-            (
-                one
-                for one in reversed(self.stack)
-                if one.routine and one.routine.name == self.routines.parents[routine.name]
-            ),
-            None,
-        )
+        parent = self._enclosing(self.routines.parents[routine.name])
         places = dict[str, Expression]()
         required = [one for one in routine.parameters if not one.optional or one.default is not None]
         if call is not None:
@@ -110,6 +103,12 @@ class Calls(Moves, ABC):
                     if isinstance(place, Name | Element) and way.get(name, given[name]) != given[name]:
                         self.assign(place, joined(self.value(place), way[name]), "")
         return effect.results or (Unknown(f"{routine.name} gives nothing", routine.start),)
+
+    def _enclosing(self, name: str | None) -> Activation | None:
+        """Return the innermost execution of a routine; None for no routine, or if it is not being executed."""
+        if name is None:
+            return None
+        return next((one for one in reversed(self.stack) if one.routine and one.routine.name == name), None)
 
     def _effect(self, entry: _Entry) -> _Effect:
         """Execute a routine, unless it was executed with the same arguments where all that it reads was the same."""
@@ -155,6 +154,7 @@ class Calls(Moves, ABC):
         here = environment.get(HERE) or ANYWHERE
         for start, starts, ends in trace.legs:
             self._leg(self.motions[start], placed(starts, here), ends)
+        self.work.spend(sum(map(len, trace.written.values())) // SEVERAL)
         for key, values in trace.written.items():
             environment.trace(key, values)
             if repeated:

@@ -232,6 +232,8 @@ class Flow(Calls):
             before = {key: environment.get(key) for way in (end, *turn.continues) for key in way}
             self.work.spend(len(before))
             environment.join([{}, *turn.continues, *([end] if reached else [])])
+            if loop.counter and not self.loose:  # each turn gives it a value before anything reads it
+                before.pop((self.stack[-1].scope, loop.counter), None)
             grown = [key for key, values in before.items() if environment.get(key) != values]
             if not grown:
                 break
@@ -256,7 +258,7 @@ class Flow(Calls):
 
     def value(self, expression: Expression) -> Values:
         """Return the possible values of an expression."""
-        self.work.spend(1)
+        self.work.left -= 1  # it is checked at the next statement
         match expression:  # the most frequent first
             case Call():
                 return self._call(expression)
@@ -280,7 +282,7 @@ class Flow(Calls):
                     self.work.spend(len(reached) // SEVERAL)
                     found += reached
                 # beyond the end of a list the program would stop, so such a path is not followed further
-                return distinct(found) or (Unknown("the list has no such element", start),)
+                return distinct(tuple(found)) or (Unknown("the list has no such element", start),)
             case Operation(sign, operands, start):
                 if sign in ("and", "or") and self.routines.runs_routine(operands[1]):
                     return self._either(expression)
@@ -308,7 +310,7 @@ class Flow(Calls):
     @staticmethod
     def _computed(values: Values, origin: Origin) -> Values:
         """Return values as computed also from the numbers of these literals."""
-        return distinct(computed(one, origin) for one in values) if origin else values
+        return distinct(tuple(computed(one, origin) for one in values)) if origin else values
 
     def _call(self, call: Call) -> Values:
         arguments = [self.value(argument) for argument in call.arguments]

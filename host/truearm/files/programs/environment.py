@@ -31,13 +31,13 @@ class Trace:
 
     def reads(self, key: Key, values: Values | None, layer: int) -> None:
         """Note what is read, unless it is the routine's own."""
-        if layer < self.depth and key[0] < self.scope and key not in self.read:
+        if layer < self.depth and key not in self.read and key[0] < self.scope:
             self.read[key] = values
 
     def writes(self, key: Key, values: Iterable[Value]) -> None:
         """Note what is written, unless it is the routine's own."""
         if key[0] < self.scope:
-            self.written.setdefault(key, {}).update(dict.fromkeys(values))
+            _add(self.written.setdefault(key, {}), values)
 
 
 _NONE = (None, -1)
@@ -87,8 +87,8 @@ class Environment:
     def get(self, key: Key) -> Values | None:
         """Return the possible values of a name; None if it has none."""
         values, layer = self._now.get(key, _NONE)
-        if self.traces:
-            self.traces[-1].reads(key, values, layer)
+        if self.traces and layer < (trace := self.traces[-1]).depth and key not in trace.read:
+            trace.reads(key, values, layer)
         return values
 
     def find(self, key: Key) -> tuple[Values | None, int]:
@@ -120,7 +120,7 @@ class Environment:
             seen = record.get(key)
             if seen is None:
                 seen = record[key] = dict.fromkeys(places_known(self.find(key)[0] or ()))
-            seen.update(dict.fromkeys(values))
+            _add(seen, values)
 
     def since(self, depth: int) -> dict[Key, Values]:
         """Return what was written to the layers from ``depth`` on."""
@@ -138,6 +138,15 @@ class Environment:
             self.set(key, all_of(found))
 
 
+def _add(seen: dict[Value, None], values: Iterable[Value]) -> None:
+    """Add values, of which a dict already knows the hashes."""
+    if isinstance(values, dict):
+        seen.update(values)
+    else:
+        for one in values:
+            seen[one] = None
+
+
 def few(places: Values) -> Values:
     """Return the places where the robot may be, or if they are too many, that it may be anywhere."""
     return places if len(places) <= MOST_PLACES else _SEVERAL
@@ -145,4 +154,9 @@ def few(places: Values) -> Values:
 
 def places_known(values: Values) -> Values:
     """Return values without the place where a routine begins: records have those from which it is called."""
-    return tuple(one for one in values if not isinstance(one, Begin))
+    return tuple(one for one in values if not isinstance(one, Begin)) if begins(values) else values
+
+
+def begins(places: Values) -> bool:
+    """Return whether one of these places is where a routine begins."""
+    return Begin in map(type, places)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import chain
 
-from truearm.files.programs.environment import HERE, few
+from truearm.files.programs.environment import HERE, begins, few
 from truearm.files.programs.motions import Motion, goal_of
 from truearm.files.programs.routines import Routines
 from truearm.files.programs.syntax import Call, Expression, Number, Text, Truth
@@ -46,7 +46,8 @@ class Moves(Variables):
         ``straight``: along a line from the robot's position.
         """
         motion = self.motion(call.function, call.start, call.end)
-        self.work.spend(MOVE + GOAL * len(tools) * len(frames) * sum(len(values) for values, _ in targets))
+        choices = len(tools) * len(frames) * sum([len(values) for values, _ in targets])
+        self.work.spend(MOVE + GOAL * choices)
         ends: dict[Value, None] = {}
         for tool in tools:
             for frame in frames:
@@ -73,7 +74,7 @@ class Moves(Variables):
 
     def _leg(self, motion: Motion, starts: Values, ends: Values) -> None:
         """Record from where and to where a move is made. What begins where a routine does is made for each of its calls."""
-        if any(isinstance(one, Begin) for one in starts):
+        if begins(starts):
             self.environment.traces[-1].legs[motion.start, starts, ends] = None
         leg = (self._places(starts), ends)
         if not motion.legs or motion.legs[-1] != leg:
@@ -82,12 +83,15 @@ class Moves(Variables):
 
     def _places(self, values: Values) -> Values:
         """Return where the robot is, with the places themselves for those where routines begin."""
-        known = chain.from_iterable(self.begins[one.scope] if isinstance(one, Begin) else (one,) for one in values)
-        return distinct(known) if any(isinstance(one, Begin) for one in values) else values
+        if not begins(values):
+            return values
+        return distinct(
+            chain.from_iterable(self.begins[one.scope] if isinstance(one, Begin) else (one,) for one in values)
+        )
 
 
 def placed(values: Values, here: Values) -> Values:
     """Return where the robot is after a routine that was called ``here``."""
-    if not any(isinstance(one, Begin) for one in values):
+    if not begins(values):
         return values
     return distinct(chain.from_iterable(here if isinstance(one, Begin) else (one,) for one in values))

@@ -39,6 +39,7 @@ TOKENS = re.compile(
 _BINDS = {"or": 1, "xor": 1, "and": 2, "=": 4, "<>": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "div": 6, "mod": 6}
 _NOT, _MINUS = 3, 7
+_SIGNS, _AFTER_OPERAND = frozenset({"not", "-", "+"}), frozenset({",", ";", ")", "]", "}"})
 PASSED = r"\?"  # represents \name?parameter: the parameter, if it is given
 ENDS = {"proc": "endproc", "func": "endfunc", "trap": "endtrap"}
 CLOSING = frozenset(
@@ -120,7 +121,9 @@ class ExpressionReader(Reader):
     def expression(self, least: int = 0) -> Expression:
         """Return an expression whose operators have at least this precedence."""
         start, text = self.start, self.text
-        if text == "not" or text in ("-", "+"):
+        if self._next[1] in _AFTER_OPERAND and text not in _SIGNS:
+            return self.atom()  # as most arguments
+        if text in _SIGNS:
             self.deeper()
             self.step()
             inner = self.expression(_NOT if text == "not" else _MINUS)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from truearm.files.programs.environment import TOOL
 from truearm.files.programs.syntax import Assign, Call, Expression, Jump, Routine
 from truearm.files.programs.tree_walks import (
+    WITHOUT_CALLS,
     assigns_parameters,
     calls_in,
     root_of,
@@ -81,6 +82,8 @@ class Routines:
 
     def runs_routine(self, expression: Expression) -> bool:
         """Return whether an expression calls a routine of the program or a function with an effect on what follows."""
+        if type(expression) in WITHOUT_CALLS:
+            return False
         found = self._running.get(id(expression))
         if found is None:
             found = any(

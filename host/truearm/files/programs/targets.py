@@ -121,56 +121,77 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> ProgramTarge
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
-    index_of = dict(zip(users, index, strict=True))
-    origins, revisits = _ways(program, poses, index_of)
-    lines, loose = _straight_ways(program, index_of)
+    legs = _legs_of(program, dict(zip(users, index, strict=True)))
+    origins, revisits = _ways(poses, legs, users, index)
+    lines, loose = _straight_ways(legs)
     return ProgramTargets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits)
 
 
-def _straight_ways(program: Program, index: Mapping[Goal, int | None]) -> tuple[tuple[Line, ...], tuple[int, ...]]:
+class _Leg(NamedTuple):
+    """A way of a move: the known places where it begins, and the corrected poses to which it goes, with the goals.
+
+    ``certain``: all its places are known, though not all may be corrected.
+    """
+
+    motion: Motion
+    places: list[int | Taught]
+    ends: list[tuple[int, Goal]]
+    certain: bool
+
+
+def _legs_of(program: Program, index: Mapping[Goal, int | None]) -> list[_Leg]:
+    legs = []
+    for motion in program.motions:
+        for starts, ends in motion.legs:
+            places = [place for start in starts if (place := _origin(start, index)) is not None]
+            known = [(to, end) for end in ends if isinstance(end, Goal) and (to := index.get(end)) is not None]
+            found = len(places) + len(known) == len(starts) + len(ends)
+            certain = found or all(isinstance(one, Goal) for one in (*starts, *ends))
+            legs.append(_Leg(motion, places, known, certain))
+    return legs
+
+
+def _straight_ways(legs: Sequence[_Leg]) -> tuple[tuple[Line, ...], tuple[int, ...]]:
     """Return the straight moves from known places to corrected poses, and those that may also begin elsewhere."""
     lines: dict[Line, None] = {}
     loose: dict[int, None] = {}
-    for motion in program.motions:
-        if not motion.straight:
-            continue
-        for starts, ends in motion.legs:
-            places = [place for start in starts if (place := _origin(start, index)) is not None]
-            known = [to for end in ends if isinstance(end, Goal) and (to := index.get(end)) is not None]
-            lines |= dict.fromkeys(Line(motion.start, begin, to) for begin in places for to in known)
-            if not all(isinstance(one, Goal) for one in (*starts, *ends)):
+    for motion, places, ends, certain in legs:
+        if motion.straight:
+            for begin in places:
+                for to, _ in ends:
+                    lines[Line(motion.start, begin, to)] = None
+            if not certain:
                 loose[motion.start] = None
     return tuple(lines), tuple(loose)
 
 
 def _ways(
-    program: Program, poses: Sequence[PoseTarget], index: Mapping[Goal, int | None]
+    poses: Sequence[PoseTarget], legs: Sequence[_Leg], users: Mapping[Goal, Motion], index: Sequence[int | None]
 ) -> tuple[tuple[int | Taught | None, ...], tuple[Revisit, ...]]:
-    """Return the robot's position before it first goes to each pose, and the further paths to it."""
+    """Return the robot's position before it first goes to each pose, and the further paths to it.
+
+    ``users`` are the goals with the first move to each, ``index`` their poses.
+    """
     origins: dict[int, int | Taught] = {}
     further: dict[tuple[object, ...], Revisit] = {}
     arrived: set[tuple[object, ...]] = set()  # poses and what selects the configuration, where a path to them is known
-    for motion in program.motions:
-        for starts, ends in motion.legs:
-            places = [place for start in starts if (place := _origin(start, index)) is not None]
-            for end in ends if places else ():
-                to = index.get(end) if isinstance(end, Goal) else None
-                if to is None or not isinstance(end, Goal):
-                    continue
-                origins.setdefault(to, next((one for one in places if one != to), places[0]))
-                arrived.add((to, _chooses(end)))
-                if end.near is None:
-                    same = _chooses(end) == _chooses(poses[to].goal)
-                    for place in places:
-                        if place != to and not (same and place == origins[to]):
-                            further.setdefault((to, _chooses(end), place), Revisit(to, end, place, motion.start))
-    for motion in program.motions:
-        for goal in motion.goals:
-            to = index.get(goal)
-            if to is None or goal is (first := poses[to].goal) or _chooses(goal) == _chooses(first):
-                continue
-            if not (_by_origin(goal) and (to, _chooses(goal)) in arrived):
-                further.setdefault((to, _chooses(goal)), Revisit(to, goal, None, motion.start))
+    for motion, places, ends, _ in legs:
+        if not places:
+            continue
+        for to, end in ends:
+            chooses = _chooses(end)
+            first = origins.setdefault(to, next((one for one in places if one != to), places[0]))
+            arrived.add((to, chooses))
+            if end.near is None:
+                same = chooses == _chooses(poses[to].goal)
+                for place in places:
+                    if place != to and not (same and place == first):
+                        further.setdefault((to, chooses, place), Revisit(to, end, place, motion.start))
+    for (goal, motion), of in zip(users.items(), index, strict=True):
+        if of is None or goal is (first_goal := poses[of].goal) or _chooses(goal) == _chooses(first_goal):
+            continue
+        if not (_by_origin(goal) and (of, _chooses(goal)) in arrived):
+            further.setdefault((of, _chooses(goal)), Revisit(of, goal, None, motion.start))
     return tuple(origins.get(i) for i in range(len(poses))), tuple(further.values())
 
 
@@ -259,8 +280,9 @@ def _read_by(program: Program) -> dict[int, int]:
     read = dict(program.judged)
     goals = [(goal, motion) for motion in program.motions for goal in motion.goals]
     for goal, motion in goals:
-        for one in _computed_from(goal):
-            read.setdefault(one.start, motion.start)
+        if goal.tool.origin or goal.frame.origin or (isinstance(goal.target, Pose) and goal.target.origin):
+            for one in _computed_from(goal):
+                read.setdefault(one.start, motion.start)
     if (place := read.get(EVERY.start)) is not None:
         for goal, _ in goals:
             for one in literals_in(goal.target) if isinstance(goal.target, Pose) else (goal.target,):

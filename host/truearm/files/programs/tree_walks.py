@@ -21,7 +21,7 @@ from truearm.files.programs.syntax import (
     Truth,
 )
 
-_WITHOUT_CALLS = frozenset({Name, Number, Taught, Text, Truth, Routine})
+WITHOUT_CALLS = frozenset({Name, Number, Taught, Text, Truth, Routine})
 
 
 def calls_in(node: tuple[object, ...]) -> Iterator[Call]:
@@ -33,7 +33,7 @@ def calls_in(node: tuple[object, ...]) -> Iterator[Call]:
         here = waiting.pop()
         if isinstance(here, Call):
             yield here
-        if type(here) not in _WITHOUT_CALLS:
+        if type(here) not in WITHOUT_CALLS:
             waiting += [inner for inner in reversed(here) if inner and isinstance(inner, tuple)]
 
 

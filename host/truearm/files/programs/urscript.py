@@ -47,7 +47,7 @@ _TOKENS = re.compile(
 _BINDS = {"or": 1, "xor": 1, "and": 2, "==": 4, "!=": 4, "<": 4, ">": 4, "<=": 4, ">=": 4}
 _BINDS |= {"+": 5, "-": 5, "*": 6, "/": 6, "%": 6}
 _NOT, _MINUS = 3, 7
-_PLAIN, _AFTER_OPERAND = frozenset({"number", "pose", "joints"}), frozenset({",", ")", "]"})  # most arguments
+_PLAIN, _AFTER_OPERAND = frozenset({"number", "pose", "joints", "word"}), frozenset({",", ")", "]"})  # most arguments
 _TRUTHS = frozenset({"True", "False", "true", "false"})
 _CLOSING = frozenset({"end", "else", "elif"})
 _LEAVES = {"break": Leave("break"), "continue": Leave("continue"), "halt": Leave("halt")}
@@ -189,7 +189,7 @@ class _Reader(Reader):
 
     def expression(self, least: int = 0) -> Expression:
         """Return an expression whose operators have at least this precedence; brackets may span lines."""
-        if self.kind in _PLAIN and self._next[1] in _AFTER_OPERAND:
+        if self.kind in _PLAIN and self._next[1] in _AFTER_OPERAND and self.text != "not":
             return self.atom()
         start, text = self.start, self.text
         if text == "not":

@@ -161,7 +161,7 @@ def _move(flow: Flow, call: Call, arguments: Sequence[Values], named: Mapping[st
     expressions = dict(call.named)
     targets = []
     for k, names in enumerate(MOVES[call.function]):
-        name = next((one for one in names if one in named), None)
+        name = next((one for one in names if one in named), None) if named else None
         if name is not None:
             targets.append((named[name], expressions[name]))
         elif k < len(arguments):

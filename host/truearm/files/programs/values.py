@@ -203,6 +203,8 @@ def distinct(values: Iterable[Value]) -> Values:
 
     If one is unknown, the first reason is kept and numbers are dropped: an unknown number may be any, and several would multiply with each operator.
     """
+    if isinstance(values, tuple) and len(values) < 2:
+        return values
     found = dict.fromkeys(values)
     if len(found) > 1 and (reason := next((one for one in found if isinstance(one, Unknown)), None)) is not None:
         origin = origin_of(one for one in found if isinstance(one, Unknown | Number))
@@ -282,7 +284,10 @@ def combined(at: int, function: Callable[..., Value], arguments: Sequence[Values
     """Return the results of a function of single values for every combination of possibilities."""
     if len(arguments) == 1:
         return tuple(_traced(function(one), at) for one in arguments[0])
-    if math.prod(map(len, arguments)) > most_choices(arguments):
+    choices = math.prod(map(len, arguments))
+    if choices == 1:
+        return (_traced(function(*(one[0] for one in arguments)), at),)
+    if choices > most_choices(arguments):
         return (Unknown("it has too many possible values to trace", at),)
     return distinct(_traced(function(*choice), at) for choice in product(*arguments))
 

@@ -6,10 +6,10 @@ from truearm.errors import ProgramError
 from truearm.files.programs.syntax import Source
 from truearm.files.programs.tree_walks import places_in
 
-WORK, WORK_EACH = 500_000, 0.25  # units for any program, and for each byte of it
+WORK, WORK_EACH = 430_000, 0.25  # units for any program, and for each byte of it
 # what something costs, in units
 TOKEN, STATEMENT, DEEPER = 1, 1, 1  # of the text, as it is read: tokens, statements, brackets and blocks
-MOVE, GOAL = 5, 5  # and each of its possible goals
+MOVE, GOAL = 4, 3  # and each of its possible goals
 CALL, BLOCK = 70, 2  # of a routine; one of the blocks of a choice
 GEOMETRY = 14  # a function of poses
 ELEMENT = 1  # an operator, an element or a list
