@@ -4,9 +4,10 @@
   for anything.
 - ``python``: run, all of a page in one module.
 - a block of any language with ``title="NAME"``: written to that file first.
-- ``<!-- test: skip, REASON -->`` before a block: it is not run. ``<!-- test: soak -->``: only by ``make soak``.
+- ``<!-- test: skip, REASON -->`` before a block: it is not run, but its commands are parsed. ``<!-- test: soak -->``: only
+  by ``make soak``.
 - ``<!-- test: setup`` (or ``setup soak``) … ``-->``: lines that are run and not shown; ``copy PATH [NAME]`` copies a file
-  of the repository, ``tree PATH`` a folder.
+  of the repository, ``tree PATH`` a folder, ``cut NAME BYTES`` leaves only the beginning of a file.
 - ``<!-- test: page skip, REASON -->``: no block of the page is run.
 """
 
@@ -26,7 +27,7 @@ _PART = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """A block to run; ``shown`` are the output lines on the page, ``file`` the name to write it to."""
+    """A block; ``shown`` are the output lines on the page, ``file`` the name to write it to, ``skip`` why it is not run."""
 
     language: str
     body: str
@@ -34,10 +35,11 @@ class Block:
     shown: tuple[str, ...] = ()
     file: str | None = None
     soak: bool = False
+    skip: str = ""
 
 
 def blocks(text: str) -> list[Block]:
-    """Return what a page has to run. Raises ValueError for an unknown mark."""
+    """Return the blocks of a page, without those of a page that is skipped. Raises ValueError for an unknown mark."""
     found: list[Block] = []
     mark, end = "", 0
     for part in _PART.finditer(text):
@@ -56,15 +58,21 @@ def blocks(text: str) -> list[Block]:
         body = re.sub(rf"^{part['indent']}", "", part["body"], flags=re.MULTILINE)
         title = re.search(r'title="([^"]+)"', part["info"])
         if mark.startswith("skip"):
-            pass
+            found.append(Block(part["language"], body, line, skip=mark.removeprefix("skip, ")))
         elif title:
             found.append(Block("file", body, line, file=title[1]))
         elif part["language"] in ("sh", "python"):
             found.append(Block(part["language"], body, line, soak=mark == "soak"))
-        elif part["language"] == "text" and found and not text[end : part.start()].strip():
+        elif part["language"] == "text" and found and not found[-1].skip and not text[end : part.start()].strip():
             found[-1] = replace(found[-1], shown=tuple(body.splitlines()))
         mark, end = "", part.end()
     return found
+
+
+def page_skip(text: str) -> str:
+    """Return why no block of a page is run, "" if they are."""
+    found = re.search(r"^<!-- test: page skip, (.*?) *-->$", text, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def unprinted(shown: tuple[str, ...], printed: str) -> str | None:

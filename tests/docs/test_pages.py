@@ -1,16 +1,20 @@
 """All commands and Python blocks in the documentation run as written, page by page."""
 
 import ast
+import re
 import shlex
 import shutil
 from pathlib import Path
 
 import pytest
+import typer
 
-from tests.docs.pages import PAGES, ROOT, Block, blocks, unprinted
-from truearm.cli.main import main
+from tests.docs.pages import PAGES, ROOT, Block, blocks, page_skip, unprinted
+from truearm.cli.main import app, main
 
-RUN = [(page, found) for page in PAGES if (found := blocks(page.read_text(encoding="utf-8")))]
+BLOCKS = {page: blocks(page.read_text(encoding="utf-8")) for page in PAGES}
+RUN = [(page, kept) for page, found in BLOCKS.items() if (kept := [block for block in found if not block.skip])]
+SKIPPED = [(page, block) for page, found in BLOCKS.items() for block in found if block.skip]
 
 
 def cases():
@@ -56,6 +60,8 @@ def command(words: list[str], block: Block, monkeypatch) -> None:
             monkeypatch.chdir(folder)
         case ["copy", source, *name] if block.language == "setup":
             shutil.copy(ROOT / source, Path(*name) if name else Path())
+        case ["cut", name, size] if block.language == "setup":
+            Path(name).write_bytes(Path(name).read_bytes()[: int(size)])
         case ["tree", folder] if block.language == "setup":
             shutil.copytree(ROOT / folder, folder)
         case _:
@@ -68,6 +74,29 @@ def test_the_tutorials_and_guides_are_run():
     for page in PAGES:
         if page.parent.name in ("tutorials", "how-to") and "```sh" in page.read_text(encoding="utf-8"):
             assert page in run_pages or "<!-- test: " in page.read_text(encoding="utf-8"), page
+
+
+@pytest.mark.parametrize(("page", "block"), SKIPPED, ids=lambda of: getattr(of, "stem", getattr(of, "line", "")))
+def test_what_is_not_run_is_parsed(page, block, tmp_path, monkeypatch):
+    """A command that needs a box, a robot or an hour has the options and arguments that its parser knows."""
+    monkeypatch.chdir(tmp_path)
+    for line in block.body.replace("\\\n", " ").splitlines() if block.language == "sh" else ():
+        words = shlex.split(line, comments=True)
+        if words[:1] != ["truearm"]:
+            continue
+        command, words = typer.main.get_command(app), words[1:]
+        while commands := getattr(command, "commands", None):
+            command, words = commands[words[0]], words[1:]
+        command.make_context(command.name, words)
+
+
+def test_what_is_not_run_names_tests_that_exist():
+    reasons = [(page, block.skip) for page, block in SKIPPED]
+    reasons += [(page, why) for page in PAGES if (why := page_skip(page.read_text(encoding="utf-8")))]
+    assert len(reasons) >= 10
+    for page, why in reasons:
+        for path in re.findall(r"tests/[\w/.]*\w", why):
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
 def test_messages_name_pages_by_a_title_that_exists():
@@ -109,7 +138,8 @@ truearm c
 
 
 def test_blocks_of_a_page():
-    setup, file, first, slow = blocks(PAGE)
+    setup, file, first, skipped, slow = blocks(PAGE)
+    assert (skipped.body, skipped.skip) == ("truearm b\n", "needs a box")
     assert (setup.language, setup.body.strip()) == ("setup", "copy tests/data/README")
     assert (file.file, file.body) == ("a.csv", "x\n")
     assert (first.body, first.shown, first.soak) == ("truearm a\n", ("one … three",), False)
