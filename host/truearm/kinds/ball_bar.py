@@ -13,6 +13,7 @@ at which zero or gain is valid. ∂d/∂x is the derivative of the sphere's posi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,7 +30,9 @@ from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
+from truearm.units import MM
 
+SURE = 5.0  # σ: a length is beyond the stroke
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
 
 # The sensor's zero drifts and jumps, and its gain may be wrong. The bar itself has no fixed position.
@@ -130,6 +133,23 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     return RigUse((chucks, spheres, bars), make)
 
 
+def beyond_stroke(rows: ObservationTable, rig: Rig) -> list[str]:
+    """Return a sentence for each bar with lengths that its stroke does not reach, by more than its zero may be off."""
+    out = []
+    for name in np.unique(rows.bar).tolist():
+        bar, mine = rig.bars[name], rows.select(rows.bar == name)
+        reach = 0.5 * abs(bar.gain) * bar.travel
+        beyond = np.flatnonzero(np.abs(mine.value - bar.zero) > reach + SURE * math.hypot(bar.sigma, bar.zero_sigma))
+        if beyond.size:
+            low, high = bar.zero - reach, bar.zero + reach
+            first = f"{mine.source[beyond[0]]}, {MM.text(float(mine.value[beyond[0]]), '.1f')}"
+            out.append(
+                f"beyond the stroke of bar {name}, {MM.of(low):.1f} to {MM.text(high, '.1f')}: {beyond.size} of its {len(mine)} "
+                f"rows (first {first}); check the bar in these rows, and its zero and travel in the rig"
+            )
+    return out
+
+
 def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) -> Floats:
     """Return the longitude (n,) [rad] of the sphere about its chuck."""
     spheres, chucks = (
@@ -215,4 +235,5 @@ KIND = Kind(
     groups="pairing of chuck and sphere",
     proposals=proposals,
     longitude=longitude,
+    doubts=beyond_stroke,
 )

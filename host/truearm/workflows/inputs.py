@@ -17,8 +17,10 @@ from truearm.files.observation_table import check_against_rig, concatenate, read
 from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.kinds.registry import kinds
 from truearm.model.robot import Robot
 from truearm.progress import step
+from truearm.text import one_line
 from truearm.types import ObservationTable, Rig
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
@@ -149,11 +151,20 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     if "" in rigs or not rigs:
         one = rigs.get("", with_noise(Rig(), noise))
         check_against_rig(table, one)
+        _say_doubts(table, one, sources.say)
         return Observed(one, table, counts)
     _check_names(table, rigs, sources.rigs)
     for name, rig in rigs.items():
         check_against_rig(table.select(table.rig == name), rig)
+        _say_doubts(table.select(table.rig == name), rig, sources.say)
     return Observed(rigs, table, counts)
+
+
+def _say_doubts(table: ObservationTable, rig: Rig, say: Say) -> None:
+    """Say which rows the devices of the rig cannot have measured."""
+    for name, kind in kinds().items():
+        for sentence in kind.doubts(table.select(table.kind == name), rig) if kind.doubts else ():
+            say(one_line(sentence))
 
 
 def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path]) -> None:
