@@ -141,6 +141,8 @@ FORMS = {
     "three tools and features": tuple(line for k in range(3) for line in (f"set_tcp(p{written(TOOLS[k])})", f"global Plane_{k} = {six(feature(k))}", *(f"movej(pose_trans(Plane_{k}, {six(np.linalg.inv(feature(k)) @ tool_point(3 * k + i, k))}))" for i in range(3)))),
     "tool of its own": (f"movej(get_inverse_kin({six(tool_point(1, 2))}, {NEAR}, tcp=p{written(TOOLS[2])}))",),
     "solved under a tool before": (f"set_tcp(p{written(TOOLS[1])})", f"q = get_inverse_kin({six(tool_point(1, 1))}, {NEAR})", f"set_tcp(p{written(TOOLS[0])})", "movej(q)"),
+    "tool set again on one way": (f"set_tcp(p{written(TOOLS[0])})", f"movej({six(POSES[1])})", "if random() > 0.5:", f"  set_tcp(p{written(TOOLS[1])})", f"  movej({six(tool_point(2, 1))})", f"  set_tcp(p{written(TOOLS[0])})", "end", f"movej({six(POSES[3])})"),
+    "list of a length": (f"path = make_list(initial_value={six(POSES[1])}, length=2)", f"path[1] = {six(POSES[2])}", "movej(path[0])", "movej(path[1])"),
     "assigned twice": (f"W = {six(POSES[1])}", "movej(W)", f"W = {six(POSES[2])}", "movej(W)"),
     "branch": (f"W = {six(POSES[1])}", "if random() > 0.5:", f"  W = {six(POSES[2])}", "end", "movej(W)"),
     # conditions that run a routine, which assigns
@@ -246,6 +248,21 @@ def test_a_pose_whose_elements_are_set_is_split(tmp_path):
     assert misses(text, corrected(tmp_path, text, split=True)).max() < 1e-6
 
 
+LISTS = {
+    "make_list(read_input_integer_register(0), W)": "the length of its list is not known; give make_list a plain number",
+    "make_list(W)": "the length of its list is not known; give make_list a plain number",
+    "make_list(5000, W)": "its list is too long; give make_list a length of at most 1000",
+}
+
+
+@pytest.mark.parametrize("made", LISTS)
+def test_a_list_of_unknown_length_is_refused(tmp_path, made):
+    text = program(f"W = {six(POSES[1])}", "movej(W)", f"path = {made}", "movej(path[0])")
+    with pytest.raises(ProgramRefused) as caught:
+        corrected(tmp_path, text)
+    assert [(one.line, one.why) for one in caught.value.refused] == [(5, LISTS[made])]
+
+
 def test_a_move_with_two_reasons_counts_once(tmp_path):
     """A target and a tool that are both known at run time only."""
     text = program(
@@ -293,7 +310,7 @@ def test_a_move_that_needs_several_values_has_no_remedy(tmp_path):
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
     assert {(one.line, one.remedy) for one in caught.value.refused} == {(6, "")}
-    assert "its tool, frame or offset differs between its calls" in caught.value.refused[0].why
+    assert "its tool, frame or offset differs between the ways to it" in caught.value.refused[0].why
 
 
 def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ implemented again.
 """
 
 import contextlib
+import copy
 import operator
 import re
 from dataclasses import dataclass
@@ -452,6 +453,9 @@ class Machine:
     def set_tcp(self, pose, tcp_name=""):
         self.controller.tcp = pose.matrix()
 
+    def make_list(self, length, initial_value, capacity=None):
+        return [copy.deepcopy(initial_value) for _ in range(int(length))]
+
     def length(self, of):
         return float(len(of))
 
@@ -487,7 +491,7 @@ BUILTINS = {
     name: getattr(Machine, name)
     for name in ("movej", "movel", "movep", "movec", "servoj", "servoc", "optimovej", "optimovel", "get_inverse_kin", "pose_trans", "pose_inv", "pose_add", "rpy2rotvec",
                  "pose_sub", "get_actual_tcp_pose", "get_tcp_offset", "random", "set_payload", "set_tcp", "sleep", "popup", "textmsg", "set_standard_digital_out",
-                 "get_standard_digital_in", "length", "d2r")
+                 "get_standard_digital_in", "length", "make_list", "d2r")
 }  # fmt: skip
 BUILTINS["get_list_length"] = Machine.length
 BUILTINS |= dict.fromkeys(

@@ -20,6 +20,7 @@ from truearm.files.programs.syntax import Form, Taught
 from truearm.files.programs.values import (
     EVERY,
     UNIT_QUATERNION,
+    Factor,
     Goal,
     LiteralPoses,
     Pose,
@@ -252,7 +253,7 @@ def _assigned(
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
                     why = f"it shares the target of line {shared} with the move of line {other}, but needs different numbers there"
                     if motions[taken] is motion:
-                        why = f"its tool, frame or offset differs between its calls, which need different numbers in the target of line {shared}"
+                        why = f"its tool, frame or offset differs between the ways to it, which need different numbers in the target of line {shared}"
                 if own is None and goal.start >= 0 > goal.end:
                     why += "; the call that gives its target may do more, so it is not replaced"
                 elif own is None and (n := _goals_at(goal, motion)) > 1:
@@ -323,7 +324,25 @@ def _same(a: Goal, b: Goal) -> bool:
     """Return whether two goals require the same of a literal."""
     assert isinstance(a.target, Pose)
     assert isinstance(b.target, Pose)
-    return (a.target.factors, a.tool, a.frame) == (b.target.factors, b.tool, b.frame)
+    return a.target.factors == b.target.factors and _alike(a.tool, b.tool) and _alike(a.frame, b.frame)
+
+
+def _alike(a: Pose, b: Pose) -> bool:
+    """Return whether two tools or frames are the same, though perhaps written in several places.
+
+    Neither is corrected.
+    """
+    if a is b:
+        return True
+    parts = zip(a.factors, b.factors, strict=False)
+    return len(a.factors) == len(b.factors) and all(
+        one.inverse == other.inverse and _numbers(one) == _numbers(other) for one, other in parts
+    )
+
+
+def _numbers(factor: Factor) -> tuple[object, ...]:
+    of = factor.pose
+    return (of.form, *of.values) if isinstance(of, Taught) else of.rows
 
 
 def _candidates(goal: Goal, fixtures: set[int], motion: Motion) -> list[Taught]:

@@ -35,6 +35,7 @@ from truearm.types import Floats
 from truearm.units import DEG
 
 SIX = 6
+MOST_ITEMS = 1_000  # of a list that make_list returns
 
 
 def as_pose(value: Value, at: int) -> Pose | Unknown:
@@ -69,15 +70,14 @@ def items_of(of: Value) -> tuple[Values, ...] | None:
 
 
 def list_made(arguments: Sequence[Values], named: Mapping[str, Values], at: int) -> Values:
-    given = [*arguments, *named.values()]
-    if (
-        len(given) < 2
-        or len(given[0]) != 1
-        or not isinstance(given[0][0], Number)
-        or not 0 <= given[0][0].value <= 1000
-    ):
-        return (Unknown("the list that make_list returns cannot be traced", at),)
-    return (Listed((given[1],) * int(given[0][0].value)),)
+    """Return a list of equal items: length, initial value, and a capacity that does not matter."""
+    given = dict(zip(("length", "initial_value", "capacity"), arguments, strict=False)) | dict(named)
+    size, item = given.get("length", ()), given.get("initial_value", ())
+    if len(size) != 1 or not isinstance(size[0], Number) or not item:
+        return (Unknown("the length of its list is not known; give make_list a plain number", at),)
+    if not 0 <= size[0].value <= MOST_ITEMS:
+        return (Unknown(f"its list is too long; give make_list a length of at most {MOST_ITEMS}", at),)
+    return (Listed((item,) * int(size[0].value)),)
 
 
 def _poses(given: Sequence[Value], n: int, at: int) -> list[Pose] | Unknown:
