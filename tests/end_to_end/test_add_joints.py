@@ -172,6 +172,8 @@ class TestWhatIsWrong:
     def test_no_output_over_an_input(self, recorded, table, out, capsys):
         table.rename(out)
         assert "is already an input" in self.fails(capsys, out, recorded.bare, out)
+        assert "is not a file that this command writes" in self.fails(capsys, out, recorded.bare, recorded.bare)
+        out.write_bytes(recorded.bare.read_bytes())
         assert "exists; choose another name" in self.fails(capsys, out, recorded.bare, recorded.bare)
 
 

@@ -107,7 +107,7 @@ def test_bad_input_is_one_line(arguments, code, says, tmp_path, monkeypatch, cap
 
 def test_no_box_there(capsys):
     assert box("info", "--box", "/dev/gone") == 1
-    assert "not found; is the box" in capsys.readouterr().err
+    assert "not found; plug the box in" in capsys.readouterr().err
     assert box("info", "--box", "ftp://x") == 2
     assert box("info") == 2
     assert "--box" in capsys.readouterr().err
@@ -170,7 +170,7 @@ def test_boxes_are_listed_by_their_usb_identity(monkeypatch, capsys):
         assert [row["device"] for row in rows] == [device, "/dev/gone"]
         assert rows[0]["box"]["firmware"] == __version__
         assert rows[1]["box"] is None
-        assert "not found; is the box" in rows[1]["answer"]
+        assert "not found; plug the box in" in rows[1]["answer"]
 
 
 def test_nothing_to_list(no_ports, capsys):

@@ -43,6 +43,8 @@ travel_mm = 75
 sigma_mm = 0.084
 """
 
+EARLIER = b"\x89MCAP0\r\nan earlier recording"
+
 
 def test_a_recording_ended_by_time(tmp_path, capsys):
     out = tmp_path / "s.mcap"
@@ -167,10 +169,15 @@ class TestRefused:
         assert "'c9' is not in" in capsys.readouterr().err
 
     def test_an_existing_file(self, tmp_path, capsys):
-        (tmp_path / "s.mcap").write_text("precious")
-        assert main(["record", "--box", "/dev/none", "--out", str(tmp_path / "s.mcap")]) == 2
+        record, out = ["record", "--box", "/dev/none", "--out", str(tmp_path / "s.mcap")], tmp_path / "s.mcap"
+        out.write_bytes(EARLIER)
+        assert main(record) == 2
         assert "--force" in capsys.readouterr().err
-        assert (tmp_path / "s.mcap").read_text() == "precious"
+        assert out.read_bytes() == EARLIER
+        out.write_text("precious")
+        assert main([*record, "--force"]) == 2
+        assert "is not a file that this command writes" in capsys.readouterr().err
+        assert out.read_text() == "precious"
 
     def test_no_file_to_write(self, tmp_path, capsys):
         """A failed recording removes its file: /dev/null must not be taken for one."""
@@ -181,11 +188,11 @@ class TestRefused:
         assert (tmp_path / "null").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):
-        (tmp_path / "s.mcap").write_text("precious")
+        (tmp_path / "s.mcap").write_bytes(EARLIER)
         arguments = ["--box", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
         assert main(["record", *arguments]) == 1
         assert "not found; plug the box in" in capsys.readouterr().err
-        assert (tmp_path / "s.mcap").read_text() == "precious"
+        assert (tmp_path / "s.mcap").read_bytes() == EARLIER
 
     def test_a_box_that_says_nothing_leaves_no_file(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("truearm.record.recorder.RETRY_NS", 30_000_000)

@@ -20,7 +20,7 @@ from truearm.record.joint_lines import MAX_RUBBISH
 from truearm.record.links import HostClock, SerialLink, TcpLink
 from truearm.session.session_file import open_session
 
-PRECIOUS = b"an earlier recording"
+PRECIOUS = b"\x89MCAP0\r\nan earlier recording"
 
 
 @contextmanager

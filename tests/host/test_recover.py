@@ -162,8 +162,11 @@ class TestRefusals:
     def test_nothing_is_overwritten(self, cut, tmp_path, capsys):
         other = tmp_path / "other.mcap"
         other.write_text("precious")
-        assert "--force" in self.refused(capsys, cut, "--out", other)
+        assert "not a file that this command writes" in self.refused(capsys, cut, "--out", other)
         assert other.read_text() == "precious"
+        assert "not a file that this command writes" in self.refused(capsys, cut, "--out", other, "--force")
+        assert other.read_text() == "precious"
+        other.write_bytes(cut.read_bytes())
         assert main(["recover", str(cut), "--out", str(other), "--force"]) == 0
         assert not open_session(other).truncated
 

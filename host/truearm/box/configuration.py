@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 MAX_BYTES = 1 << 16
 Values = dict[str, Any]
 
+HEADER = "# The configuration of a truearm box"
+
 
 def parse_number(text: str) -> Decimal:
     """Parse a TOML float as a decimal number. Raises ValueError."""
@@ -51,13 +53,16 @@ def parse_number(text: str) -> Decimal:
 # --- to TOML
 
 
+def looks_like_config(head: bytes) -> bool:
+    """Return whether a file with this beginning is empty or was written by ``format_config``."""
+    return not head.strip() or head.startswith(HEADER.encode())
+
+
 def format_config(config: Mapping[str, Any]) -> str:
     """Format a box's configuration as TOML. Keys unknown to this version of truearm appear in comments: the box keeps
     them.
     """
-    lines = [
-        "# The configuration of a truearm box (truearm box config get, set). A key that is left out keeps its value in the box."
-    ]
+    lines = [f"{HEADER} (truearm box config get, set). A key that is left out keeps its value in the box."]
     lines += _lines(config, CONFIG, ("version", "channels", "magnetostrictive", "thermometers"))
     for channel in _channels(config):
         lines += ["", "[[channel]]", *_lines(channel, CHANNEL, ("calibration",))]

@@ -31,11 +31,11 @@ def get(
 
     Example: truearm box config get --box /dev/ttyACM0 --out box.toml
     """
-    from truearm.box.configuration import format_config
+    from truearm.box.configuration import format_config, looks_like_config
     from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
-        check_writable(out, force, suffixes=[".toml"])
+        check_writable(out, force, ours=looks_like_config, suffixes=[".toml"])
     with conversation(device, stop=stop) as box:
         found = box.config()
     text = format_config(found)

@@ -262,7 +262,7 @@ def _blocking(port: serial.SerialBase, name: str) -> Callable[[], bytes]:
 
 
 _HINTS = {
-    errno.ENOENT: "not found; plug the box in, or find its port with truearm box list",
+    errno.ENOENT: "not found; plug the box in, or correct the name of its port",
     errno.EACCES: "permission denied; on Linux, join the group that owns it (dialout)",
     errno.EBUSY: "is in use by another program; close it",
     errno.EAGAIN: "is in use by another program; close it",

@@ -19,7 +19,7 @@ from truearm.live.view import View, showing
 from truearm.text import counted
 from truearm.types import Move
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
-from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on
+from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, looks_like_session
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -211,7 +211,7 @@ def _work(request: Request) -> RecordingWork:
     out = request.out if before is None else before.out
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
-    check_writable(out, request.force and before is None, inputs=read, suffixes=[SUFFIX])
+    check_writable(out, request.force and before is None, inputs=read, ours=looks_like_session, suffixes=[SUFFIX])
     if out.exists() and is_held(out):
         raise InputError(f"{out}: is still being written; end that recording first, or give another name")
     work = _with_files(RecordingWork(out, request.robot, request.osr or USUAL_OSR), request)
