@@ -1,9 +1,9 @@
 """The links of an arm as capsules, for a robot file that describes none.
 
 The segments run from the foot of the base through the origins of the joints to the end. This describes the arm if its
-links are no wider than ``Sizes.link`` and lie on their axes. The links of a PUMA 560 do, with the chain of Goswami
-1993, which includes the shoulder's 180 mm. The upper arm of a Universal Robots arm lies 135 mm beside the plane of its
-axes, so its file has its own capsules.
+links are no wider than ``Sizes.link`` and lie on their axes. Most arms are wider, and the upper arm of a Universal
+Robots arm lies 135 mm beside the plane of its axes: their files have capsules of their own. The PUMA 560, which is only
+simulated, has none.
 """
 
 from __future__ import annotations
