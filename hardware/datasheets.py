@@ -9,6 +9,7 @@ own in KiCad's libraries.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,7 @@ DATA_SHEETS = {
 }
 
 
+@cache
 def data_sheet(mpn: str) -> DataSheet | None:
     """Return the data sheet of a part number; None without a pin table: two terminals and rows of terminals."""
     return next((sheet for begin, sheet in DATA_SHEETS.items() if mpn.startswith(begin)), None)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -105,6 +105,7 @@ def is_anchor(netlist: Netlist, ref: str) -> bool:
     return _kind(netlist.components[ref].mpn) is None
 
 
+@cache
 def _kind(mpn: str) -> str | None:
     if data_sheet(mpn):
         return None
@@ -288,6 +289,7 @@ def _sides(netlist: Netlist) -> tuple[set[str], set[str]]:
 def pico(netlist: Netlist, board: str) -> list[str]:
     """Compare the Pico's pins with firmware/board_pico.py, by the function of the chip's pin at the other end."""
     found = []
+    resistors = [bridge for bridge in bridges(netlist) if bridge.kind == "R"]
     for gpio, wanted in board_pins(board).items():
         number = next((n for n, name in data_sheet("SC0917").pins.items() if name == f"GP{gpio}"), "")
         net = netlist.pins.get(("U1", number))
@@ -296,7 +298,7 @@ def pico(netlist: Netlist, board: str) -> list[str]:
             for pin, other in netlist.pins.items()
             if net is not None and other == net and pin[0] != "U1"
         }
-        if wanted not in others | _behind(netlist, net):
+        if wanted not in others | _behind(netlist, resistors, net):
             found.append(
                 f"GP{gpio} of firmware/board_pico.py goes to {wanted}, here to {', '.join(sorted(others)) or 'nothing'}"
             )
@@ -307,11 +309,11 @@ def pico(netlist: Netlist, board: str) -> list[str]:
     return found
 
 
-def _behind(netlist: Netlist, net: str | None) -> set[str]:
+def _behind(netlist: Netlist, resistors: Iterable[Bridge], net: str | None) -> set[str]:
     """Return the functions behind one resistor."""
     found = set()
-    for b in bridges(netlist):
-        if b.kind == "R" and net in (b.first, b.second):
+    for b in resistors:
+        if net in (b.first, b.second):
             far = b.second if b.first == net else b.first
             found |= {function(netlist, pin) for pin, other in netlist.pins.items() if other == far}
     return found
@@ -325,6 +327,7 @@ def board_nodes(text: str) -> list[tuple[str, str]]:
     return [(f"GP{pin}", node) for pin, node in zip(pins, nodes, strict=True)]
 
 
+@cache
 def _constants(text: str) -> dict[str, Any]:
     constants = {}
     for node in ast.parse(text).body:

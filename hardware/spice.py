@@ -193,7 +193,7 @@ def reached(elements: Iterable[str], bench: Iterable[str]) -> list[str]:
     left = {element: terminals(element) for element in elements}
     found = [element for element in left if element[0] == "V" and element.split()[2] == "0"]
     held = {"0"} | {element.split()[1] for element in found}
-    new = set(re.findall(r"\w+", " ".join(bench)))
+    new = set(re.findall(r"[a-z_]\w*", " ".join(bench), re.I))  # no numbers: formulas have some too
     while new:
         near = [element for element, nodes in left.items() if not new.isdisjoint(nodes - held)]
         new = set().union(*(left.pop(element) for element in near))

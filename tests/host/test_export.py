@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yourdfpy
 from puma_bench import CHAIN, DESIGN, TRUTH
 
 from truearm.errors import RobotError
@@ -109,6 +108,8 @@ def rows_of(name):
 
 def library_forward(text, chain, q, base, tip):
     """Return yourdfpy's forward kinematics."""
+    import yourdfpy  # and trimesh with it: every worker collects this file, and one runs it
+
     robot = yourdfpy.URDF.load(io.BytesIO(text.encode()), load_meshes=False, build_scene_graph=True)
     out = []
     for row in q:
