@@ -16,6 +16,7 @@ from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.problem import build_problem
 from truearm.estimate.systematic import systematic_errors
+from truearm.estimate.systematic_candidates import in_all_rows
 from truearm.estimate.systematic_confirmation import FOLDS, STRETCHES, path_inflation
 from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
@@ -421,6 +422,28 @@ def test_half_a_mount_with_a_wrong_label_is_named_as_rows_that_do_not_fit():
         assert worlds.tool_error(bent, worlds.plan()) > 0.01
         # 0.07 mm on average, 40 % more in one of twenty worlds.
         assert worlds.tool_error(without, worlds.plan()) < 0.15e-3
+
+
+def test_an_item_that_is_allowed_to_be_off_or_unknown_is_none_that_can_be_off_in_all_rows():
+    rows = random_table(60, np.random.default_rng(7), SIGMA)
+    spheres = {name: replace(point, sigma=None) for name, point in RIG.spheres.items()}
+    rig = replace(RIG, spheres=spheres)
+    problem = build_problem(CHAIN, rig, rows, None, modelled_of(CHAIN, rig, rows, [Effect("chuck.c0")]))
+    names = [cause.name for cause in in_all_rows(problem)]
+    assert "chuck.c1" in names
+    assert not {"chuck.c0", "sphere.s0"} & set(names)
+
+
+def test_a_chuck_that_is_elsewhere_is_the_finding_though_steps_explain_the_rows_to_first_order():
+    """Seed 3: 20 mm from its place across the plane of the chucks, which turns the base."""
+    plan, off = worlds.plan(), np.zeros((360, 3))
+    off[plan.chuck == "c1"] = (0.0, 3e-3, 20e-3)
+    rows = worlds.table(plan, worlds.lengths(plan, off) + SIGMA * np.random.default_rng(3).normal(size=360))
+    before = worlds.identified(rows)
+    assert the_one(before).effect == Effect("chuck.c1")
+    after = worlds.identified(rows, [Effect("chuck.c1")])
+    assert before.systematic.moves == pytest.approx(worlds.tool_shift(before, after), rel=0.01)
+    assert before.systematic.chi2_reduced == pytest.approx(after.chi2_reduced, rel=0.01)
 
 
 def test_only_things_that_are_there_can_be_off():

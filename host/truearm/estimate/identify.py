@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truearm import option_defaults
 from truearm.errors import ProblemError
+from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
@@ -173,6 +174,12 @@ def identify(
                 taken, x, columns, Fitted.of(as_fitted), FitChi2(chi2, freedom, unweighted.band[1]), how
             )
     if wrong is not None:
+        state = FitChi2(chi2, freedom, unweighted.band[1])
+        if not state.explained and loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise:
+            made = Fitting(
+                chain, rig, table, fitted, problem, columns, x, found.weight > 0.0, prior_sigma, options.effects
+            )
+            wrong = one_constant(made, wrong, state) or wrong
         wrong = _within_first_order(wrong, chain, x, table.q[fitted])
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)

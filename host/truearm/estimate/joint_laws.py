@@ -154,16 +154,17 @@ def _why_none(estimate: Estimate) -> str:
 
 
 def _errors_explain_better(geometry: Estimate, laws: Estimate) -> bool:
-    """Return whether systematic errors explain what the geometry leaves, and better than the laws that were kept.
+    """Return whether systematic errors explain what the geometry leaves better than the laws that were kept.
 
     In rows sorted by a joint, an error curve of that joint passes for a joint that steps at certain rows, and in any
-    order a real step can be followed by curves to some extent. Laws must therefore leave no systematic error and no
-    larger χ².
+    order a real step, or a chuck that is elsewhere, can be followed by curves to some extent. Laws must therefore leave
+    no larger χ², and no systematic error if such errors explain everything.
     """
     wrong = geometry.systematic
-    if wrong is None or not wrong.chi2_reduced <= geometry.chi2_band[1] < geometry.chi2_reduced:
+    if wrong is None or geometry.chi2_reduced <= geometry.chi2_band[1]:
         return False
-    return laws.systematic is not None or laws.chi2_reduced > wrong.chi2_reduced
+    explained = wrong.chi2_reduced <= geometry.chi2_band[1]
+    return laws.chi2_reduced > wrong.chi2_reduced or (explained and laws.systematic is not None)
 
 
 @dataclass(frozen=True)

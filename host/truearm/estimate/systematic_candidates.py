@@ -44,15 +44,27 @@ AS_LIKELY = math.log(100.0)  # explanations whose evidence differs by less are a
 BLOCK_SIGMA = 10.0  # σ of the noise: how far a row that does not fit is off
 
 
+def in_all_rows(problem: Problem) -> list[Cause]:
+    """Return the items that can be off in all rows.
+
+    An unknown number of the rig, or one that is allowed to be off, is a parameter. Only knowledge of it could be off, such
+    as the distance of two sockets, and that is none of this item.
+    """
+    wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
+    fitted = {name for name, sigma, of in zip(problem.names, problem.prior_sigma, wide, strict=True) if sigma >= of}
+    return [cause for cause in problem.causes if cause.fault.constant and not fitted.issuperset(cause.numbers)]
+
+
 def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterator[Family]:
     """Return every item in every form in which it can be off, without its sums."""
     n = how.row.size
+    constant = in_all_rows(problem)
     for cause in problem.causes:
         off = rows.errors[:, problem.errors.indices(cause.numbers)].any(axis=1)
         used = np.flatnonzero(np.bincount(rows.row[off]))
         if used.size < 2 * LEAST_ROWS:
             continue
-        if cause.fault.constant:
+        if cause in constant:
             yield Family(cause, np.array([0]), np.array([n]))
         if cause.fault.step:
             first = _even(used[LEAST_ROWS : 1 - LEAST_ROWS], MOST_STEPS)
