@@ -350,7 +350,8 @@ class TriedLaw:
     ``rms`` [rad] is the RMS, about its mean, of its contribution to the joint angle over the fitted poses; NaN unless
     the law is kept. Of a curve that is kept, ``covered`` are the intervals of readings [rad] that it is known in,
     ``periods`` its strongest components, and ``resolution`` [cycles per turn] how far apart components must be to be
-    distinguished. The resolution is NaN if the intervals are too short for any component.
+    distinguished. The resolution is NaN if the intervals are too short for any component. Of sag that is kept,
+    ``range_share`` is the part of its range over random poses that it has over the fitted ones.
     """
 
     joint: str
@@ -361,6 +362,7 @@ class TriedLaw:
     covered: tuple[tuple[float, float], ...] = ()
     periods: tuple[Period, ...] = ()
     resolution: float = math.nan
+    range_share: float = math.nan
 
 
 class LawStep(NamedTuple):

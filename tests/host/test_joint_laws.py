@@ -401,6 +401,20 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
         again.carrying(-1.0)
 
 
+def test_sag_of_poses_with_alike_torques_is_said_to_be_extrapolated():
+    law = {"joint": "joint2", "term": "sag", "nats": 60.0, "kept": True, "rms_mrad": 0.2, "range_share": 0.18}
+    found = {
+        "reasons": [],
+        "gravity_known": True,
+        "tried": [law, {**law, "joint": "joint3", "range_share": 0.9}],
+        "noise": {"factor": 1.0, "shared_mm": 0.0, "joint_mrad": 0.0},
+    }
+    assert [line for line in law_sentences({"joint_laws": found}) if "extrapolated" in line] == [
+        "The fitted poses show only part of the sag's range within the joint limits (joint2 18%): the rest is "
+        "extrapolated. Measure poses with other gravity torques if you use them."
+    ]
+
+
 def test_one_payload_in_all_rows_says_nothing_of_another():
     """It passes for mass of the tool: the sag holds for it, which is said; the rig may name it as well as the table."""
     table, _ = loaded_world(np.random.default_rng(22), np.full(160, 4.0))
@@ -414,6 +428,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     )
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
+        assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
         assert any("holds for the payload of these rows, 4 kg" in line for line in law_sentences(found.document))
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
     sentence = "The sag of the joints holds for the payload of the calibration, 4 kg."

@@ -30,7 +30,7 @@ from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, normal_matrix
-from truearm.estimate.problem import Problem, Rigs, build_problem, without_knowledge
+from truearm.estimate.problem import Rigs, build_problem, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
@@ -107,10 +107,11 @@ def with_joint_laws(
         best, tried, steps, reasons = None, {}, steps[:1], [ERRORS_EXPLAIN]
     kept = best.of.laws if best else ()
     value = found.value if best else estimate.value
+    readings = table.q[estimate.fitted], work.anywhere.q
     report = JointLaws(
         request.mode,
         kept,
-        tuple(_tried(chain, law, nats, kept, value, table.q[estimate.fitted]) for law, nats in tried.items()),
+        tuple(_tried(chain, law, nats, kept, value, *readings) for law, nats in tried.items()),
         tuple(steps),
         tuple(reasons),
         gravity.direction,
@@ -183,17 +184,18 @@ class _Work:
     def fitted(self, laws: Sequence[Law], learned: Learned) -> _Fitted:
         of = self.problem(laws)
         found = posterior(of, learned)
-        result = nearer_geometry(of, self.anywhere(of.problem.chain), found, self.before.chi2_reduced)
+        anywhere = without_knowledge(build_problem(of.problem.chain, self.rig, self.anywhere))
+        result = nearer_geometry(of, anywhere, found, self.before.chi2_reduced)
         seen = observe(of.problem, result.x, np.zeros(result.x.size, dtype=bool))
         held_out, error = judged(of.problem, result.x, self.rig, self.table, self.held, self.effects)
         return _Fitted(of, learned, found, result, seen, held_out, error)
 
-    def anywhere(self, chain: Chain) -> Problem:
-        """Compile some of the rows, in random poses, for a robot with laws."""
+    @property
+    def anywhere(self) -> ObservationTable:
+        """Return some of the fitted rows in random poses."""
         rows = np.flatnonzero(self.before.fitted)
         some = np.unique(np.linspace(0, rows.size - 1, min(rows.size, LEAST_POSES)).astype(int))
-        table = in_any_pose(self.chain, self.table.select(rows[some]))
-        return without_knowledge(build_problem(chain, self.rig, table))
+        return in_any_pose(self.chain, self.table.select(rows[some]))
 
     @property
     def effects(self) -> list[Modelled]:
@@ -359,7 +361,10 @@ def _without_null(covariance: Floats, before: Estimate, names: Sequence[str], un
     return np.asarray(keep @ covariance @ keep.T)
 
 
-def _tried(chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floats, q: Floats) -> TriedLaw:
+def _tried(
+    chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floats, q: Floats, anywhere: Floats
+) -> TriedLaw:
+    """Return what became of a law; ``q`` (n, j) are the fitted readings, ``anywhere`` (m, j) random ones."""
     term = Curve.name if isinstance(law, CurveKnots) else Sag.name
     joint = chain.joints[law.joint].name
     if law not in kept:
@@ -369,6 +374,9 @@ def _tried(chain: Chain, law: Law, nats: float, kept: Sequence[Law], value: Floa
     kind = Curve if isinstance(law, CurveKnots) else Sag
     added = kind.of_chain(whole).value(params, q.T)[law.joint]
     found = TriedLaw(joint, term, nats, True, float(added.std()))
+    if kind is Sag:
+        every = np.append(added, kind.of_chain(whole).value(params, anywhere.T)[law.joint])
+        found = replace(found, range_share=float(np.ptp(added) / np.ptp(every)))
     for curve in sampled_curves(whole, [law], params, np.zeros((params.size, params.size))):
         periods, resolution = strongest_periods(curve), spectrum(curve).resolution
         found = replace(found, covered=curve.intervals, periods=periods, resolution=resolution)

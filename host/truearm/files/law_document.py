@@ -67,6 +67,7 @@ def _tried(law: TriedLaw) -> dict[str, Any]:
         "nats": _finite(law.nats),
         "kept": law.kept,
         "rms_mrad": _finite(MRAD.of(law.rms)),
+        "range_share": _finite(law.range_share),
         "covered_deg": [[DEG.of(end) for end in interval] for interval in law.covered],
         "resolution_cycles": _finite(law.resolution),
         "periods": [{"cycles": one.cycles, "amplitude_mrad": MRAD.of(one.amplitude)} for one in law.periods],

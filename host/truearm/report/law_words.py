@@ -10,6 +10,7 @@ from truearm.text import counted, one_line
 
 Document = Mapping[str, Any]
 MOST_GAPS = 4  # named
+SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
 
 STEPS = {"geometry": "geometry", "sag": "with sag", "curves": "with curves"}
 
@@ -35,6 +36,7 @@ def law_sentences(document: Document) -> list[str]:
         lines.append(
             "Gravity is assumed to point along -z of the base frame; otherwise give gravity in the robot file or the table."
         )
+    lines += _extrapolated([law for law in kept if law["term"] == "sag"])
     lines += _payload([law for law in kept if law["term"] == "sag"], found.get("payloads", []))
     noise = found["noise"]
     parts = [f"{noise['factor']:.2g} times the declared variances"]
@@ -71,6 +73,18 @@ def intervals_text(intervals: Sequence[Sequence[float]]) -> str:
     listed = ", ".join(f"{low:.0f} to {high:.0f}" for low, high in named)
     more = f" and {counted(len(gaps) - len(named), 'smaller gap')}" * (len(gaps) > len(named))
     return f"{text} except {listed} deg{more}"
+
+
+def _extrapolated(sags: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name the sags of which the fitted poses show little; earlier results do not have ``range_share``."""
+    shares = [(law["joint"], law.get("range_share")) for law in sags]
+    small = [f"{one_line(joint)} {share:.0%}" for joint, share in shares if share is not None and share < SMALL_SHARE]
+    if not small:
+        return []
+    return [
+        f"The fitted poses show only part of the sag's range within the joint limits ({', '.join(small)}): "
+        "the rest is extrapolated. Measure poses with other gravity torques if you use them."
+    ]
 
 
 def _payload(sags: Sequence[Mapping[str, Any]], payloads: Sequence[Mapping[str, Any]]) -> list[str]:
