@@ -589,3 +589,36 @@ def test_no_move_of_a_module_is_left_uncorrected_in_silence(tmp_path, text, spli
         assert misses(text, after).max() < 1e-6
     except ProgramFault:
         assume(False)  # the program itself faults: a list's element that is none
+
+
+# what was written is read again
+
+
+FAULTS = {
+    "a change is lost": lambda first, second: [first],
+    "a digit is lost": lambda first, second: [first, second._replace(text=second.text.replace("p[0.4", "p[0.3"))],
+    "two are exchanged": lambda first, second: [first._replace(text=second.text), second._replace(text=first.text)],
+    "a move is added": lambda first, second: [first._replace(text=f"{first.text}\n  movel(W)"), second],
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_in_writing_is_found_before_anything_is_written(tmp_path, monkeypatch, fault):
+    text = program(f"W = {six(POSES[1])}", "movej(W)", f"movel({six(POSES[2])})", f"movej({written(Q[3])})")
+    real = correct_program_module.changes_of
+    monkeypatch.setattr(correct_program_module, "changes_of", lambda *given: FAULTS[fault](*real(*given)))
+    with pytest.raises(ProgramError, match=r"line [34]: the corrected .*, so nothing was written; this is a fault in"):
+        corrected(tmp_path, text)
+
+
+def test_a_move_that_is_neither_corrected_nor_refused_is_found(tmp_path, monkeypatch):
+    text = program(f"movej({six(POSES[1])})", f"movel({six(POSES[2])})")
+    real = correct_program_module.targets_of
+
+    def forgetful(*given):
+        found = real(*given)
+        return found._replace(poses=found.poses[:1], origins=found.origins[:1], lines=())
+
+    monkeypatch.setattr(correct_program_module, "targets_of", forgetful)
+    with pytest.raises(ProgramError, match="line 3: the move is neither corrected nor refused"):
+        corrected(tmp_path, text)

@@ -25,9 +25,11 @@ from truearm.files.programs.program import (
     Refused,
     Surroundings,
     language_of,
+    parse_program,
     read_program,
     refused_at,
 )
+from truearm.files.programs.reread import Wanted, check_reread
 from truearm.files.programs.syntax import Taught
 from truearm.files.programs.targets import (
     PoseTarget,
@@ -48,6 +50,7 @@ N_READINGS = 6  # of a program's joint readings
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
+MOST_REREAD = 20_000  # targets of a program that is read again: about 0.05 ms each
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
@@ -132,7 +135,8 @@ def correct_program(
     base, flange = _placed(language, names, options)
     tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
     frames = {name.lower(): fixed_six(six) for name, six in {**options.tools, **options.works}.items()}
-    program = read_program(path, Surroundings(tool, frames, options.harmless))
+    surroundings = Surroundings(tool, frames, options.harmless)
+    program = read_program(path, surroundings)
     at_joints = [m.start for m in program.motions if any(not isinstance(goal.target, Pose) for goal in m.goals)]
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
@@ -194,8 +198,18 @@ def correct_program(
         np.concatenate([at_end, whole]),
         correction,
     )
+    text = changed_text(program, changes)
+    if len(targets.indices) + len(readings) <= MOST_REREAD:
+        wanted = Wanted(
+            {goal: of_pose[i] for goal, i in targets.indices.items() if i in of_pose},
+            corrected.told[: len(rows)],
+            {readings[i]: joints.q[i] for i in moved},
+            options.joint_moves is not JointMoves.CORRECT,
+            frozenset(one.line for one in refused),
+        )
+        check_reread(program, parse_program(text, language, surroundings, str(path)), wanted)
     return CorrectedProgram(
-        changed_text(program, changes),
+        text,
         corrected,
         _straight_moves(how.pair, program, targets, of_pose, of_joints, corrected),
         tuple(refused),

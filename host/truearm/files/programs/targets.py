@@ -71,7 +71,8 @@ class ProgramTargets(NamedTuple):
 
     ``lines`` are the straight moves; those in ``loose`` (by place) may also begin elsewhere. ``origins``: the robot's
     position before it first goes to each pose, given as another pose by its index or joint readings, None if the
-    program does not determine it. ``revisits``: the further paths to them.
+    program does not determine it. ``revisits``: the further paths to them. ``indices``: the pose of each goal, None if it
+    is not corrected.
     """
 
     poses: tuple[PoseTarget, ...]
@@ -81,6 +82,7 @@ class ProgramTargets(NamedTuple):
     loose: tuple[int, ...]
     origins: tuple[int | Taught | None, ...]
     revisits: tuple[Revisit, ...]
+    indices: Mapping[Goal, int | None]
 
 
 Refuse = Callable[[Motion, str, str], None]
@@ -122,10 +124,11 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> ProgramTarge
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
-    legs = _legs_of(program, dict(zip(users, index, strict=True)))
+    index_of = dict(zip(users, index, strict=True))
+    legs = _legs_of(program, index_of)
     origins, revisits = _ways(poses, legs, users, index)
     lines, loose = _straight_ways(legs)
-    return ProgramTargets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits)
+    return ProgramTargets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits, index_of)
 
 
 class _Leg(NamedTuple):
