@@ -86,8 +86,8 @@ class ProgramOptions(NamedTuple):
 class ProgramRefused(ProgramError):
     """A program with moves that cannot be corrected with certainty; ``refused`` names them."""
 
-    def __init__(self, text: str, refused: Sequence[Refused]) -> None:
-        super().__init__(text)
+    def __init__(self, text: Sequence[str], refused: Sequence[Refused]) -> None:
+        super().__init__(*text)
         self.refused = tuple(refused)
 
 
@@ -170,11 +170,10 @@ def correct_program(
     ]
     refused = sorted(set(refused))
     if refused and not options.partial:
-        total = len(program.motions)
-        raise ProgramRefused(
-            f"{path}: {counted(len({(one.line, one.statement) for one in refused}), 'move')} of {total} cannot be corrected, so nothing was written",
-            refused,
-        )
+        count, total = len({(one.line, one.statement) for one in refused}), len(program.motions)
+        said = f"{path}: {counted(count, 'move')} of {total} cannot be corrected, so nothing was written; change what the reasons name"
+        others = (", or correct the other moves alone with ", Argument("partial")) if count < total else ()
+        raise ProgramRefused((said, *others), refused)
     kept = [i for i, one in enumerate(poses) if one not in new.circular]
     moved = [i for i, problem in enumerate(joints.problem) if not problem]
     changes = changes_of(program, [poses[i] for i in kept], asked[kept], new)

@@ -81,7 +81,7 @@ class Reader:
         found = self.source.text[self.start : self.start + max(len(self.text), 12 * (self.kind == BAD))]
         if self.kind == BAD:
             return self.wrong(f"{quoted(found)} is not known in this language")
-        return self.wrong(f"expected {wanted}, found {quoted(found)}")
+        return self.wrong(f"expected {wanted}, found {quoted(found)}; correct the program")
 
     def deeper(self) -> None:
         """Count the beginning of a bracket or block; ``depth`` is lowered at its end."""
