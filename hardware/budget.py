@@ -110,10 +110,10 @@ class Demodulator:
     delay_s: float
 
 
-def demodulator(netlist: Netlist, adc_ohm: float = ADC_OHM) -> Demodulator:
+def demodulator(netlist: Netlist) -> Demodulator:
     source = 2 * value(netlist, "R36")
-    tau = value(netlist, "C26") * source * adc_ohm / (source + adc_ohm)
-    return Demodulator(adc_ohm / (adc_ohm + source), 1 / (2 * math.pi * tau), tau)
+    tau = value(netlist, "C26") * source * ADC_OHM / (source + ADC_OHM)
+    return Demodulator(ADC_OHM / (ADC_OHM + source), 1 / (2 * math.pi * tau), tau)
 
 
 def trigger_in_s(netlist: Netlist) -> float:

@@ -110,9 +110,9 @@ def children(node: Iterable, name: str) -> Iterator[list]:
     return (child for child in node if isinstance(child, list) and child and child[0] == name)
 
 
-def text_of(node: Iterable, name: str, default: str = "") -> str:
-    """Return the first word after ``name`` in the first such list."""
-    return next((child[1] for child in children(node, name) if len(child) > 1), default)
+def text_of(node: Iterable, name: str) -> str:
+    """Return the first word after ``name`` in the first such list; "" if there is none."""
+    return next((child[1] for child in children(node, name) if len(child) > 1), "")
 
 
 def from_kicad(text: str) -> Netlist:

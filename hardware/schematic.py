@@ -84,10 +84,10 @@ def symbol(part: Part) -> str:
     return _symbol(name, kind.name, hidden, body)
 
 
-def _symbol(name: str, value: str, options: str, body: str, power: str = "", in_bom: str = "yes") -> str:
+def _symbol(name: str, value: str, options: str, body: str, power: str = "") -> str:
     reference = "#" if power else "U"
     return (
-        f"(symbol {quote(name)} {power} {options} (exclude_from_sim no) (in_bom {in_bom}) (on_board {in_bom})\n"
+        f"(symbol {quote(name)} {power} {options} (exclude_from_sim no) (in_bom yes) (on_board yes)\n"
         f'  (property "Reference" {quote(reference)} (at 0 2 0) (effects (font (size 1.27 1.27))))\n'
         f'  (property "Value" {quote(value)} (at 0 -2 0) (effects (font (size 1.27 1.27))))\n'
         '  (property "Footprint" "" (at 0 0 0) (effects (font (size 1.27 1.27)) (hide yes)))\n'
