@@ -139,6 +139,7 @@ class Unusable(StrEnum):
     NO_FREEDOM = "no degrees of freedom"  # the parameters fit any readings
     WRONG_INPUTS = "wrong inputs"  # another interpretation of the inputs explains the observations better
     RESIDUALS = "residuals"  # residuals that nothing explains
+    SCALE = "robot scale"  # all lengths differ from the described ones by one ratio
 
 
 class Explanation(NamedTuple):

@@ -8,7 +8,8 @@ import pytest
 
 import truearm
 from truearm.estimate.robot_scale import LEVEL, robot_scale
-from truearm.report.result_words import scale_sentences
+from truearm.report.result_words import scale_sentence
+from truearm.report.usability_words import usability_sentences
 from truearm.results import Unusable
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
@@ -37,13 +38,26 @@ def test_a_distance_that_is_two_percent_wrong_is_said(arm):
     scale = given.document["scale"]
     assert scale["factor"] == pytest.approx(1.02, abs=4.0 * scale["sigma"])
     assert scale["chance"] < LEVEL
-    (sentence,) = scale_sentences(given.document)
-    assert sentence.startswith(f"The robot is {scale['factor']:.4f} times as large as described")
+    sentence = usability_sentences(given.document)[0]
+    assert sentence.startswith(
+        f"This fit is not usable. The robot is {scale['factor']:.4f} times as large as described"
+    )
+    assert (given.document["usable"], given.document["unusable_because"]) == (False, "robot scale")
+    assert given.document["systematic"] == []
 
 
 def test_a_correct_arm_has_no_scale(arm):
     assert arm.document["scale"] is None
-    assert scale_sentences(arm.document) == []
+    assert arm.document["usable"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(0.001, "metres and millimetres"), (25.4, "inches and millimetres"), (1.02, None)]
+)
+def test_a_ratio_of_units_is_named(factor, unit):
+    said = scale_sentence({"factor": factor, "sigma": 1e-4, "n": 6, "chance": 1e-9})
+    assert ("suggests a wrong unit" in said) == (unit is not None)
+    assert unit is None or unit in said
 
 
 @pytest.mark.parametrize("state", [{"status": "max_iterations"}, {"unusable": Unusable.WRONG_INPUTS}])

@@ -27,7 +27,6 @@ from truearm.report.result_words import (
     kind_name,
     parts_words,
     pose_error_words,
-    scale_sentences,
     time_offset,
     unexplained_words,
 )
@@ -67,7 +66,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
         console.print(line)
     for line in () if hardly_matters(document) else systematic_sentences(document, _option):
         console.print(line)
-    for line in (*copy_sentences(document), *scale_sentences(document), *dwell_lines(document, files.inputs)):
+    for line in (*copy_sentences(document), *dwell_lines(document, files.inputs)):
         console.print(line)
     console.print(headline(document))
     console.print(how(document))

@@ -15,13 +15,15 @@ at least as well as a drawing. Independent e of one variance stay so in orthonor
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import Chain
-from truearm.results import Estimate, RobotScale
+from truearm.results import Estimate, RobotScale, Unusable
 from truearm.types import Floats
 from truearm.units import UNITS
 
@@ -31,6 +33,18 @@ LEAST_LENGTHS = 4
 NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about 1
 
 Indices = NDArray[np.intp]
+
+
+def with_scale(chain: Chain, estimate: Estimate) -> Estimate:
+    """Return the estimate with its scale, and as not usable if there is one: every position errs in that ratio.
+
+    Systematic errors are dropped as with other wrong inputs: to first order about such a fit, items that fix the scale
+    would seem to be off.
+    """
+    scale = robot_scale(chain, estimate)
+    if scale is None:
+        return estimate
+    return replace(estimate, scale=scale, systematic=None, unusable=Unusable.SCALE)
 
 
 def robot_scale(chain: Chain, estimate: Estimate) -> RobotScale | None:

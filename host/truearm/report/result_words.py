@@ -12,6 +12,14 @@ from truearm.text import counted, one_line, with_article
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
 MAX_COPIES = 5  # copied rows that are named
+UNIT_RATIOS = {
+    1000.0: "a thousand (metres and millimetres)",
+    25.4: "25.4 (inches and millimetres)",
+    39.37: "39.37 (inches and metres)",
+    10.0: "ten (centimetres and millimetres)",
+    100.0: "a hundred (metres and centimetres)",
+}
+SAME_RATIO = 0.02  # relative
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
@@ -51,16 +59,17 @@ def copy_sentences(document: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def scale_sentences(document: Mapping[str, Any]) -> list[str]:
-    """Return what a common scale of the robot's lengths means; empty if there is none."""
-    scale = document["scale"]
-    if scale is None:
-        return []
-    return [
+def scale_sentence(scale: Mapping[str, Any]) -> str:
+    """Return what a common scale of the robot's lengths means."""
+    ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
+    units = [words for of, words in UNIT_RATIOS.items() if abs(ratio / of - 1.0) < SAME_RATIO]
+    named = f" A ratio of {units[0]} suggests a wrong unit." if units else ""
+    return (
         f"The robot is {scale['factor']:.4f} times as large as described (σ {scale['sigma']:.2g}, {scale['n']} lengths; by chance "
-        f"with a probability of {scale['chance']:.0e}). No residual shows a scale: the lengths in the rig determine it. Check "
-        "them (bars, distances of sockets, places of chucks) and the robot's model. Otherwise every position errs in that ratio."
-    ]
+        f"with a probability of {scale['chance']:.0e}). No residual shows a scale: the lengths in the rig and the readings "
+        f"determine it, and every position errs in that ratio.{named} Check them (bars, distances of sockets, places of "
+        "chucks, units) and the robot's model."
+    )
 
 
 def unexplained_words(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, assert_never
 
+from truearm.report.result_words import scale_sentence
 from truearm.results import Unusable
 from truearm.text import one_line
 from truearm.units import SUFFIXES, UNITS
@@ -65,6 +66,8 @@ def _because(unusable: Unusable, document: Document) -> str:
                 f"Residuals of {_sizes(document, 'rms_after')} RMS remain, more than the errors of any arm. Check the robot, the units, the "
                 "order and signs of the joints, the rig and the labels."
             )
+        case Unusable.SCALE:
+            return scale_sentence(document["scale"])
         case never:
             assert_never(never)
 

@@ -23,7 +23,7 @@ from truearm.estimate.other_readings import Candidate
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import Rigs
-from truearm.estimate.robot_scale import robot_scale
+from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
@@ -348,7 +348,7 @@ def identified(
     with step("trying other interpretations of the inputs"):
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot), offsets)
-        estimate = replace(estimate, scale=robot_scale(chain, estimate))
+        estimate = with_scale(chain, estimate)
     with step("fitting joint laws"):
         chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
