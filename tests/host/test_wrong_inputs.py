@@ -95,12 +95,12 @@ MISTAKES = {
     "the fixture stood elsewhere for the first 60 rows": (
         lambda: other_set_up(slice(60)),
         WrongInput.SET_UP,
-        "60 rows from poses.csv row 2 to poses.csv row 61 were measured with another set-up than the other 300",
+        "60 rows from poses.csv row 2 to poses.csv row 61 do not fit the other 300, which fit: the set-up is another one, a joint's zero stepped, or their labels are wrong",
     ),
     "the fixture was moved before the last 100 rows": (
         lambda: other_set_up(slice(260, None)),
         WrongInput.SET_UP,
-        "100 rows from poses.csv row 262 to poses.csv row 361 were measured with another set-up than the other 260",
+        "100 rows from poses.csv row 262 to poses.csv row 361 do not fit the other 260, which fit: the set-up is another one, a joint's zero stepped, or their labels are wrong",
     ),
     "the encoder of joint 4 hung for a hundred rows": (
         lambda: stuck(3, slice(120, 220)),
@@ -264,6 +264,16 @@ def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels
         assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
         assert [one.what for one in estimate.explanations] == [WrongInput.LABELS]
         assert "the names of the chucks are permuted in all rows" in estimate.explanations[0].text
+
+
+def test_a_step_of_a_joint_by_a_degree_is_rows_that_do_not_fit():
+    """The tests of first order name joint and row of smaller steps. Here they may find nothing, but the rows are apart."""
+    plan, off = worlds.plan(), np.zeros((360, 6))
+    off[200:, 3] = np.deg2rad(1.0)
+    rows = worlds.table(plan, worlds.lengths(plan, q_off=off) + SIGMA * np.random.default_rng(2).normal(size=360))
+    estimate = identify(PUMA.chain, worlds.RIG, rows, free=PUMA.free)
+    (one,) = diagnosed(replace(estimate, systematic=None), PUMA.chain, worlds.RIG, rows, PUMA.free, {}).explanations
+    assert (one.what, one.apply) == (WrongInput.SET_UP, "201:360")
 
 
 def test_a_clean_session_is_not_doubted():

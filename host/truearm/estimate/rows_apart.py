@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.better_fit import Found, explains, found_in, thinned
+from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
 from truearm.estimate.label_sentences import named_row
 from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import Trial, misfit, tried
@@ -51,9 +51,15 @@ def _same_readings(q: Floats) -> list[tuple[int, int, int]]:
 
 
 def other_set_up(
-    chain: Chain, rig: Rigs, table: ObservationTable, rows: NDArray[np.intp], free: Mask, before: Trial
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    rows: NDArray[np.intp],
+    free: Mask,
+    before: Trial,
+    least: float = HUNDREDFOLD,
 ) -> Iterator[Found]:
-    """Return first or last rows that do not fit the others, which fit."""
+    """Return first or last rows that do not fit the others, which fit with at most ``least`` of the χ² of all."""
     n = rows.size
     if n < 4 * LEAST_ROWS:
         return
@@ -71,11 +77,14 @@ def other_set_up(
                 after = None
                 break
         count = 2 * (n - 2 * LEAST_ROWS)
-        if after is None or main.size < n // 2 or not explains(before, after, count):
+        if after is None or main.size < n // 2 or not explains(before, after, count, least):
             continue
         first, last = (1, cut) if main[0] else (cut + 1, n)
         where = f"{named_row(table, rows[first - 1])} to {named_row(table, rows[last - 1])}"
-        text = f"{counted(last - first + 1, 'row')} from {where} were measured with another set-up than the other {main.size}"
+        text = (
+            f"{counted(last - first + 1, 'row')} from {where} do not fit the other {main.size}, which fit: the set-up is another "
+            "one, a joint's zero stepped, or their labels are wrong"
+        )
         apply = f"{rows[first - 1] + 1}:{rows[last - 1] + 1}"
         yield found_in(WrongInput.SET_UP, text, int(main.size), before, after, count, apply, n)
         return

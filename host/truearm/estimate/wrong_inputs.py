@@ -11,7 +11,8 @@ iteration was stopped early.) The usual mistakes in a lab are tried:
 - labels: names exchanged, renamed in a cycle, or wrong in some groups of rows (``label_search``);
 - stuck joint: the reading of one joint is identical to the last digit in a run of rows while others move
   (``rows_apart``, as the next one);
-- set-up: the first or the last rows belong to another one;
+- set-up: the first or the last rows belong to another one (also tried if the tests for systematic errors find nothing
+  though χ² is MISFIT times too large);
 - rig: one chuck, sphere, socket or bar is not where, or as long as, the rig says (``wrong_constants``);
 - held parameters: too few were free, and those that are free by default explain the rest, even if only by less. Then
   the inputs are correct and the fit is as requested.
@@ -30,6 +31,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
@@ -48,6 +50,9 @@ from truearm.text import counted
 from truearm.types import ObservationTable
 from truearm.units import UNITS
 
+MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
+TENFOLD = 0.1  # of χ²
+NOISE_LEVEL = 0.01  # probability that declared noise alone leaves a larger χ²
 MOST_NAMED = 3
 SURELY = 6.0  # standard deviations, of a displacement that its own uncertainty does not explain
 MOST_HELD = 6  # names of parameters
@@ -80,6 +85,8 @@ def diagnosed(
         explanations, labels = _as_described(chain, rig, table, estimate.fitted, free, robots or {})
     elif estimate.chi2_reduced > GROSS**2:  # within a drawing's tolerances: only a constant can be so little wrong
         explanations = _constants(chain, rig, table, estimate.fitted, free, allowed)
+    elif estimate.systematic is None and estimate.chi2_reduced > max(estimate.chi2_band[1], MISFIT):
+        explanations = _apart(chain, rig, table, estimate.fitted, free)
     estimate = replace(estimate, relabellings=labels.found, relabelling_search=labels.status, explanations=explanations)
     if any(one.what is not WrongInput.HELD for one in explanations):
         # To first order about a fit that wrong inputs distort, other rows and items would seem to be off.
@@ -168,6 +175,21 @@ def _constants(
     if before is None or before.freedom < 1.0:
         return ()
     return _ranked(list(wrong_constants(chain, rig, given, free, before, allowed)))
+
+
+def _apart(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask) -> tuple[Explanation, ...]:
+    """Return first or last ``rows`` (n,) without which the declared noise explains the others.
+
+    A joint that steps by a degree bends a fit too far for tests of first order, but leaves less than a millimetre.
+    """
+    given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
+    before = tried(chain, rig, given, free)
+    if before is None or before.freedom < 1.0:
+        return ()
+    found = other_set_up(chain, rig, table, np.flatnonzero(rows), free, before, TENFOLD)
+    return _ranked(
+        [of for of in found if of.fit.reduced <= special.chdtri(of.fit.freedom, NOISE_LEVEL) / of.fit.freedom]
+    )
 
 
 def absurd(estimate: Estimate) -> bool:
