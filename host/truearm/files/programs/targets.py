@@ -128,7 +128,9 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> ProgramTarge
     legs = _legs_of(program, index_of)
     origins, revisits = _ways(poses, legs, users, index)
     lines, loose = _straight_ways(legs)
-    return ProgramTargets(poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits, index_of)
+    return ProgramTargets(
+        poses, tuple(joints.items()), tuple(sorted(refused)), lines, loose, origins, revisits, index_of
+    )
 
 
 class _Leg(NamedTuple):
