@@ -70,6 +70,8 @@ def test_a_base_that_nobody_saw_does_not_count():
     assert found.relative
     assert found.position.max() < 1e-9
     assert end_sigmas(known, q[:2], point[:2]) is None
+    whole = known._replace(unseen=unseen[:, :0])  # every direction was seen, and the base is left out all the same
+    assert end_sigmas(whole, q, point, any_base=True).position.max() < 1e-9
     other = unseen * 0.0
     other[names.index("link3.x")] = 1.0
     assert end_sigmas(known._replace(unseen=other), q, point) is None

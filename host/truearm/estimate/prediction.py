@@ -173,7 +173,7 @@ def _twist_motion(points: Floats) -> Floats:
 def _without(body: Floats, motion: Floats) -> Floats:
     """Return motions (n, 6, k) minus their common rigid motion, by least squares with orientations weighted by LEVER."""
     weight = np.array([1.0] * 3 + [LEVER] * 3)[:, None]
-    flat = [(part * weight).reshape(-1, part.shape[2]) for part in (body, motion)]
+    flat = [(part * weight).reshape(6 * len(part), part.shape[2]) for part in (body, motion)]
     twist = np.linalg.lstsq(flat[0], flat[1], rcond=None)[0]
     return np.asarray(motion - body @ twist)
 

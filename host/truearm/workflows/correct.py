@@ -101,8 +101,9 @@ class _Request:
 
 
 class _Done(NamedTuple):
-    """What was done, and the text to print about it."""
+    """The corrected file's text, what was done, and the text to print about it."""
 
+    text: str | bytes
     targets: CorrectedTargets
     moves: CorrectedMoves
     notes: tuple[str, ...]
@@ -149,15 +150,12 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         if path is not None:
             check_writable(path, files.force, inputs=written, ours=known, suffixes=[suffix])
             written.append(path)
-    done = (
-        _correct_program(files, calibration, request, options)
-        if program
-        else _correct_table(files.targets, files.out, request)
-    )
+    done = _correct_program(files, calibration, request, options) if program else _correct_table(files.targets, request)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
+    texts: dict[Path, str | bytes] = {files.out: done.text}  # written once all is computed
     if files.residuals is not None:
-        write_atomic(files.residuals, _residuals(correction, places, "line" if program else "row"))
+        texts[files.residuals] = _residuals(correction, places, "line" if program else "row")
     said = tuple(warnings(calibration, done.targets, done.moves))
     caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
     document: Mapping[str, Any] = {}
@@ -166,7 +164,9 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         document = document_of(found, calibration, said, done.refused, files.out.name)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
-            write_atomic(files.report, render(page_of(found, calibration, names, said, caveats, done.refused)))
+            texts[files.report] = render(page_of(found, calibration, names, said, caveats, done.refused))
+    for path, text in texts.items():
+        write_atomic(path, text)
     return CorrectedFile(
         calibration, options.own_frames, files.out, correction, places, caveats, said, document, done.refused
     )
@@ -204,7 +204,7 @@ def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
     )
 
 
-def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
+def _correct_table(path: Path, request: _Request) -> _Done:
     targets = read_targets(path, request.units)
     if not targets.oriented and not np.array_equal(request.tool, np.eye(4)):
         raise TargetError(
@@ -221,11 +221,11 @@ def _correct_table(path: Path, out: Path, request: _Request) -> _Done:
     )
     _refuse(done, targets.source, TargetError)
     commanded = inverted(request.work) @ done.commanded @ request.tool
-    write_atomic(out, format_corrected(targets, commanded, done.q, done.before, done.after, request.units))
+    text = format_corrected(targets, commanded, done.q, done.before, done.after, request.units)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(request.tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return _Done(corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None else ())
+    return _Done(text, corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None else ())
 
 
 def _correct_program(
@@ -235,8 +235,7 @@ def _correct_program(
     names = CalibrationFrames(chain.base_frame, chain.end_frame, not _is_urdf(files.robot), options.own_frames)
     how = HowCorrected(request.pair, request.method, request.steps, request.home, request.margin)
     done = correct_program(files.targets, how, names, options.program)
-    write_atomic(files.out, done.text)
-    return _Done(done.targets, done.moves, done.notes, done.refused)
+    return _Done(done.text, done.targets, done.moves, done.notes, done.refused)
 
 
 def _is_urdf(robot: RobotChoice) -> bool:
