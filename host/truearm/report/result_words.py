@@ -94,7 +94,7 @@ def unexplained_words(
     measured = errors["m"].mean if "m" in errors else 0.0
     if systematic is not None and systematic > max(measured, tool[0] if tool else 0.0):
         lines = [
-            f"{because}. Expect tool errors of {number(systematic, 'm')} {symbol('m')} RMS: by so much the tool moves if they are estimated.",
+            f"{because}. Expect tool errors of at least {number(systematic, 'm')} {symbol('m')} RMS: by so much the tool moves if they are estimated, and the estimate errs too.",
             f"What the rows measure errs by {' and '.join(parts)}, the mean of {of}.",
         ]
         return lines if tool is None else [*lines, _by_sigmas(tool)]
