@@ -1,0 +1,212 @@
+"""Corrected programs in the frames of ROS and of controllers, by an arm computed here alone, and with tools given by name.
+
+The IRB 120 is written out from the numbers of ros-industrial/abb's ``irb120_3_58_macro.xacro``: it shares no code with
+truearm's model of it.
+"""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+from tests.host import correct_bench
+from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, matrix, mm, module, robtarget, six
+
+from truearm.cli import main as cli
+from truearm.correct.correction import MARGIN
+from truearm.correct.model_pair import ModelPair
+from truearm.model.chain import forward
+from truearm.model.robot import builtin_robot
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramOptions, correct_program
+
+# base_link and base
+
+
+def numbers(script):
+    """Return the numbers of p[…]."""
+    return [float(number) for pose in re.findall(r"p\[(.*)\]", script) for number in pose.split(",")]
+
+
+def test_a_calibration_in_base_link_corrects_a_script_as_one_in_base_does(tmp_path):
+    """The same arm in either frame, half a turn about z apart: p[…] is always in the controller's base."""
+    chain = builtin_robot("ur5e").chain
+    at = [chain.parameter_names.index(name) for name in ("base.alpha", "joint2.a", "joint3.offset", "joint5.offset")]
+    nominal = chain.params_nominal
+    truth = nominal.copy()
+    truth[at[1:]] += 0.001, 0.003, -0.002
+    half_a_turn = np.zeros_like(nominal)
+    half_a_turn[at[0]] = np.pi
+    q = np.array([[0.3, -1.4, 1.5, -1.6, -1.5, 0.4], [0.5, -1.2, 1.4, -1.5, -1.4, 0.1]])
+    given = tmp_path / "p.script"
+    given.write_text("\n".join(["def p():", *(f" movej({six(pose)})" for pose in forward(chain, nominal, q)), "end"]))
+    texts, notes = [], []
+    for turned, names in (
+        (0.0, CalibrationFrames("base", "flange", brought=True, own=False)),
+        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own=False)),
+        (half_a_turn, CalibrationFrames("base_link", "tool0", brought=False, own=True)),
+        (0.0, CalibrationFrames("base_link_inertia", "tool0", brought=False, own=False)),
+    ):
+        how = HowCorrected(ModelPair(chain, nominal + turned, truth + turned), "newton", 1, q[0], MARGIN)
+        done = correct_program(given, how, names, ProgramOptions(tool=(0.0,) * 6))
+        texts.append(numbers(done.text.decode()))
+        notes.append(done.notes[0])
+    np.testing.assert_allclose(texts[1:], [texts[0]] * 3, atol=2e-9)
+    assert "half a turn about z from base_link" in notes[1]
+    shift = np.linalg.norm(np.subtract(texts[0], numbers(given.read_text()))[:3])
+    assert shift > 1e-3
+
+
+# an IRB 120 of its own
+
+
+ORIGINS = np.array([[0, 0, 0], [0, 0, 0.290], [0, 0, 0.270], [0, 0, 0.070], [0.302, 0, 0], [0.072, 0, 0]])  # m
+AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0]])
+LIMITS = np.deg2rad([[-165, 165], [-110, 110], [-110, 70], [-160, 160], [-120, 120], [-400, 400]])
+TOOL0 = Rotation.from_euler("y", np.pi / 2)  # of link_6
+LENGTHS = {"joint2.a": (2, 2, 0.8e-3), "joint3.a": (3, 2, -0.5e-3), "joint4.d": (4, 0, 0.7e-3)}  # link, axis, error
+OFFSETS = np.array([0.0, 0.002, -0.003, 0.004, -0.0025, 0.0])  # rad
+
+
+def irb120(q, origins=ORIGINS, offsets=0.0):
+    """Return the pose (4, 4) of tool0 in base_link."""
+    turn, place = Rotation.identity(), np.zeros(3)
+    for origin, axis, angle in zip(origins, AXES, q + offsets, strict=True):
+        place = place + turn.apply(origin)
+        turn = turn * Rotation.from_rotvec(angle * axis)
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = (turn * TOOL0).as_matrix(), place
+    return out
+
+
+def true_irb120(q):
+    origins = ORIGINS.copy()
+    for link, axis, error in LENGTHS.values():
+        origins[link, axis] += error
+    return irb120(q, origins, OFFSETS)
+
+
+def solved(pose, q):
+    """Return the joints near q of the arm as designed, by Newton's method with differences."""
+    for _ in range(20):
+        here = irb120(q)
+        error = off(here, pose)
+        if np.abs(error).max() < 1e-11:
+            return q
+        columns = [off(here, irb120(q + 1e-6 * unit)) / 1e-6 for unit in np.eye(6)]
+        q = q + np.linalg.solve(np.array(columns).T, error)
+    raise AssertionError("the arm as designed does not reach a corrected target")
+
+
+def off(pose, goal):
+    turn = Rotation.from_matrix(goal[:3, :3] @ pose[:3, :3].T).as_rotvec()
+    return np.array([*(goal - pose)[:3, 3], *turn])
+
+
+def robtargets(text):
+    """Return the poses (n, 4, 4) of a module's robtargets."""
+    found = []
+    for place, turn in re.findall(r"\[\[([-\d.,]+)\],\[([-\d.,]+)\],\[[-\d,]+\],\[9E9", text):
+        w, x, y, z = map(float, turn.split(","))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat([x, y, z, w]).as_matrix(), np.fromstring(place, sep=",") * 1e-3
+        found.append(pose)
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def abb(tmp_path_factory):
+    """A module of straight moves from place to place, corrected for the true arm: joints, targets, and what was done."""
+    chain = builtin_robot("irb120").chain
+    truth = chain.params_nominal.copy()
+    for name, (_, _, error) in LENGTHS.items():
+        truth[chain.parameter_names.index(name)] += error
+    for k, error in enumerate(OFFSETS, start=1):
+        truth[chain.parameter_names.index(f"joint{k}.offset")] += error
+    rng = np.random.default_rng(5)
+    q = np.array([0.2, 0.2, 0.1, 0.3, 0.9, -0.4]) + np.cumsum(rng.uniform(-0.15, 0.15, (8, 6)), axis=0)
+    q[0] += 0.4  # a long way between the first two
+    targets = np.array([irb120(one) for one in q])
+    quarters = np.floor(q / (0.5 * np.pi)).astype(int)
+    data = [
+        f"CONST robtarget p{k}:=[{mm(pose)},[{quarters[k, 0]},{quarters[k, 3]},{quarters[k, 5]},0],[9E9,9E9,9E9,9E9,9E9,9E9]];"
+        for k, pose in enumerate(targets)
+    ]
+    moves = [f"Move{'L' if k else 'J'} p{k},v100,fine,tool0;" for k in range(len(q))]
+    path = tmp_path_factory.mktemp("abb") / "p.mod"
+    path.write_text("\n".join(["MODULE m", *data, "PROC main()", *moves, "ENDPROC", "ENDMODULE"]))
+    how = HowCorrected(ModelPair(chain, chain.params_nominal, truth), "newton", 1, None, MARGIN)
+    names = CalibrationFrames("base_link", "tool0", brought=False, own=False)
+    return q, targets, correct_program(path, how, names, ProgramOptions())
+
+
+def test_an_irb_120_computed_here_goes_where_it_should(abb):
+    q, targets, done = abb
+    assert ((LIMITS[:, 0] < q) & (q < LIMITS[:, 1])).all()
+    np.testing.assert_allclose(irb120(np.zeros(6))[:3, 3], [0.374, 0.0, 0.630], atol=1e-12)
+    before = [np.abs(off(true_irb120(one), goal)).max() for one, goal in zip(q, targets, strict=True)]
+    told = robtargets(done.text.decode())
+    reached = np.array([true_irb120(solved(pose, near)) for pose, near in zip(told, q, strict=True)])
+    after = [np.abs(off(pose, goal)).max() for pose, goal in zip(reached, targets, strict=True)]
+    assert min(before) > 1e-3
+    assert max(after) < 1e-6
+
+
+def test_how_straight_the_irb_120_moves_is_what_is_said(abb):
+    """The controller drives its own model along the line; the true tool bends off it by what truearm computes."""
+    q, _, done = abb
+    told = robtargets(done.text.decode())
+    bends = []
+    for k in range(1, len(told)):
+        start, end, near = told[k - 1], told[k], solved(told[k - 1], q[k - 1])
+        turns = Slerp([0.0, 1.0], Rotation.from_matrix([start[:3, :3], end[:3, :3]]))
+        places = []
+        for share in np.linspace(0.0, 1.0, 13):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turns(share).as_matrix(), start[:3, 3] + share * (end - start)[:3, 3]
+            near = solved(pose, near)
+            places.append(true_irb120(near)[:3, 3])
+        along = (places[-1] - places[0]) / np.linalg.norm(places[-1] - places[0])
+        beside = [np.linalg.norm(np.cross(place - places[0], along)) for place in places]
+        bends.append(max(beside))
+    moves = done.moves
+    assert moves.found.drivable.all()
+    np.testing.assert_allclose(moves.found.deviation, bends, rtol=0.03, atol=1e-6)
+    assert max(bends) > 1e-4 > min(bends)  # some are warned about, and some are not
+
+
+# tools and work objects by name
+
+
+def test_tools_and_work_objects_by_name_at_the_command_line(tmp_path, capsys):
+    """Two of each, beside those of the module: the same numbers as where the module declares all of them."""
+    lines = [f"MoveJ {robtarget(1 + 3 * t + w, t, w)},v100,fine,t{t}\\WObj:=w{w};" for t in range(3) for w in range(3)]
+    whole = module([], lines)
+    part = "\n".join(line for line in whole.split("\r\n") if not re.match(r"  PERS \w+ [tw][12]:=", line))
+    assert len(DATA) - 4 == part.count("PERS")
+
+    def text_of(pose):
+        numbers = [*(1e3 * pose[:3, 3]), *np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())]
+        return ",".join(f"{number:.12g}" for number in numbers)
+
+    named = [option for k in (1, 2) for option in (
+        "--tool", f"T{k}={text_of(matrix(TOOLS[k]))}", "--work", f"w{k}={text_of(matrix(OBJECTS[k][0]) @ matrix(OBJECTS[k][1]))}",
+    )]  # fmt: skip
+    correct_bench.write(tmp_path / "result.json", correct_bench.identified())
+    home = ",".join(map(repr, np.rad2deg(Q[0]).tolist()))
+    same = "0,0,0,0,0,0"
+    found = []
+    for name, text, options in (("whole", whole, []), ("part", part, named)):
+        (tmp_path / f"{name}.mod").write_text(text)
+        out = tmp_path / f"{name}-out.mod"
+        given = ["correct", str(tmp_path / "result.json"), str(tmp_path / f"{name}.mod"), "--out", str(out)]
+        code = cli.main([*given, "--work", same, "--flange", same, "--home", home, *options])
+        assert code == 0, capsys.readouterr().err
+        found.append(robtargets(out.read_text()))
+    assert found[0].shape == (9, 4, 4)
+    np.testing.assert_allclose(found[1], found[0], atol=2e-8)
+    assert np.abs(found[0][0] - POSES[1]).max() > 1e-3
+    code = cli.main([*given, "--work", same, "--flange", same, *named[:-2], "--out", str(tmp_path / "o.mod")])
+    assert code == 2
+    said = capsys.readouterr().err
+    assert "w2" in said
+    assert "--work NAME=" in said
