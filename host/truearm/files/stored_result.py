@@ -199,6 +199,12 @@ _DEFAULTS = _later(
     dict,
 )
 _JOINT_RANGE = _later((Key("lower", _many(_KNOWN)), Key("upper", _many(_KNOWN))), JointRange)
+_OBJECT = Nullable(_later((), dict))  # its numbers are checked by ``result_consistency``
+_SPAN = List(_KNOWN, least=2, most=2)
+_SPANS = (Key("rows", _SPAN), Key("first_within", _SPAN), Key("last_within", _SPAN))
+_SYSTEMATIC = _later(
+    (_text("form"), *_SPANS, Key("unit", Nullable(Text(MAX_TEXT))), Key("chance", Nullable(_KNOWN))), dict
+)
 _RESULT = _later(
     (
         Key("status", Choice(STATUSES)),
@@ -209,6 +215,11 @@ _RESULT = _later(
         Key("joint_laws", Nullable(LAWS), optional=True),
         Key("defaults", _DEFAULTS, optional=True),  # results of earlier versions have nothing here
         Key("joint_range", _JOINT_RANGE, optional=True),
+        Key("suggested_free", _many(Text(MAX_TEXT)), optional=True),
+        Key("chi2_band", Nullable(List(_NUMBER, least=2, most=2)), optional=True),
+        Key("systematic", _many(_SYSTEMATIC), optional=True),
+        Key("explanations", _many(_later((_text("what"),), dict)), optional=True),
+        *(Key(name, _OBJECT, optional=True) for name in ("unexplained", "held_out", "held_out_before")),
     ),
     dict,
 )
