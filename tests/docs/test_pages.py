@@ -7,10 +7,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-import typer
 
 from tests.docs.pages import PAGES, ROOT, Block, blocks, page_skip, unprinted
-from truearm.cli.main import app, main
+from truearm.cli.main import command_tree, main
 
 BLOCKS = {page: blocks(page.read_text(encoding="utf-8")) for page in PAGES}
 RUN = [(page, kept) for page, found in BLOCKS.items() if (kept := [block for block in found if not block.skip])]
@@ -84,7 +83,7 @@ def test_what_is_not_run_is_parsed(page, block, tmp_path, monkeypatch):
         words = shlex.split(line, comments=True)
         if words[:1] != ["truearm"]:
             continue
-        command, words = typer.main.get_command(app), words[1:]
+        command, words = command_tree(), words[1:]
         while commands := getattr(command, "commands", None):
             command, words = commands[words[0]], words[1:]
         command.make_context(command.name, words)
