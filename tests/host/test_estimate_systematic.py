@@ -446,6 +446,21 @@ def test_a_chuck_that_is_elsewhere_is_the_finding_though_steps_explain_the_rows_
     assert before.systematic.chi2_reduced == pytest.approx(after.chi2_reduced, rel=0.01)
 
 
+@pytest.mark.parametrize("degrees", [0.3, 1.0])
+def test_a_large_step_of_a_joint_is_one_finding_at_its_row(degrees):
+    """Steps are searched for between knots ten rows apart; the rows between a knot and the step would seem to be off as well."""
+    plan, off = worlds.plan(), np.zeros((360, 6))
+    off[200:, 4] = np.deg2rad(degrees)
+    for seed in range(3):
+        noise = SIGMA * np.random.default_rng(seed).normal(size=360)
+        found = the_one(worlds.identified(worlds.table(plan, worlds.lengths(plan, q_off=off) + noise)))
+        assert found.effect.what == "joint5"
+        first, last = found.rows
+        assert (first == 0) != (last == 360)
+        assert abs((last if first == 0 else first) - 200) <= 1
+        assert found.size == pytest.approx(np.deg2rad(degrees), rel=0.03)
+
+
 def test_only_things_that_are_there_can_be_off():
     rows = random_table(100, np.random.default_rng(7), SIGMA)
     with pytest.raises(Exception, match=r"no systematic error of 'chuck\.c9' can be estimated here"):

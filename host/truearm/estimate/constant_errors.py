@@ -20,7 +20,7 @@ from truearm.estimate.better_fit import thinned
 from truearm.estimate.fit import fit
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, Solution, of_data
-from truearm.estimate.systematic_candidates import AS_LIKELY, in_all_rows
+from truearm.estimate.systematic_candidates import AS_LIKELY, in_all_rows, largest_errors
 from truearm.estimate.systematic_effects import Cause, Circumstances, modelled_effects
 from truearm.estimate.systematic_score import FitChi2, log_chance
 from truearm.estimate.whitened_rows import only
@@ -87,10 +87,12 @@ def one_constant(of: Fitting, found: SystematicErrors, state: FitChi2) -> System
     log_p = float(log_chance(np.array([drop]), np.array([d]), state)[0]) + math.log(len(ranked))
     at = np.array([problem.names.index(number) for number in cause.numbers])
     off = (best.x - problem.start)[at]
+    units = [problem.units[i] for i in at]
+    if (np.abs(off) > largest_errors(units)).any():
+        return None
     scale = 1.0 if chi2 <= state.limit * freedom else chi2 / freedom
     fitted = np.cumsum(columns)[at] - 1
     covariance = scale * best.covariance[np.ix_(fitted, fitted)]
-    units = [problem.units[i] for i in at]
     off_by = tuple(map(OffBy, cause.numbers, units, off.tolist(), np.sqrt(np.diag(covariance)).tolist()))
     size = float(np.linalg.norm(off))
     along = off / max(size, 1e-300)

@@ -32,7 +32,7 @@ from truearm.units import UNITS
 
 MOST_FINDINGS = 6
 MOST_STEPS = 400  # rows at which a step is searched for; of more, an evenly spaced selection
-WINDOW_KNOTS = 36
+WINDOW_KNOTS = 36  # of the rows at which a joint may begin or cease to be off; the best two are then refined
 WANDER_KNOTS = 12
 WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
@@ -55,6 +55,11 @@ def in_all_rows(problem: Problem) -> list[Cause]:
     return [cause for cause in problem.causes if cause.fault.constant and not fitted.issuperset(cause.numbers)]
 
 
+def largest_errors(units: Sequence[str]) -> Floats:
+    """Return by how much numbers of an item in some SI units can be off."""
+    return np.array([MOST_OFF * UNITS[unit].wide_sigma for unit in units])
+
+
 def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterator[Family]:
     """Return every item in every form in which it can be off, without its sums."""
     n = how.row.size
@@ -70,7 +75,7 @@ def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterat
             first = _even(used[LEAST_ROWS : 1 - LEAST_ROWS], MOST_STEPS)
             yield Family(cause, first, np.full(first.size, n))
         if cause.fault.window:
-            knots = np.append(_even(used, WINDOW_KNOTS), n)
+            knots = np.append(_even(used[: 1 - LEAST_ROWS], WINDOW_KNOTS), n)
             first, last = (knots[of] for of in np.triu_indices(knots.size, 1))
             enough = (np.searchsorted(used, last) - np.searchsorted(used, first) >= LEAST_ROWS) & (last - first < n)
             yield Family(cause, first[enough], last[enough])
@@ -122,7 +127,8 @@ def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) ->
         rivals = tuple(
             label(_in_fewer_rows(of, now), test.how) for of in near if of.evidence > best.evidence - AS_LIKELY
         )
-        best = _in_fewer_rows(best._replace(rivals=(*_wanders(best, every, now), *rivals)), now)
+        best = _refined(best._replace(rivals=(*_wanders(best, every, now), *rivals)), now)
+        best = _in_fewer_rows(best, now)
         out.append(best)
         now = now.given([best])
     return out, now
@@ -157,6 +163,31 @@ def _search(family: Family, test: ScoreTest) -> Best | None:
     )
 
 
+def _refined(best: Best, test: ScoreTest) -> Best:
+    """Return an error of a joint with the rows at which it begins and ends, found between the neighbouring knots."""
+    family, n = best.family, test.how.row.size
+    if family.cause is None or not family.cause.fault.window or family.drift:
+        return best
+    knots = np.unique(np.concatenate([family.first, family.last]))
+    for side in ("first", "last", "first"):
+        value = getattr(best, side)
+        near = np.searchsorted(knots, value) + np.array([-1, 1])
+        if near[0] < 0 or near[1] >= knots.size:  # the first row, or the last
+            continue
+        values = np.arange(knots[near[0]] + 1, knots[near[1]])
+        other = np.full(values.size, best.last if side == "first" else best.first)
+        first, last = (values, other) if side == "first" else (other, values)
+        enough = (last - first >= LEAST_ROWS) & ((n - last >= LEAST_ROWS) | (last == n))
+        fine = Family(family.cause, first[enough], last[enough])
+        found = _search(fine.summed(test.errors, test.rows, test.how), test) if enough.any() else None
+        if found is None or found.drop < best.drop:
+            continue
+        log_p = found.log_p + best.log_count
+        within = (found.within[0], best.within[1]) if side == "first" else (best.within[0], found.within[1])
+        best = best._replace(first=found.first, last=found.last, drop=found.drop, log_p=min(log_p, 0.0), within=within)
+    return best
+
+
 def _within(family: Family, evidence: Floats) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the ranges of ``first`` and ``last`` of the family's most probable candidates (w,), up to the next ones."""
     order = np.argsort(-evidence, kind="stable")
@@ -179,8 +210,8 @@ def _drops(family: Family, test: ScoreTest) -> tuple[Floats, Indices, Floats]:
     """
     rows, (w, d, _) = test.rows, family.left.shape
     numbers = () if family.cause is None else family.cause.numbers
-    units = [UNITS[test.errors.unit(number)] for number in numbers]
-    most = np.array([MOST_OFF * unit.wide_sigma / unit.weak_sigma for unit in units])
+    units = [test.errors.unit(number) for number in numbers]
+    most = largest_errors(units) / [UNITS[unit].weak_sigma for unit in units]
     drop, freedom, known = np.zeros(w), np.zeros(w, dtype=np.intp), np.zeros((w, d))
     beside = np.concatenate([rows.added, rows.residual[:, None]], axis=1)
     for some, sums in family.sums(family.columns(test.errors, rows, test.how), (beside,), rows):
