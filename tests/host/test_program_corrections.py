@@ -170,6 +170,8 @@ def flipped(q):
 FROM_JOINTS = {
     "straight": (f"movej({written(flipped(Q[1]))})", f"movel({six(POSES[2])})", f"movel({six(POSES[3])})"),
     "by joints": (f"movej({written(flipped(Q[1]))})", f"movej({six(POSES[2])})"),
+    "circle": (f"movej({written(flipped(Q[1]))})", f"movec({six(POSES[2])}, {six(POSES[3])})"),
+    "circle after a target": (f"movej({written(Q[1])})", f"movel({six(POSES[2])})", f"movej({written(flipped(Q[1]))})", f"movec({six(POSES[3])}, {six(POSES[5])})"),
     "from a qnear": (f"movej(get_inverse_kin({six(POSES[1])}, qnear={written(flipped(Q[1]))}))", f"movel({six(POSES[2])})"),
     "a rough qnear": (f"movej(get_inverse_kin({six(POSES[2])}, qnear={written(np.round(flipped(Q[2])) + np.array([0.5, 0.5, -0.5, -0.5, 0.6, 0.5]))}))",),
     "in a routine written before": ("def go():", f"  movel({six(POSES[3])})", "end", f"movej({written(flipped(Q[1]))})", f"movel({six(POSES[2])})", "go()", f"movej({written(Q[5])})", f"movel({six(POSES[6])})"),
@@ -352,7 +354,7 @@ def statements(draw):
         *("def g():", "  global n = n + 1", "  global W1 = W2", "  return n < 3", "end"),
     ]
     certain = [
-        "movej(W1)", "movel(W2)", "movej(get_inverse_kin(W3))", "movel(pose_trans(Plane, F5))", "movej(pose_trans(Plane, F6))", "movej(path[i])", "movej(path[1])",
+        "movej(W1)", "movel(W2)", "movec(W2, W4)", "movec(path[i], W1)", "movej(get_inverse_kin(W3))", "movel(pose_trans(Plane, F5))", "movej(pose_trans(Plane, F6))", "movej(path[i])", "movej(path[1])",
         "movej(q9)", f"movel({six(POSES[10])})", "V = W4", "movej(V)", "W1 = W2", "i = 1", f"set_tcp(p{written(TOOLS[1])})", f"set_tcp(p{written(TOOLS[0])})",
         "if random() > 0.5:\n    W2 = W3\n    movej(W1)\n  else:\n    movej(W4)\n  end",
         "k = 0\n  while k < 2:\n    movej(path[k])\n    k = k + 1\n  end",
@@ -527,6 +529,14 @@ def test_configurations_that_are_not_watched_do_not_count(tmp_path):
     assert misses(text, corrected(tmp_path, text, home=None)).max() < 1e-6
 
 
+def test_a_circle_goes_on_in_the_configuration_in_which_it_begins(tmp_path):
+    """After ConfL\\Off the point on it, too, is reached with the wrist as it is."""
+    joints = f"[[{','.join(f'{value:.12f}' for value in np.rad2deg(flipped(Q[1])))}],{FREE}]"
+    main = ["ConfL\\Off;", f"MoveAbsJ {joints}\\NoEOffs,v100,fine,t0;"]
+    text = module([], [*main, f"MoveC {robtarget(2)},{robtarget(3)},v100,fine,t0;"])
+    assert misses(text, corrected(tmp_path, text)).max() < 1e-6
+
+
 def test_an_orientation_from_angles_is_split(tmp_path):
     z, y, x = Rotation.from_matrix(POSES[1][:3, :3]).as_euler("ZYX", degrees=True)
     data = [f"VAR robtarget now:={robtarget(1)};"]
@@ -544,7 +554,7 @@ def modules(draw):
         st.lists(
             st.sampled_from(
                 [
-                    "MoveJ a,v100,fine,t0;", "MoveJ now,v100,fine,t0;", "MoveJ list{n},v100,fine,t0;", "MoveJ Offs(now,0,0,x),v100,fine,t0;", "MoveJ list{1},v100,fine,now_t;",
+                    "MoveJ a,v100,fine,t0;", "MoveC b,now,v100,fine,t0;", "MoveJ now,v100,fine,t0;", "MoveJ list{n},v100,fine,t0;", "MoveJ Offs(now,0,0,x),v100,fine,t0;", "MoveJ list{1},v100,fine,now_t;",
                     "MoveJ inw,v100,fine,t0\\WObj:=w1;", "MoveJ s.at,v100,fine,t0;", "now:=b;", "now:=list{2};", "a_is:=now;", "MoveJ a_is,v100,fine,t0;", "Incr n;", "n:=1;", "Add x,5;", "x:=0;",
                     "now_t:=t1;", "s.at:=a;", "s.at.trans.z:=s.at.trans.z+4;", "set_now;", "shift now;", "shift list{2};", "shift s.at;", "MoveJ RelTool(at(n),0,0,-x),v100,fine,t0;",
                     "w1.oframe.trans.x:=w1.oframe.trans.x+2;", "IF DInput(di1)=1 THEN\n  now:=a;\n  set_now;\nENDIF", "FOR k FROM 1 TO 2 DO\n  go list{k};\n  now:=list{k};\nENDFOR",

@@ -48,22 +48,23 @@ class Moves(Variables):
         motion = self.motion(call.function, call.start, call.end)
         choices = len(tools) * len(frames) * sum([len(values) for values, _ in targets])
         self.work.spend(MOVE + GOAL * choices)
-        ends: dict[Value, None] = {}
-        for tool in tools:
-            for frame in frames:
-                for k, (values, argument) in enumerate(targets, start=1):
-                    place = self._place(argument)
+        motion.straight = straight
+        reached = self.environment.get(HERE) or ANYWHERE
+        for values, argument in targets:  # one after the other, as the point on a circle and its end
+            place = self._place(argument)
+            ends: dict[Value, None] = {}
+            for tool in tools:
+                for frame in frames:
                     for value in values:
                         found = goal_of(value, tool, frame, place)
                         if isinstance(found, Goal):
                             motion.goals[found] = None
+                            ends[found] = None
                         else:
                             motion.problems[found] = None
-                        if k == len(targets):
-                            ends[found if isinstance(found, Goal) else Unknown(found[0], call.start)] = None
-        reached = few(tuple(ends))
-        motion.straight = straight
-        self._leg(motion, self.environment.get(HERE) or ANYWHERE, tuple(ends))
+                            ends[Unknown(found[0], call.start)] = None
+            self._leg(motion, reached, tuple(ends))
+            reached = few(tuple(ends))
         self.environment.set(HERE, joined(self.environment.get(HERE), reached) if self.loose else reached)
 
     def _place(self, argument: Expression) -> tuple[int, int]:
@@ -77,7 +78,7 @@ class Moves(Variables):
         if begins(starts):
             self.environment.traces[-1].legs[motion.start, starts, ends] = None
         leg = (self._places(starts), ends)
-        if not motion.legs or motion.legs[-1] != leg:
+        if leg not in motion.legs[-2:]:  # as many as one move has
             self.work.spend(len(leg[0]) * len(ends) // SEVERAL)
             motion.legs.append(leg)
 
