@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import truearm
-from truearm.estimate.robot_scale import LEVEL, robot_scale
+from truearm.estimate.robot_scale import LEVEL, robot_scale, with_scale
 from truearm.report.result_words import scale_sentence
 from truearm.report.usability_words import usability_sentences
-from truearm.results import Unusable
+from truearm.results import SystematicErrors, Unusable
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
 PANDA = truearm.load_robot("panda")
@@ -73,6 +73,17 @@ def test_independent_tolerances_are_rarely_a_scale(arm):
     size = np.where(np.array(estimate.units) == "m", 5e-3, 0.0)
     drawn = (replace(estimate, value=estimate.nominal + size * rng.standard_normal(size.size)) for _ in range(2000))
     assert sum(robot_scale(PANDA.chain, one) is not None for one in drawn) < 12
+
+
+def test_a_small_scale_is_left_to_the_systematic_errors_that_are_found(arm):
+    """A sphere that is 2 mm off scales an arm by half a percent."""
+    wrong = SystematicErrors((), 1.0, np.zeros(arm.estimate.value.size))
+    for factor, is_scale in ((1.01, False), (1.2, True)):
+        scaled = replace(arm.estimate, value=factor * arm.estimate.nominal, systematic=wrong)
+        found = with_scale(PANDA.chain, scaled)
+        assert (found.unusable is Unusable.SCALE) == is_scale
+        assert (found.systematic is None) == is_scale
+        assert with_scale(PANDA.chain, replace(scaled, systematic=None)).unusable is Unusable.SCALE
 
 
 def test_heat_is_no_scale(arm):

@@ -30,6 +30,7 @@ from truearm.units import UNITS
 LEVEL = 1e-3  # probability that independent tolerances are reported as a scale
 LEAST = 3.0  # standard deviations of the scale, by a drawing's tolerance of each length
 LEAST_LENGTHS = 4
+LARGE = 0.05  # a scale that no item gives a robot by being millimetres off
 NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about 1
 
 Indices = NDArray[np.intp]
@@ -38,11 +39,12 @@ Indices = NDArray[np.intp]
 def with_scale(chain: Chain, estimate: Estimate) -> Estimate:
     """Return the estimate with its scale, and as not usable if there is one: every position errs in that ratio.
 
-    Systematic errors are dropped as with other wrong inputs: to first order about such a fit, items that fix the scale
-    would seem to be off.
+    An item that is some millimetres off also scales a robot by a few parts in a thousand. If there are systematic errors,
+    only a scale beyond LARGE is therefore one. They are then dropped as with other wrong inputs: to first order about such
+    a fit, items that fix the scale would seem to be off.
     """
     scale = robot_scale(chain, estimate)
-    if scale is None:
+    if scale is None or (estimate.systematic is not None and abs(scale.factor - 1.0) < LARGE):
         return estimate
     return replace(estimate, scale=scale, systematic=None, unusable=Unusable.SCALE)
 
