@@ -48,6 +48,9 @@ FLANGES = {
     "rapid": {"tool0": SAME, "flange": _turn("tool0, z out of the flange", pitch=_QUARTER)},
 }
 
+OUT = {"tool0": 2, "flange": 0}  # which of a frame's axes points out of the flange
+ALONG = 1.0 - 1e-6
+
 
 def base_of(language: str, frame: str, brought: bool) -> Frame | None:
     """Return the controller's base in the calibration's base frame, or None if the name does not determine it.
@@ -57,6 +60,13 @@ def base_of(language: str, frame: str, brought: bool) -> Frame | None:
     return SAME if brought and frame == "base" else BASES[language].get(frame)
 
 
-def flange_of(language: str, frame: str, brought: bool) -> Frame | None:
-    """Return the controller's flange in the calibration's end frame, or None if the name does not determine it."""
-    return SAME if brought and frame in ("flange", "tool0") else FLANGES[language].get(frame)
+def flange_of(language: str, frame: str, brought: bool, axis: Floats | None = None) -> Frame | None:
+    """Return the controller's flange in the calibration's end frame, or None if the name does not determine it.
+
+    ``axis``: the last joint's axis (3,) in the end frame. In a URDF, it must be the direction that points out of a frame
+    of this name: not every description follows REP 199.
+    """
+    if brought:
+        return SAME if frame in ("flange", "tool0") else FLANGES[language].get(frame)
+    along = None if axis is None else abs(axis[OUT.get(frame, 2)])
+    return None if along is not None and along < ALONG else FLANGES[language].get(frame)

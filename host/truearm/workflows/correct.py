@@ -13,12 +13,12 @@ import numpy as np
 from truearm.correct.correction import MARGIN, Configuration, Correction, correct
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
-from truearm.errors import Argument, InputError, TargetError
+from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs.program import Refused, is_program, suffixes_like
-from truearm.files.robot_file import RobotChoice, is_urdf
+from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
-from truearm.model.chain import point_jacobians
+from truearm.model.chain import Chain, forward, point_jacobians
 from truearm.model.poses import inverted, pose_of
 from truearm.progress import step
 from truearm.report.correction_page import render
@@ -232,7 +232,8 @@ def _correct_program(
     files: CorrectFiles, calibration: Calibration, request: _Request, options: CorrectOptions
 ) -> _Done:
     chain = calibration.chain
-    names = CalibrationFrames(chain.base_frame, chain.end_frame, not _is_urdf(files.robot), options.own_frames)
+    brought, tool0 = not _is_urdf(files.robot), tool0_in_flange(files.robot, chain)
+    names = CalibrationFrames(chain.base_frame, chain.end_frame, brought, options.own_frames, tool0)
     how = HowCorrected(request.pair, request.method, request.steps, request.home, request.margin)
     done = correct_program(files.targets, how, names, options.program)
     return _Done(done.text, done.targets, done.moves, done.notes, done.refused)
@@ -241,6 +242,21 @@ def _correct_program(
 def _is_urdf(robot: RobotChoice) -> bool:
     """Return whether the calibration's robot is described by a URDF, with ROS frame names."""
     return robot.robot is not None and is_urdf(robot.robot)
+
+
+def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
+    """Return the pose (4, 4) of a URDF's link tool0 in its link flange; None if it has none behind the same joints."""
+    if robot.robot is None or not is_urdf(robot.robot) or chain.end_frame != "flange":
+        return None
+    try:
+        flange, tool0 = (load_robot(robot.robot, chain.base_frame, tip).chain for tip in ("flange", "tool0"))
+    except RobotError:
+        return None
+    if [joint.name for joint in flange.joints] != [joint.name for joint in tool0.joints]:
+        return None
+    q = np.zeros((1, len(flange.joints)))
+    poses = (forward(one, one.params_nominal, q)[0] for one in (flange, tool0))
+    return np.asarray(inverted(next(poses)) @ next(poses))
 
 
 def _refuse(

@@ -41,6 +41,7 @@ from truearm.files.programs.targets import (
     targets_of,
 )
 from truearm.files.programs.values import Pose, fixed_six, readings_of
+from truearm.model.chain import joint_jacobian
 from truearm.model.poses import apart, inverted, pose_of
 from truearm.text import counted, listed
 from truearm.types import Floats
@@ -94,13 +95,15 @@ class ProgramRefused(ProgramError):
 class CalibrationFrames(NamedTuple):
     """The frames of a calibration.
 
-    ``brought``: defined by a robot that is not a URDF. ``own``: targets are in the robot's own frames.
+    ``brought``: defined by a robot that is not a URDF. ``own``: targets are in the robot's own frames. ``tool0``: the
+    pose (4, 4) in the end frame of the link of this name, if a URDF has it there.
     """
 
     base: str
     end: str
     brought: bool
     own: bool
+    tool0: Floats | None = None
 
 
 class HowCorrected(NamedTuple):
@@ -132,7 +135,7 @@ def correct_program(
     """
     language = language_of(path)
     _check_names(path, language, options)
-    base, flange = _placed(language, names, options)
+    base, flange = _placed(language, names, options, _last_axis(how.pair))
     tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
     frames = {name.lower(): fixed_six(six) for name, six in {**options.tools, **options.works}.items()}
     surroundings = Surroundings(tool, frames, options.harmless)
@@ -303,7 +306,16 @@ def _check_names(path: Path, language: ProgramLanguage, options: ProgramOptions)
             assert_never(language)
 
 
-def _placed(language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions) -> tuple[Frame, Frame]:
+def _last_axis(pair: ModelPair) -> Floats:
+    """Return the last joint's axis (3,) in the end frame of the robot as described."""
+    q = np.zeros((1, len(pair.chain.joints)))
+    pose, turn = believed(pair, q)[0], joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]
+    return np.asarray(pose[:3, :3].T @ turn)
+
+
+def _placed(
+    language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions, axis: Floats
+) -> tuple[Frame, Frame]:
     """Return the controller's base and flange in the calibration's frames. Raises ProgramError if they are not
     specified.
 
@@ -312,7 +324,7 @@ def _placed(language: ProgramLanguage, names: CalibrationFrames, options: Progra
     """
     other = SAME if names.own and names.brought else None
     base = _given(options.base) or base_of(language, names.base, names.brought) or other
-    flange = _given(options.flange) or flange_of(language, names.end, names.brought) or other
+    flange = _given(options.flange) or _described(names) or flange_of(language, names.end, names.brought, axis) or other
     for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
         if found is None:
             same = " (all 0 for the same frame)"
@@ -322,6 +334,10 @@ def _placed(language: ProgramLanguage, names: CalibrationFrames, options: Progra
     assert base is not None
     assert flange is not None
     return base, flange
+
+
+def _described(names: CalibrationFrames) -> Frame | None:
+    return None if names.tool0 is None else Frame(names.tool0, "tool0, as in the URDF")
 
 
 def _given(six: Six | None) -> Frame | None:
