@@ -112,7 +112,10 @@ def unexplained_words(
 
 
 def _by_sigmas(tool: tuple[float, int]) -> str:
-    return f"Without the systematic errors, these sigmas predict a tool error of {_over_poses(tool)}."
+    return (
+        f"These sigmas predict a tool error of {_over_poses(tool)}, but only for residuals that the declared noise explains; "
+        "those of a fit that estimates more errors are larger."
+    )
 
 
 def _over_poses(tool: tuple[float, int]) -> str:
