@@ -62,7 +62,7 @@ def test_what_lines_did_not_know_of_other_lines_is_expected(found, judged):
     due = told["expected"]
     assert due["by_parameters_mm"] > 2.0 * due["by_noise_mm"]
     assert 1.5 * due["by_noise_mm"] < told["rms_after_mm"] < 1.5 * due["rms_mm"]
-    assert told["verdict"].startswith("The calibration holds, but its own uncertainty here is")
+    assert told["verdict"].startswith("The calibration holds, but its uncertainty here is")
 
 
 def test_a_robot_that_changed_is_found_out_by_lines(found, judged):

@@ -29,7 +29,9 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(1), 3.0 * SIGMA), RIG)
     declared, unexplained = (found.document[f"rms_{name}_mm"] for name in ("declared", "unexplained"))
     assert declared**2 + unexplained**2 == pytest.approx(found.document["rms_after_mm"] ** 2)
-    words = f"declared noise explains {declared:.4f} mm, and {unexplained:.4f} mm is unexplained"
+    words = (
+        f"Declared noise explains {declared:.4f} mm of the RMS after; the rest, {unexplained:.4f} mm, is unexplained"
+    )
     assert any(words in line for line in identify_text.chi2_notes(found.document))
     write_page(tmp_path / "page.html", found)
     assert words in (tmp_path / "page.html").read_text()
@@ -40,5 +42,5 @@ def test_what_noise_alone_may_leave_is_not_called_unexplained():
     assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
     assert found.document["rms_unexplained_mm"] > 0.0
     text = " ".join(identify_text.chi2_notes(found.document))
-    assert re.search(r"and 0\.0\d+ mm may be chance", text)
+    assert re.search(r"the rest, 0\.0\d+ mm, may be chance", text)
     assert "unexplained" not in text

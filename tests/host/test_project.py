@@ -192,8 +192,8 @@ def test_the_devices_that_init_offers_are_a_valid_rig(project):
     [
         ((), "--model is missing"),
         (("--model", "ur55"), "ur5"),
-        (("--model", "ur5e", "--bars-mm", "370,370"), "needs different lengths"),
-        (("--model", "ur5e", "--bars-mm", "0.37"), "needs different lengths from 50 to 5000 mm"),
+        (("--model", "ur5e", "--bars-mm", "370,370"), "a length is given twice"),
+        (("--model", "ur5e", "--bars-mm", "0.37"), "give lengths from 50 to 5000 mm"),
         (("--model", "ur5e", "--known-mm", "about"), "--known-mm about: needs a number"),
         (("--model", "ur5e", "--base", "a"), "choose links of a URDF"),
     ],

@@ -251,8 +251,9 @@ def _known(text: str) -> float | None:
 
 def _lengths(text: str) -> tuple[float, ...]:
     values = [_number("--bars-mm", word) for word in text.split(",")] if text else []
-    if not all(SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM for value in values) or len(set(values)) < len(values):
-        raise InputError(
-            f"--bars-mm {text[:40]}: needs different lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm"
-        )
+    for value in values:
+        if not SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM:
+            raise InputError(f"--bars-mm {text[:40]}: give lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm")
+    if len(set(values)) < len(values):
+        raise InputError(f"--bars-mm {text[:40]}: a length is given twice; give each once")
     return tuple(map(MM.to_si, values))

@@ -100,8 +100,8 @@ def repeatability(visited: Visited) -> Repeatability:
     n, n_poses, n_sides = len(pose), len(np.unique(pose)), len(np.unique(approach))
     if n - n_sides < 3:
         raise ProblemError(
-            f"too few repetitions: {counted(n, 'visit')} of {n_poses} poses with known approach directions, {n_sides} of them different; "
-            "record a plan of truearm plan characterize"
+            f"too few repetitions: {counted(n, 'dwell')} with a known approach direction, at {n_poses} poses from {n_sides} directions; "
+            "record a plan of truearm plan characterize, which repeats them"
         )
     jac = _group_means(visited.jac, pose)
     explained = np.sum(jac * (visited.q - _group_means(visited.q, pose)), axis=1)

@@ -70,7 +70,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
     if not rows:
         raise TableError(f"{name}: is empty; a table needs a header row and rows below it")
     header = rows[0].cells
-    if len(header) == 1 and re.search(r"[;\t]", header[0]):
+    if len(header) == 1 and re.search(r"\w[;\t]\s*\w", header[0]) and "=" not in header[0]:
         raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")
     if len(header) > MAX_COLUMNS:
         raise TableError(f"{name}: has {len(header)} columns; the maximum is {MAX_COLUMNS}")

@@ -38,7 +38,7 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     if not difflib.get_close_matches("kind", [title.lower() for title in header]):
         raise TableError(
             f"{name}: has no column 'kind' (its header begins with {quoted(header[0])}), so it is no table of observations; "
-            "give a table (.csv) with a header, or a session (.mcap)"
+            "give a table (.csv) that has one, or a session (.mcap) if the command reads sessions"
         )
     columns: dict[str, Column] = {}
     seen: set[str] = set()

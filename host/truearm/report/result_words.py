@@ -136,7 +136,7 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
         return ""
     weighted = "" if loss == Loss.LINEAR else f" or lie in rows that the {loss} loss weights down"
     rest = f"may be chance{weighted}" if by_chance else "is unexplained"
-    return f"Of the RMS after, declared noise explains {declared}, and {left} {rest} (squares add up)."
+    return f"Declared noise explains {declared} of the RMS after; the rest, {left}, {rest} (the squares add up)."
 
 
 def pose_error_words(error: PoseError) -> str:

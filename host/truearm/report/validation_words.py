@@ -19,10 +19,10 @@ def verdict(document: Mapping[str, Any]) -> str:
     remedy = "identify from more varied poses" if document["identified_from"] else "identify from these rows too"
     if document["consistent"] and told:
         explained = " and ".join(of.text(of.rms) for of in told)
-        words = f"The calibration holds: the errors are consistent with declared noise and its own uncertainty ({explained})."
+        words = f"The calibration holds: the errors are consistent with declared noise and the calibration's uncertainty ({explained})."
         if unsure := [of for of in told if of.by_parameters > of.by_noise]:
             words = (
-                "The calibration holds, but its own uncertainty here is "
+                "The calibration holds, but its uncertainty here is "
                 f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, {remedy}."
             )
     elif not helped:
@@ -34,8 +34,8 @@ def verdict(document: Mapping[str, Any]) -> str:
         left = " and ".join(of.text(document[f"unexplained_{of.unit.suffix}"]) for of in told)
         where = f", most of it in {document['worst_region']}" if document["worst_region"] else ""
         words = (
-            f"The errors are smaller than without the calibration, but {left} RMS is unexplained{where}: declared noise and its own "
-            f"uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or in the "
+            f"The errors are smaller than without the calibration, but {left} RMS is unexplained{where}: declared noise and the "
+            f"calibration's uncertainty explain {explained}. The arm, its tool or its load has changed, the rig is not as described, here or in the "
             "identification, or the arm has errors that the parameters do not model."
         )
     if document["unseen"]:
@@ -47,7 +47,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     if worse:
         words += f" Worse than without it: {'; '.join(worse)}."
     if document["identified_from"]:
-        words += " But the identification used these rows too, so they prove little: validate with other measurements."
+        words += " But the identification used these rows too, so this verdict proves little: validate with other measurements."
     return words
 
 
@@ -79,7 +79,7 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
     lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
-    lines.append('"Expected" is the error with the calibration that declared noise and its own uncertainty explain.')
+    lines.append('"Expected" is the error that declared noise and the calibration\'s uncertainty explain.')
     if document["placed"]:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
         raw = " and ".join(

@@ -233,7 +233,8 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
     names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         raise InputError(
-            f"{result}: its parameters differ from those of robot {called}; give the robot it was identified with"
+            f"{result}: its parameters differ from those of robot {called}; give the robot it was identified with as ",
+            Argument("robot"),
         )
     nominal, identified = stored.nominal[mine], stored.value[mine]
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):

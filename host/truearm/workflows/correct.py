@@ -280,7 +280,7 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
         caveats.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
-        remedy = "" if own_frames else " To leave out base and tool, correct with own_frames."
+        remedy = "" if own_frames else " To leave out base and tool, correct in its own frames."
         caveats.append(
             "Unidentifiable combinations of parameters move the end, for example the mounting of base or tool. "
             f"The corrections use nominal values for them.{remedy}"

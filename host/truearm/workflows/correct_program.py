@@ -55,8 +55,8 @@ MOST_REREAD = 20_000  # targets of a program that is read again: about 0.05 ms e
 Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
-    "The arm's configuration was searched for: at each target the one nearest to the previous target. If the controller uses "
-    "another one, give joints near those of the first target as home, as q1_deg … in a table, or as qnear in a URScript."
+    "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
+    "another one, give joints near those of the first target with --home, as q1_deg … in a table, or as qnear in a URScript."
 )
 
 
@@ -144,7 +144,7 @@ def correct_program(
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
         raise ProgramError(
-            f"{path} line {lines[0]}: moves to joint readings, in {counted(len(lines), 'line')} of this program; keep or correct them with ",
+            f"{path} line {lines[0]}: the program moves to joint readings, in {counted(len(lines), 'line')}; say whether to keep or correct them with ",
             Argument("joint_moves"),
         )
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
@@ -174,7 +174,7 @@ def correct_program(
     refused = sorted(set(refused))
     if refused and not options.partial:
         count, total = len({(one.line, one.statement) for one in refused}), len(program.motions)
-        said = f"{path}: {counted(count, 'move')} of {total} cannot be corrected, so nothing was written; change what the reasons name"
+        said = f"{path}: {counted(count, 'move')} of {total} cannot be corrected, so nothing was written; change these lines as their reasons say"
         others = (", or correct the other moves alone with ", Argument("partial")) if count < total else ()
         raise ProgramRefused((said, *others), refused)
     kept = [i for i, one in enumerate(poses) if one not in new.circular]

@@ -235,7 +235,8 @@ def _check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
     A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
     """
     if rows.sum() == 1:
-        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; measure more poses")
+        more = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
+        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {more}")
     for name, kind in kinds().items():
         mine = table.select(rows & (table.kind == name))
         if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
