@@ -608,7 +608,7 @@ def test_memory_is_that_of_the_rows_derivatives_and_of_few_copies():
     needed = 8 * len(rows) * (fit.root.shape[1] + len(problem.errors.names))
     tracemalloc.start()
     try:
-        systematic_errors(problem, problem.start, columns, fit, FitChi2(len(rows), len(rows) - 36.0, 1.1), how)
+        systematic_errors(problem, problem.start, columns, fit, FitChi2(len(rows), len(rows) - 36.0, 1.1), how, rows.q)
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -30,22 +30,21 @@ from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.outliers import MOST, gross_rows, without_outliers
 from truearm.estimate.pose_effect import pose_effect
-from truearm.estimate.prediction import FIRST_ORDER
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
-from truearm.estimate.systematic import systematic_errors
+from truearm.estimate.systematic import moves, systematic_errors
 from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
-from truearm.model.chain import Chain, forward
+from truearm.model.chain import Chain
 from truearm.progress import step
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, SystematicErrors, WithOutliers
-from truearm.types import Floats, ObservationTable, Residuals, not_left_out, rms
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, WithOutliers
+from truearm.types import Floats, ObservationTable, Residuals, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -170,17 +169,15 @@ def identify(
             # With the derivatives at the readings as they are: the test subtracts what the parameters follow of them.
             alike = all(one is other for one, other in zip(still.groups, taken.groups, strict=True))
             as_fitted = data if alike else _data_root(taken, columns, found)
-            wrong = systematic_errors(
-                taken, x, columns, Fitted.of(as_fitted), FitChi2(chi2, freedom, unweighted.band[1]), how
-            )
+            state = FitChi2(chi2, freedom, unweighted.band[1])
+            wrong = systematic_errors(taken, x, columns, Fitted.of(as_fitted), state, how, table.q[fitted])
     if wrong is not None:
-        state = FitChi2(chi2, freedom, unweighted.band[1])
         if not state.explained and loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise:
             made = Fitting(
                 chain, rig, table, fitted, problem, columns, x, found.weight > 0.0, prior_sigma, options.effects
             )
             wrong = one_constant(made, wrong, state) or wrong
-        wrong = _within_first_order(wrong, chain, x, table.q[fitted])
+        wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -262,24 +259,6 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
             raise ProblemError(f"rows {first + 1} to {last} cannot be left out: the table has rows 1 to {n}")
         out[first:last] = True
     return out
-
-
-def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
-    """Return the RMS distance [m] over the poses between the end's origins for the parameters of x and of ``there``."""
-    p = len(chain.parameters)
-    apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
-    return rms(np.linalg.norm(apart, axis=1))
-
-
-def _within_first_order(found: SystematicErrors, chain: Chain, x: Floats, q: Floats) -> SystematicErrors | None:
-    """Return the findings with how far they move the end over the poses; None if that is too far for their tests.
-
-    The tests are of first order. Where only the distance of two sockets determines the scale, for example, an error that
-    frees it explains everything by an arm that shrinks to a point.
-    """
-    found = replace(found, moves=moves(chain, x, x + found.shift, q))
-    farthest = np.linalg.norm(forward(chain, x[: len(chain.parameters)], q)[:, :3, 3], axis=1).max()
-    return None if found.moves > FIRST_ORDER * farthest else found
 
 
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
-from truearm.estimate.identify import judged, merged, modelled_of, moves, rms_of
+from truearm.estimate.identify import judged, merged, modelled_of, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
@@ -32,6 +32,7 @@ from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, normal_matrix
 from truearm.estimate.problem import Rigs, build_problem, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
+from truearm.estimate.systematic import moves
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
 from truearm.estimate.whitened_rows import only
@@ -242,7 +243,7 @@ class _Work:
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         how = measured_order(self.table, before.fitted)
-        wrong = law_systematic(of, fitted, learned.noise, how, quality)
+        wrong = law_systematic(of, fitted, learned.noise, how, quality, self.table.q[before.fitted])
         unexplained: Mapping[str, MeanError] = {}
         if wrong is not None or not quality.explained:
             unexplained = mean_errors(error, poses(self.table.select(self.held)), held_out=True) or mean_errors(

@@ -27,15 +27,15 @@ MOST_NUMBERS = 1_200_000  # of the tested rows' derivatives, 10 MB; of more, eve
 
 
 def law_systematic(
-    of: LawProblem, found: Posterior, noise: PoseNoise, how: Measured, declared: Goodness
+    of: LawProblem, found: Posterior, noise: PoseNoise, how: Measured, declared: Goodness, q: Floats
 ) -> SystematicErrors | None:
     """Return the systematic errors beyond chance in the fitted rows, or None if there are none.
 
-    ``declared`` is the goodness of fit under the declared noise; χ² remains relative to the declared noise.
+    ``q`` (n, j) are the joint readings, ``declared`` is the goodness of fit under the declared noise; χ² remains relative to the declared noise.
     """
     problem = with_pose_noise(only(of.problem, _tested(of)), found.x, noise)
     fitted, goodness = _fitted(of, found, problem)
-    wrong = systematic_errors(problem, found.x, of.columns, fitted, goodness, how)
+    wrong = systematic_errors(problem, found.x, of.columns, fitted, goodness, how, q)
     if wrong is None:
         return None
     return replace(wrong, chi2_reduced=wrong.chi2_reduced * declared.reduced * goodness.freedom / goodness.chi2)

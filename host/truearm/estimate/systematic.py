@@ -76,6 +76,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES
 from truearm.estimate.problem import Problem
 from truearm.estimate.systematic_candidates import blocks_of_rows, families, searched
 from truearm.estimate.systematic_confirmation import confirmed, held_out_squares, judging_rows
@@ -92,22 +93,31 @@ from truearm.estimate.systematic_score import (
     unfollowed,
     whiten_rows,
 )
+from truearm.model.chain import Chain, forward
 from truearm.results import OffBy, SystematicError, SystematicErrors
-from truearm.types import Floats
+from truearm.types import Floats, rms
 from truearm.units import UNITS
 
 GROSS = 30.0  # σ of the noise: to first order, a fit this distorted shows only which rows distort it
 
 
 def systematic_errors(
-    problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fitted, goodness: FitChi2, how: Measured
+    problem: Problem,
+    x: Floats,
+    columns: NDArray[np.bool_],
+    fit: Fitted,
+    goodness: FitChi2,
+    how: Measured,
+    q: Floats,
 ) -> SystematicErrors | None:
     """Return the errors beyond chance in a fit of the problem's ``columns`` that ended at x (P,).
 
     They are in the order of the search, each the most probable one given those before it. If the joint test drops one,
     the whole search is repeated without its family, from the findings that are left. The module docstring describes the
-    tests. None if nothing is found, and for a fit without degrees of freedom or with
-    residuals that are not finite.
+    tests. ``q`` (n, j) are the joint readings of the rows.
+
+    None if nothing is found, if the findings move the end too far for tests of first order, and for a fit without degrees
+    of freedom or with residuals that are not finite.
     """
     rows = whiten_rows(problem, x, columns, fit)
     if not (rows.row.size and goodness.freedom >= 1.0 and np.isfinite([goodness.chi2, *rows.residual]).all()):
@@ -130,9 +140,31 @@ def systematic_errors(
     described, part = _described(found, test, after.state)
     shift = np.zeros(x.size)
     shift[columns] = -fit.root @ part
+    if _beyond_first_order(problem.chain, x, shift, q):
+        return None
     before, left = (held_out_squares(of, how)[judging_rows(after.rows, how)].sum() for of in (rows, after.rows))
     ratio = math.sqrt(left / before) if before > 0.0 else math.nan
-    return SystematicErrors(described, after.state.chi2 / max(after.state.freedom, 1.0), shift, held_out_ratio=ratio)
+    reduced = after.state.chi2 / max(after.state.freedom, 1.0)
+    return SystematicErrors(described, reduced, shift, held_out_ratio=ratio)
+
+
+def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
+    """Return the RMS distance [m] over the poses between the end's origins for the parameters of x and of ``there``."""
+    p = len(chain.parameters)
+    apart = forward(chain, there[:p], q)[:, :3, 3] - forward(chain, x[:p], q)[:, :3, 3]
+    return rms(np.linalg.norm(apart, axis=1))
+
+
+def _beyond_first_order(chain: Chain, x: Floats, shift: Floats, q: Floats) -> bool:
+    """Return whether a shift (P,) of x moves the end too far for tests of first order, over the poses q (n, j).
+
+    Where only the distance of two sockets determines the scale, for example, an error that frees it explains everything
+    by an arm that shrinks to a point. No finding is then kept: without the one that moves the end farthest, other items
+    seem to be off instead.
+    """
+    q = q[:: -(-len(q) // MOST_POSES)]
+    farthest = np.linalg.norm(forward(chain, x[: len(chain.parameters)], q)[:, :3, 3], axis=1).max()
+    return bool(moves(chain, x, x + shift, q) > FIRST_ORDER * farthest)
 
 
 def _described(found: Sequence[Best], test: ScoreTest, after: FitChi2) -> tuple[tuple[SystematicError, ...], Floats]:

@@ -190,7 +190,15 @@ def consistency(
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
     how = measured_order(table, np.ones(len(table), dtype=bool))
     fitted = Fitted(ways @ root, left)
-    wrong = systematic_errors(problem, x, columns, fitted, FitChi2(chi2, freedom, limit / freedom), how)
+    wrong = systematic_errors(
+        problem,
+        x,
+        columns,
+        fitted,
+        FitChi2(chi2, freedom, limit / freedom),
+        how,
+        table.q,
+    )
     return Consistency(chi2, freedom, limit, wrong)
 
 
