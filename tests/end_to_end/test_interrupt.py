@@ -37,6 +37,7 @@ def test_interrupted_demo_is_one_line_and_130(tmp_path, after_s):
 IN_A_CALLBACK = """
 import signal, time, weakref
 from truearm.__main__ import keep_interrupts
+signal.signal(signal.SIGINT, signal.default_int_handler)  # as at a terminal: a shell may start jobs that ignore it
 keep_interrupts()
 class Lock: pass
 lock = Lock()

@@ -153,7 +153,7 @@ def session_folder(tmp_path_factory):
         ("relabel s.mcap --trust plan", "examining the session"),
         ("relabel s.mcap --trust evidence --model puma560", "examining the session"),
         ("export-session s.mcap --out tables", "exporting the session"),
-        ("export r.json --format dh-hayati --out dh.csv", "exporting the robot"),
+        ("export r.json --format dh-hayati --out dh.toml", "exporting the robot"),
         ("map r.json --out map.csv", "mapping the errors"),
     ],
 )

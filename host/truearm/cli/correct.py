@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
-    ForceOption,
     IdentifiedBaseOption,
     IdentifiedRobotOption,
     IdentifiedTipOption,
@@ -108,7 +107,12 @@ def correct(
         Path | None,
         typer.Option(metavar="FILE", help="Write a report (.html): shifts, expected errors, margins, straight moves."),
     ] = None,
-    force: ForceOption = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Overwrite a corrected table that truearm wrote. A corrected program never replaces a file."
+        ),
+    ] = False,
     as_json: JsonOption = False,
     margin: Annotated[
         float,

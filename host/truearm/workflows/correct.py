@@ -225,7 +225,9 @@ def _correct_table(path: Path, request: _Request) -> _Done:
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(request.tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return _Done(text, corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None else ())
+    return _Done(
+        text, corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None and request.home is None else ()
+    )
 
 
 def _correct_program(
@@ -280,9 +282,16 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
         caveats.append(calibration.doubt_of_payload)
     _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
     if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
-        remedy = "" if own_frames else " To leave out base and tool, correct in its own frames."
+        example, remedy = (
+            ("", " Measure what truearm identify proposes.")
+            if own_frames
+            else (
+                ", for example the mounting of base or tool",
+                " To leave out base and tool, run truearm correct --own-frames.",
+            )
+        )
         caveats.append(
-            "Unidentifiable combinations of parameters move the end, for example the mounting of base or tool. "
+            f"Unidentifiable combinations of parameters move the end{example}. "
             f"The corrections use nominal values for them.{remedy}"
         )
     return caveats

@@ -224,6 +224,7 @@ def correct_program(
                 quarters[rows],
                 [targets.origins[i] is not None for i in rows],
                 lines_of,
+                how.home is not None,
             ),
         ),
     )
@@ -273,20 +274,21 @@ def _joints_kept(n: int) -> list[str]:
 
 
 def _configurations(
-    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int]
+    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int], home: bool
 ) -> list[str]:
     """Return the arm configurations to check: those found by a search, and those that contradict the program's own
     data.
 
-    ``after``: the program shows where the robot comes from.
+    ``after``: the program shows where the robot comes from. ``home``: the user gave joints near those of the first target.
     """
     told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
     wrong = ((np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)).any(axis=1)
     where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
     check = f"Check the configuration data of {counted(int(wrong.sum()), 'robtarget')} (lines {where}): by this model an axis is in another quarter turn."
     unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
+    chosen = "The arm's configuration there is the one nearest to home." if home else SEARCHED
     return [
-        f"{SEARCHED} The program does not determine the position from which the robot moves to line {unknown}."
+        f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
     ] * bool((~told).any()) + [check] * bool(wrong.any())
 
 
