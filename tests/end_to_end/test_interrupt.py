@@ -7,7 +7,12 @@ import sys
 import time
 
 import pytest
-from tests.end_to_end.conftest import truearm
+from tests.end_to_end.conftest import interpreter, standard_plan, truearm
+
+from truearm.record.recorder import record
+from truearm.workflows.demo_steps import record_virtually, write_setup
+from truearm_sim.simbox import SimulatedBox
+from truearm_sim.world import World
 
 COMMAND = [sys.executable, "-m", "truearm"]
 
@@ -55,6 +60,24 @@ def test_an_interrupt_in_a_callback_is_not_lost():
     """As of an import, in which Python forgets the module's lock: the demo once ran to its end."""
     done = subprocess.run([sys.executable, "-c", IN_A_CALLBACK], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("kept\n", "")
+
+
+def test_an_interrupt_while_the_file_is_being_completed_is_not_lost(tmp_path, monkeypatch):
+    """The recorder asks no more; the demo once ran to its end after one of a thousand interrupts."""
+    plan = standard_plan(9, 1)
+    world = World(1, plan)
+    box = SimulatedBox(world, interpreter(), seed=1)
+    write_setup(tmp_path, world)
+
+    def struck_after(*arguments, **keywords):
+        summary = record(*arguments, **keywords)
+        signal.raise_signal(signal.SIGINT)
+        return summary
+
+    monkeypatch.setattr("truearm.record.recorder.record", struck_after)
+    with pytest.raises(KeyboardInterrupt):
+        record_virtually(tmp_path, plan, world, box, 16384, 1)
+    box.close()
 
 
 def test_full_disk_behind_standard_output():

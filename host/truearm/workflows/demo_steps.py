@@ -147,7 +147,7 @@ def record_virtually(
                 operator=Confirming(lab),
             ),
         )
-    if summary.reason == "interrupted":
+    if interrupted():  # also while the file was being completed, when the recorder no longer asks
         raise KeyboardInterrupt
     if summary.reason != "robot closed":
         raise LinkError(f"the simulated recording ended early: {summary.reason}, {summary.text}")
