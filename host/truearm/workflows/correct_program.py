@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, assert_never
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,13 @@ from truearm.model.poses import apart, inverted, pose_of
 from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
+from truearm.workflows.given_tools import Six, check_names, check_used
 
 N_READINGS = 6  # of a program's joint readings
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 MOST_REREAD = 20_000  # targets of a program that is read again: about 0.05 ms each
-Six = tuple[float, float, float, float, float, float]
 
 SEARCHED = (
     "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
@@ -134,12 +134,13 @@ def correct_program(
     program.
     """
     language = language_of(path)
-    _check_names(path, language, options)
+    check_names(path, language, options.tool, options.tools, options.works)
     base, flange = _placed(language, names, options, _last_axis(how.pair))
     tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
-    frames = {name.lower(): fixed_six(six) for name, six in {**options.tools, **options.works}.items()}
-    surroundings = Surroundings(tool, frames, options.harmless)
+    tool_of, work_of = ({name.lower(): six for name, six in of.items()} for of in (options.tools, options.works))
+    surroundings = Surroundings(tool, tool_of, work_of, options.harmless)
     program = read_program(path, surroundings)
+    check_used(path, program, options.works)
     at_joints = [m.start for m in program.motions if any(not isinstance(goal.target, Pose) for goal in m.goals)]
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
@@ -290,22 +291,6 @@ def _configurations(
     return [
         f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
     ] * bool((~told).any()) + [check] * bool(wrong.any())
-
-
-def _check_names(path: Path, language: ProgramLanguage, options: ProgramOptions) -> None:
-    """Refuse tools and work objects that the program's language cannot use. Raises ProgramError."""
-    match language:
-        case "urscript":
-            for given, argument in ((options.tools, "tool"), (options.works, "work")):
-                if given:
-                    wrong = f"{path}: a URScript knows no tools or work objects by name, such as {next(iter(given))[:40]}; give one pose by "
-                    raise ProgramError(wrong, Argument(argument))
-        case "rapid":
-            if options.tool is not None and any(options.tool):
-                wrong = f"{path}: each move of a RAPID program names its tool; give NAME=X,Y,Z,RX,RY,RZ by "
-                raise ProgramError(wrong, Argument("tool"))
-        case _:
-            assert_never(language)
 
 
 def _last_axis(pair: ModelPair) -> Floats:

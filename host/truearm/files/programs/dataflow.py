@@ -101,6 +101,8 @@ class Language(Protocol):
 class Flow(Calls):
     """A program that is followed; ``motions`` contains the moves found, by place.
 
+    ``unused``: names given from outside that the program does not mention, each with a similar one that it does, or "".
+
     ``judged``: the literals from whose numbers something is decided, by their places, each with the place of the first
     decision: a condition, a loop's bound or an index. What a function of poses returns does not count: it compares with
     the robot's own position, or asks for a solution, and either is right for the corrected numbers. Distances count,
@@ -111,6 +113,7 @@ class Flow(Calls):
         super().__init__(work, Routines(work, language.changed_by, language.effects, routines))
         self.language = language
         self.judged: dict[int, int] = {}
+        self.unused: dict[str, str] = {}
 
     # statements
 

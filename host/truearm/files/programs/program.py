@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +17,7 @@ from truearm.files.programs import rapid_meaning, urscript_meaning
 from truearm.files.programs.dataflow import Flow
 from truearm.files.programs.motions import Motion
 from truearm.files.programs.rapid import read_rapid
+from truearm.files.programs.rapid_poses import tooldata, wobjdata
 from truearm.files.programs.syntax import Source
 from truearm.files.programs.urscript import read_urscript
 from truearm.files.programs.values import Pose, Unknown
@@ -33,12 +34,14 @@ ProgramLanguage = Literal["urscript", "rapid"]
 class Surroundings(NamedTuple):
     """The external definitions of a program.
 
-    ``tool``: the active tool before a URScript sets one, None if unknown. ``frames``: tools and work objects of a RAPID
-    program that are declared elsewhere, by name. ``harmless``: external routines that do not move the robot.
+    ``tool``: the active tool before a URScript sets one, None if unknown. ``tools`` and ``works``: those of a RAPID
+    program that are declared elsewhere, by name in lower case: positions [m] and rotation vectors [rad]. ``harmless``:
+    external routines that do not move the robot.
     """
 
     tool: Pose | None = None
-    frames: Mapping[str, Pose] = {}
+    tools: Mapping[str, Sequence[float]] = {}
+    works: Mapping[str, Sequence[float]] = {}
     harmless: frozenset[str] = frozenset()
 
 
@@ -46,13 +49,15 @@ class Surroundings(NamedTuple):
 class Program:
     """A program and its moves, in the order of the text.
 
-    ``judged``: the literals whose numbers a condition reads, and that condition, by their places.
+    ``judged``: the literals whose numbers a condition reads, and that condition, by their places. ``unused``: tools and
+    work objects of the surroundings that a RAPID program does not mention, each with a similar name in it, or "".
     """
 
     language: ProgramLanguage
     source: Source
     motions: tuple[Motion, ...]
     judged: Mapping[int, int] = field(default_factory=dict)
+    unused: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def motion_at(self) -> Mapping[int, Motion]:
@@ -112,7 +117,7 @@ def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surround
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
     if not motions:
         raise ProgramError(f"{name}: contains no move; there is nothing to correct")
-    return Program(language, source, motions, flow.judged)
+    return Program(language, source, motions, flow.judged, flow.unused)
 
 
 def _followed(work: Work, language: ProgramLanguage, surroundings: Surroundings) -> Flow:
@@ -121,7 +126,9 @@ def _followed(work: Work, language: ProgramLanguage, surroundings: Surroundings)
             tool = surroundings.tool or Unknown("no set_tcp comes before it, so its tool is not known", 0, "tool")
             return urscript_meaning.analyse(work, read_urscript(work), (tool,), surroundings.harmless)
         case "rapid":
-            return rapid_meaning.analyse(work, read_rapid(work), surroundings.frames, surroundings.harmless)
+            given = {name: tooldata(six) for name, six in surroundings.tools.items()}
+            given |= {name: wobjdata(six) for name, six in surroundings.works.items()}
+            return rapid_meaning.analyse(work, read_rapid(work), given, surroundings.harmless)
         case _:
             assert_never(language)
 

@@ -48,12 +48,18 @@ class Declared(NamedTuple):
 
 
 class Module(NamedTuple):
-    """The declarations of a module."""
+    """The declarations of a module.
 
+    ``hidden``: names of LOCAL data and routines, which other modules do not see.
+    """
+
+    name: str
     data: tuple[Declared, ...]
     routines: tuple[Routine, ...]
     records: dict[str, tuple[tuple[str, str], ...]]  # the type and name of each component
     assigned: frozenset[str]  # variables that routines declare or change
+    hidden: frozenset[str]
+    names: frozenset[str]  # all names in the file
 
 
 def read_rapid(work: Work) -> tuple[Module, ...]:
@@ -62,7 +68,8 @@ def read_rapid(work: Work) -> tuple[Module, ...]:
     found = [reader.module()]
     while reader.kind != END:
         found.append(reader.module())
-    return tuple(found)
+    names = frozenset(reader.known)
+    return tuple(module._replace(names=names) for module in found)
 
 
 class _Reader(ExpressionReader):
@@ -77,8 +84,9 @@ class _Reader(ExpressionReader):
         data: list[Declared] = []
         routines: list[Routine] = []
         records: dict[str, tuple[tuple[str, str], ...]] = {}
+        hidden: set[str] = set()
         self.take("module")
-        self.word("the module's name")
+        name = self.word("the module's name")
         if self.text == "(":
             while self.text != ")":
                 if self.kind == END:
@@ -86,9 +94,14 @@ class _Reader(ExpressionReader):
                 self.step()
             self.step()
         while not self.is_word("endmodule"):
+            is_local, before = self.is_word("local"), (len(data), len(routines))
             self.declared(data, routines, records)
+            if is_local:
+                hidden |= {datum.name for datum in data[before[0] :]} | {one.name for one in routines[before[1] :]}
         self.step()
-        return Module(tuple(data), tuple(routines), records, frozenset(self.assigned))
+        return Module(
+            name, tuple(data), tuple(routines), records, frozenset(self.assigned), frozenset(hidden), frozenset()
+        )
 
     def declared(
         self, data: list[Declared], routines: list[Routine], records: dict[str, tuple[tuple[str, str], ...]]
@@ -139,6 +152,7 @@ class _Reader(ExpressionReader):
         name = self.word("a name")
         parameters = self.parameters() if self.text == "(" else ()
         body: list[Statement] = []
+        constants: set[str] = set()
         while self.is_word("var", "pers", "const", "local") or self.text == "<ddn>":
             if self.text == "<ddn>":
                 self.step()
@@ -147,6 +161,8 @@ class _Reader(ExpressionReader):
                 self.step()
             datum = self.datum()
             self.assigned.add(datum.name)
+            if datum.kind == "const":
+                constants.add(datum.name)
             if datum.value is not None:
                 body.append(Assign(Name(datum.name, datum.start), datum.value, "local"))
             else:
@@ -161,8 +177,17 @@ class _Reader(ExpressionReader):
             handlers.append(self.block())
         self.take(ENDS[kind])
         how: Literal["routine", "beside"] = "beside" if kind == "trap" else "routine"
-        calls = frozenset(self.calls)
-        return Routine(name, parameters, tuple(body), how, start, tuple(handlers), calls=calls, jumps=self.jumps)
+        return Routine(
+            name,
+            parameters,
+            tuple(body),
+            how,
+            start,
+            tuple(handlers),
+            calls=frozenset(self.calls),
+            jumps=self.jumps,
+            constants=frozenset(constants),
+        )
 
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []

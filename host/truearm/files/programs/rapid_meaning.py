@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
+from truearm.errors import ProgramError
 from truearm.files.programs.dataflow import Flow, length_of_texts
 from truearm.files.programs.environment import Key
 from truearm.files.programs.rapid import LATE_BOUND, Module
@@ -22,6 +24,7 @@ from truearm.files.programs.rapid_poses import (
     target_of,
     tool_of,
 )
+from truearm.files.programs.rapid_rules import PREDEFINED, check_rules
 from truearm.files.programs.rapid_words import (
     AIMLESS,
     BY_JOINTS,
@@ -204,8 +207,9 @@ class Rapid:
         )
 
 
-def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], harmless: frozenset[str]) -> Flow:
-    """Follow a program; ``frames`` are tools and work objects declared elsewhere."""
+def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], harmless: frozenset[str]) -> Flow:
+    """Follow a program; ``given`` are tools and work objects declared elsewhere."""
+    check_rules(work, modules)
     records = {
         name: k for module in modules for record in module.records.values() for k, (_, name) in enumerate(record)
     }
@@ -224,8 +228,15 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
         constants -= {one.name for one in routine.parameters}
     constants = constants.difference(*(module.assigned for module in modules))
     flow = Flow(work, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
-    for name, pose in {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, LOCKED: NOWHERE, **frames}.items():
-        flow.environment.set((0, name), (pose,))
+    for name in given:
+        if name in PREDEFINED:
+            raise ProgramError(f"{work.source.name}: {name} is predefined; leave it out of the options")
+        if not any(name in module.names for module in modules):
+            similar = get_close_matches(name, sorted(modules[0].names.difference(flow.routines.by_name)), n=1)
+            flow.unused[name] = next(iter(similar), "")
+    begins: Mapping[str, Value] = {_TOOL: NOWHERE, _OBJECT: NOWHERE, DISPLACED: NOWHERE, LOCKED: NOWHERE, **given}
+    for name, value in begins.items():
+        flow.environment.set((0, name), (value,))
     for name in CONFIGURATIONS:
         flow.environment.set((0, name), (Truth(True),))
     begin: dict[str, Values] = {}
@@ -235,7 +246,7 @@ def analyse(work: Work, modules: Sequence[Module], frames: Mapping[str, Pose], h
                 raise work.source.wrong(
                     datum.start, f"{datum.name} is declared twice in this file; put each module in its own file"
                 )
-            if datum.name in frames:
+            if datum.name in given:
                 what = f"{datum.name} is declared in this program; leave its pose out of the options"
                 raise work.source.wrong(datum.start, what)
             if datum.value is None:

@@ -10,6 +10,8 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+from scipy.spatial.transform import Rotation
+
 from truearm.files.programs.motions import UNDECLARED
 from truearm.files.programs.rotations import of_quaternion, quaternion_of_angles, quaternion_of_tool_angles
 from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
@@ -87,6 +89,24 @@ def _object_frame(users: Values, own: Values) -> Pose | None:
     """Return the product of a user frame and an object frame."""
     first, second = _frame(users), _frame(own)
     return None if first is None or second is None else times(first, second)
+
+
+def tooldata(six: Sequence[float]) -> Listed:
+    """Return a tool that the robot holds, at x, y, z [m] with a rotation vector [rad]; its load is not known."""
+    load = Unknown("its load is declared elsewhere", 0)
+    return Listed(((Truth(True),), (_listed_frame(six),), (load,)))
+
+
+def wobjdata(six: Sequence[float]) -> Listed:
+    """Return a fixed work object whose user frame is at x, y, z [m] with a rotation vector [rad]."""
+    own = _listed_frame((0.0,) * 6)
+    return Listed(((Truth(False),), (Truth(True),), (Text(""),), (_listed_frame(six),), (own,)))
+
+
+def _listed_frame(six: Sequence[float]) -> Listed:
+    x, y, z, w = Rotation.from_rotvec(six[3:]).as_quat().tolist()
+    parts = [[float(MM.of(value)) for value in six[:3]], [w, x, y, z]]
+    return Listed(tuple((Listed(tuple((Number(value),) for value in part)),) for part in parts))
 
 
 def _frame(values: Values) -> Pose | None:

@@ -201,7 +201,7 @@ class Routine(NamedTuple):
     """A function, procedure, thread or interrupt routine.
 
     ``inner``: the routines defined in it, but not those within them; ``calls``: names that a RAPID routine calls;
-    ``jumps``: whether it contains a Jump.
+    ``jumps``: whether it contains a Jump; ``constants``: data of its own that nothing may assign.
     """
 
     name: str
@@ -213,6 +213,7 @@ class Routine(NamedTuple):
     inner: tuple[Routine, ...] = ()
     calls: frozenset[str] = frozenset()
     jumps: bool = False
+    constants: frozenset[str] = frozenset()
 
 
 Statement = Assign | Do | If | Loop | Return | Leave | Jump | Routine
