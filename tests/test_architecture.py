@@ -4,6 +4,7 @@ import ast
 import re
 import runpy
 import tomllib
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def imports(path: Path) -> set[str]:
     """Dotted names of all modules that a file imports, wherever in the file; relative ones resolved."""
     found = set()
     package = list(path.relative_to(path_root(path)).with_suffix("").parts[:-1])
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -97,6 +98,32 @@ def imports(path: Path) -> set[str]:
             module = ".".join([*base, *(node.module.split(".") if node.module else [])])
             found |= {f"{module}.{alias.name}" for alias in node.names} | {module}
     return found
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def of_each(paths: Iterable[Path], within: Path) -> Callable[[Callable[[Path], None]], Callable[[], None]]:
+    """One test for all files, which says each file that fails: a test of its own for each takes 5 ms, of which there would be 2200."""
+
+    def decorated(check: Callable[[Path], None]) -> Callable[[], None]:
+        def test() -> None:
+            checked, failed = 0, []
+            for path in paths:
+                checked += 1
+                try:
+                    check(path)
+                except AssertionError as exc:
+                    failed.append(f"{path.relative_to(within)}: {exc}")
+            assert checked
+            assert not failed, "\n".join(failed)
+
+        test.__doc__ = check.__doc__
+        return test
+
+    return decorated
 
 
 def path_root(path: Path) -> Path:
@@ -114,13 +141,13 @@ def room_of(path: Path) -> str:
     return path.relative_to(HOST).with_suffix("").parts[0]
 
 
-@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+@of_each(python_files(HOST), HOST)
 def test_host(path):
     room = room_of(path)
     if room == "__init__":  # for type checkers alone: nothing is imported before it is used
-        (guarded,) = (n for n in ast.parse(path.read_text()).body if isinstance(n, ast.If))
+        (guarded,) = (n for n in tree_of(path).body if isinstance(n, ast.If))
         assert ast.unparse(guarded.test) == "TYPE_CHECKING"
-        found = {n.module for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)}
+        found = {n.module for n in ast.walk(tree_of(path)) if isinstance(n, ast.ImportFrom)}
         always = {"typing", "__future__", "truearm_wire.version"}
         assert {n.module for n in guarded.body if isinstance(n, ast.ImportFrom)} | always == found
         return
@@ -140,10 +167,10 @@ def test_host(path):
 BELOW_CLI = [p for p in python_files(HOST) if room_of(p) not in ("cli", "__main__")]
 
 
-@pytest.mark.parametrize("path", BELOW_CLI, ids=lambda p: str(p.relative_to(HOST)))
+@of_each(BELOW_CLI, HOST)
 def test_only_the_command_line_names_options(path):
     """But for whole commands to paste."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     said = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}  # docstrings
     for text in (n for n in ast.walk(tree) if isinstance(n, ast.JoinedStr | ast.Constant)):
         parts = [part for part in getattr(text, "values", [text]) if isinstance(part, ast.Constant)]
@@ -178,21 +205,20 @@ def test_only_simulate_demo_and_reproduce_know_the_simulator():
 def parameters_of(path: Path) -> dict[str, int]:
     """How many parameters each function of a file has, ``self`` not counted."""
     found = {}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
             found[node.name] = len([a for a in given if a.arg not in ("self", "cls")]) + bool(node.args.vararg)
     return found
 
 
-@pytest.mark.parametrize(
-    "path",
+@of_each(
     [
         path
         for part in ("host", "hil_sim", "protocol", "firmware", "bench", "hardware")
         for path in python_files(ROOT / part)
     ],
-    ids=lambda p: str(p.relative_to(ROOT)),
+    ROOT,
 )
 def test_no_function_has_more_than_eight_parameters(path):
     """But for the commands, whose parameters are their options."""
@@ -211,7 +237,7 @@ def modules() -> dict[str, Path]:
 
 def imports_when_run(path: Path) -> set[str]:
     """Return all imports of a file, also those within functions, but for those that only a type checker reads."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     guarded = {
         id(inner)
         for node in ast.walk(tree)
@@ -289,10 +315,10 @@ def open_matches(tree: ast.AST, choices: set[str]) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+@of_each(python_files(HOST), HOST)
 def test_every_closed_choice_is_exhaustive(path):
     """mypy proves that an ``assert_never`` cannot be reached: a further member is an error where it has no case."""
-    assert not open_matches(ast.parse(path.read_text(encoding="utf-8")), closed_choices())
+    assert not open_matches(tree_of(path), closed_choices())
 
 
 OPEN = """
@@ -321,18 +347,18 @@ def test_the_check_of_closed_choices_finds_open_ones():
     ]
 
 
-@pytest.mark.parametrize("path", python_files(HOST), ids=lambda p: str(p.relative_to(HOST)))
+@of_each(python_files(HOST), HOST)
 def test_only_the_command_line_and_the_live_view_print(path):
     if room_of(path) in ("cli", "live", "__main__"):
         return
     assert not {name for name in imports(path) if name.split(".")[0] in ("typer", "rich")}
     text = path.read_text(encoding="utf-8")
-    for node in ast.walk(ast.parse(text)) if re.search(r"print|input|\bstd(out|err)\b", text) else ():
+    for node in ast.walk(tree_of(path)) if re.search(r"print|input|\bstd(out|err)\b", text) else ():
         name = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
         assert name not in ("print", "input", "sys.stdout.write", "sys.stderr.write"), f"{name}() at line {node.lineno}"
 
 
-@pytest.mark.parametrize("path", python_files(ROOT / "protocol" / "truearm_wire"), ids=lambda p: p.name)
+@of_each(python_files(ROOT / "protocol" / "truearm_wire"), ROOT)
 def test_wire_imports_nothing_of_ours(path):
     for name in imports(path):
         assert name.split(".")[0] in {"array", "sys", "micropython", "truearm_wire"}, name
@@ -343,7 +369,7 @@ def device_files() -> list[Path]:
     return [p for p in python_files(ROOT / "firmware") if "image" not in p.parts]
 
 
-@pytest.mark.parametrize("path", device_files(), ids=lambda p: str(p.relative_to(ROOT)))
+@of_each(device_files(), ROOT)
 def test_firmware_runs_on_micropython_alone(path):
     room = path.relative_to(ROOT / "firmware").parts[0]
     allowed = FIRMWARE_ALLOWED | (BOARD_ALLOWED if path.name.startswith("board") else {room})
@@ -359,7 +385,7 @@ def test_drivers_know_neither_box_nor_chip():
         assert not {n.split(".")[0] for n in imports(path)} & {"chips", "drivers"}, path
 
 
-@pytest.mark.parametrize("path", python_files(ROOT / "hil_sim"), ids=lambda p: str(p.relative_to(ROOT)))
+@of_each(python_files(ROOT / "hil_sim"), ROOT)
 def test_simulator_touches_no_hardware(path):
     assert not {n.split(".")[0] for n in imports(path)} & DEVICE_MODULES
 
@@ -372,7 +398,7 @@ def test_nothing_evaluates_or_unpickles():
             if not re.search("eval|exec|compile|pickle|marshal|shelve|dill", text):  # so need not be parsed
                 continue
             names = {
-                n.func.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+                n.func.id for n in ast.walk(tree_of(path)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
             }
             assert not names & {"eval", "exec", "compile"}, path
             assert not {n.split(".")[0] for n in imports(path)} & {"pickle", "marshal", "shelve", "dill"}, path
@@ -389,7 +415,7 @@ def defined_names() -> set[str]:
     """``function``, ``module.function``, ``Class`` and ``Class.method`` of all that is shipped."""
     found = set()
     for path in (p for folder in SOURCES for p in python_files(folder)):
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in tree_of(path).body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
                 found |= {node.name, f"{path.stem}.{node.name}"}
             if isinstance(node, ast.ClassDef):
@@ -462,7 +488,7 @@ DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
 OF_RAPID = {"MoveL", "CalcRobT"}  # words of a robot's language that a decision quotes
 
 
-@pytest.mark.parametrize("page", DECISIONS, ids=lambda p: p.stem)
+@of_each(DECISIONS, ROOT)
 def test_decisions_name_what_exists(page):
     """Functions and classes, and files by the end of their paths."""
     text = prose(page.read_text(encoding="utf-8"))
