@@ -480,9 +480,8 @@ class Estimate:
     relabelling_search: str = "not needed"  # | "done" | "too many groups" (estimate.label_search)
     explanations: tuple[Explanation, ...] = ()  # of an absurd fit, the most probable first
     unusable: Unusable | None = None  # the reason, if unusable (estimate.wrong_inputs)
-    left_out: NDArray[np.bool_] = field(
-        default_factory=lambda: np.zeros(0, dtype=bool)
-    )  # (n,) neither fitted nor held out
+    left_out: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) not fitted or held out
+    outlying: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) by estimate.outliers
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
     unexplained: Mapping[str, MeanError] = field(

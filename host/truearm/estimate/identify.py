@@ -28,7 +28,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
-from truearm.estimate.outliers import MOST, gross_rows, without_outliers
+from truearm.estimate.outliers import MOST, gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
@@ -63,6 +63,7 @@ class SolverOptions:
     effects : systematic errors to estimate as well; their rows are rows of the table.
     leave_out : rows to neither fit nor validate on: the first, and the one after the last, from 0.
     reject : fit again without outliers (``outliers``), for a least-squares fit by lm or map.
+    outliers : (n,) rows known to be outliers, instead of those that the fit itself would reject.
     """
 
     solver: str = option_defaults.SOLVER
@@ -73,6 +74,7 @@ class SolverOptions:
     effects: tuple[Effect, ...] = ()
     leave_out: tuple[tuple[int, int], ...] = ()
     reject: bool = False
+    outliers: NDArray[np.bool_] | None = None
 
 
 DEFAULTS = SolverOptions()
@@ -126,9 +128,13 @@ def identify(
     x_raw, raw = _raw(problem, options.max_iterations)
     gross = np.zeros(problem.n_rows, dtype=bool)
     rejects = options.reject and SOLVERS[options.solver].has_loss and options.loss == Loss.LINEAR
-    if rejects:
-        gross, x_raw = gross_rows(problem, np.arange(columns.size) >= problem.n_robot, x_raw)
-        raw = observe(problem, x_raw, columns).residual if gross.any() else raw
+    of_rig = np.arange(columns.size) >= problem.n_robot
+    if options.outliers is not None:
+        gross = options.outliers[fitted]
+        x_raw = fit(only(problem, ~gross), of_rig, x_raw, Options()).x if of_rig.any() else x_raw
+    elif rejects:
+        gross, x_raw = gross_rows(problem, of_rig, x_raw)
+    raw = observe(problem, x_raw, columns).residual if gross.any() else raw
     x_before, before = _before(problem, columns, x_raw, raw, gross)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # Fitting robot and a distant rig at once is a curved valley; starting from a rig with a prior is closer (decision
@@ -137,8 +143,12 @@ def identify(
     solve = solver_of(options.solver)
     found = every = solve(problem, columns, start, how_to)
     begun = solve(only(problem, ~gross), columns, start, how_to._replace(on_step=None)) if gross.any() else every
-    if rejects and begun.status == "converged":
-        found = without_outliers(problem, columns, begun, how_to, gross) or every
+    rejected = None
+    if options.outliers is not None:
+        found = weightless(problem, columns, begun, ~gross)
+    elif rejects and begun.status == "converged":
+        rejected = without_outliers(problem, columns, begun, how_to, gross)
+        found = rejected.found if rejected is not None and rejected.explained else every
     x, information = found.x, found.information
     parts = spectrum(information.root)
     shares = prior_shares(half(parts), found.prior_sigma)
@@ -230,6 +240,7 @@ def identify(
         chi2_freedom=fit_quality.freedom,
         distance=_merge(distance, np.nan, fitted, held),
         weight=_merge(found.weight, np.nan, fitted, held),
+        outlying=spread((found if rejected is None else rejected.found).weight == 0.0, fitted),
         suspect=spread(beyond | (found.weight == 0.0), fitted),
         observability=observability(data.root, int(free.sum()), suggested, unit, data.n_residuals),
         suggested_free=spread(suggested, free),

@@ -17,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
+from truearm.estimate.identifiability import spread
 from truearm.estimate.identify import judged, merged, modelled_of, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
 from truearm.estimate.law_elsewhere import nearer_geometry
 from truearm.estimate.law_fit import LawProblem, Learned, Posterior, gated, law_problem, learn, posterior
-from truearm.estimate.law_rows import law_rows
+from truearm.estimate.law_outliers import outlying_beside_laws
+from truearm.estimate.law_rows import law_rows, with_predicted
 from truearm.estimate.law_systematic import law_systematic
 from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import measured_order, poses
@@ -210,15 +212,15 @@ class _Work:
     def centred(self, best: _Fitted) -> Posterior:
         return _centred(best.of, best.result, self.table.q[self.before.fitted])
 
-    def problem(self, laws: Sequence[Law]) -> LawProblem:
-        """Compile the fitted rows for a robot with laws."""
+    def problem(self, laws: Sequence[Law], used: bool = True) -> LawProblem:
+        """Compile the fitted rows for a robot with laws: those that are ``used``, or the outliers."""
         chain, before, prior = with_laws(self.chain, laws), self.before, self.request.prior_sigma
         if prior is not None:
             prior = np.append(prior, np.full(len(chain.parameters) - len(self.chain.parameters), np.inf))
         fitted = before.fitted
         effects = [one.select(fitted) for one in self.effects]
         problem = build_problem(chain, self.rig, self.table.select(fitted), prior, effects)
-        problem = only(problem, before.weight[fitted] > 0.0)
+        problem = only(problem, (before.weight[fitted] > 0.0) == used)
         known = dict(zip(before.parameter_names, before.value, strict=True))
         free = dict(zip(before.parameter_names, before.free, strict=True))
         columns = np.array([free.get(name, True) for name in problem.names])
@@ -239,7 +241,9 @@ class _Work:
         covariance = _without_null(covariance, before, problem.names, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
-        rows = law_rows(of, fitted, learned.noise)
+        rows, weight = law_rows(of, fitted, learned.noise), before.weight[before.fitted]
+        if not weight.all():
+            rows = with_predicted(rows, law_rows(self.problem(of.laws, False), fitted, learned.noise, fitted=False))
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         how = measured_order(self.table, before.fitted)
@@ -251,7 +255,6 @@ class _Work:
             )
         if wrong is not None:
             wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
-        out = before.weight == 0.0
         number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
         return replace(
             before,
@@ -271,8 +274,9 @@ class _Work:
             chi2_freedom=quality.freedom,
             chi2_band=quality.band,
             unexplained=unexplained,
-            distance=np.where(out, before.distance, np.where(before.fitted, rows.distance[number], np.nan)),
-            suspect=before.fitted & (rows.beyond[number] | out),
+            distance=np.where(before.fitted, rows.distance[number], np.nan),
+            suspect=before.fitted & (rows.beyond[number] | (before.weight == 0.0)),
+            outlying=spread(outlying_beside_laws(rows, weight > 0.0), before.fitted),
             systematic=wrong,
             parts=rows.parts,
             pose_error=_pose_error(of, learned.noise),

@@ -13,6 +13,7 @@ from truearm.estimate.law_fit import LawProblem, Posterior
 from truearm.estimate.pose_noise import PoseNoise, in_rows, pose_rows, spread_of, unknowns_of_rows
 from truearm.estimate.whitened_rows import gate, noise_root
 from truearm.kinds.group import unit_columns
+from truearm.kinds.linearised import Indices
 from truearm.results import ResidualParts
 from truearm.types import Floats, Residuals
 from truearm.units import UNITS
@@ -26,19 +27,20 @@ class LawRows(NamedTuple):
     left_out: Residuals  # magnitude of each row's error in a fit without its pose
     distance: Floats  # (n,) from the prediction, in standard deviations of the learned noise
     beyond: NDArray[np.bool_]  # (n,) farther than one clean row in a million
+    width: Indices  # (n,) residuals of a row
     parts: Mapping[str, ResidualParts]  # part of the residuals due to declared noise, and the rest
 
 
-def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
-    """Evaluate the fitted rows.
+def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = True) -> LawRows:
+    """Evaluate the rows of a problem, which were ``fitted`` or are predicted.
 
     With a pose's residuals r, their noise R and J P Jᵀ, the fit without that pose leaves R (R − J P Jᵀ)⁻¹ r, to first
     order and with unchanged variances (``mean_error`` has the case R = I). The distance of a row is √(rᵀ(R − J P Jᵀ)⁻¹
-    r).
+    r), that of a predicted row √(rᵀ(R + J P Jᵀ)⁻¹r).
     """
     problem = of.problem
     left_out, distance = problem.no_residuals(), np.full(problem.n_rows, np.nan)
-    beyond = np.zeros(problem.n_rows, dtype=bool)
+    beyond, widths = np.zeros(problem.n_rows, dtype=bool), np.ones(problem.n_rows, dtype=np.intp)
     squares: dict[str, list[Floats]] = {}
     posterior = in_rows(unknowns_of_rows(problem, found.x, of.columns), found.covariance)
     for poses in pose_rows(problem, found.x, of.pose):
@@ -48,7 +50,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
         w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
         spread = spread_of(poses.rows, posterior)
-        values, vectors = np.linalg.eigh(cov - spread)
+        values, vectors = np.linalg.eigh(cov - spread if fitted else cov + spread)
         values = np.maximum(values, LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True))
         weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] / values[..., None]))[..., 0]
         root = noise_root(poses.declared)
@@ -61,9 +63,20 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise) -> LawRows:
             squares.setdefault(unit, []).append(np.stack([declared, (with_all[:, components] ** 2).sum(axis=1)]))
         square = np.maximum((residual * weighed).reshape(-1, width).sum(axis=1), 0.0)
         distance[group.row], beyond[group.row] = np.sqrt(square), square > gate(width)
+        widths[group.row] = width
     means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}
     parts = {u: ResidualParts(math.sqrt(due), math.sqrt(max(is_ - due, 0.0))) for u, (due, is_) in means.items()}
-    return LawRows(left_out, distance, beyond, parts)
+    return LawRows(left_out, distance, beyond, widths, parts)
+
+
+def with_predicted(rows: LawRows, predicted: LawRows) -> LawRows:
+    """Return the distances of fitted rows together with those of rows that were predicted."""
+    here = np.isfinite(predicted.distance)
+    return rows._replace(
+        distance=np.where(here, predicted.distance, rows.distance),
+        beyond=rows.beyond | predicted.beyond,
+        width=np.where(here, predicted.width, rows.width),
+    )
 
 
 def _in_units(root: Floats, whitened: Floats) -> Floats:

@@ -6,12 +6,15 @@ again, and rows that are back within the gate return. The final list holds only 
 by more than its declared noise, the gate is wider in proportion: clean rows are not left out because the model is wrong.
 
 This works for individual rows. If more than MOST of all rows are left out, or more than LONGEST_RUN consecutive ones,
-the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared.
+the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared. The
+same holds if more than MOST are beyond the gate of their declared noise. Joint laws may be what is wrong with the model
+then, so the rows that are farthest are still named: a fit with laws decides (``law_outliers``).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +51,7 @@ def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats
         found = size > GROSS
         if np.array_equal(found, gross):
             break
-        if not _single(found):
+        if not single(found):
             return np.zeros(problem.n_rows, dtype=bool), x
         gross = found
         if columns.any():
@@ -68,22 +71,29 @@ def _times_the_median(problem: Problem, x: Floats, columns: Mask, gross: Mask) -
     return size
 
 
-def _single(bad: Mask) -> bool:
+def single(bad: Mask) -> bool:
     """Return whether so many of all rows can be outliers."""
     return bool(bad.sum() <= MOST * bad.size) and _longest_run(bad) <= LONGEST_RUN
 
 
+class Rejection(NamedTuple):
+    """A fit without outliers, which have weight 0 in it."""
+
+    found: Solution
+    explained: bool  # by the declared noise, except for a share MOST of the rows
+
+
 def without_outliers(
     problem: Problem, columns: Mask, found: Solution, options: Options, gross: Mask
-) -> Solution | None:
-    """Return the fit without outliers, which have weight 0 in it; None if there are none, or if the model is wrong.
+) -> Rejection | None:
+    """Return the fit without outliers; None if there are none, or if the model is wrong.
 
     ``found`` is a converged least-squares fit over x[columns] of all rows except those that are ``gross`` (n_rows,).
     """
     n = problem.n_rows
     used = ~gross
     options = options._replace(on_step=None)
-    here, seen_sets = found, set()
+    here, seen_sets, settled = found, set(), True
     for _ in range(MAX_ROUNDS):
         root = half(spectrum(here.information.root))
         square, width = squared_distances(problem, here.x, columns, root, used.astype(float))
@@ -91,7 +101,8 @@ def without_outliers(
         if np.array_equal(chosen, used):
             break
         if (~chosen).sum() > MOST * n or chosen.tobytes() in seen_sets:
-            return None
+            settled = False  # where the misfit varies, clean rows follow those that are farthest
+            break
         seen_sets.add(chosen.tobytes())
         used = chosen
         here = fit(only(problem, used), columns, here.x, options)
@@ -99,12 +110,16 @@ def without_outliers(
             return None
     else:
         return None
-    if used.all() or not _single(~used) or (square > gate(width)).sum() > MOST * n:
+    if used.all() or not single(~used):
         return None
-    information = here.information._replace(residual=observe(problem, here.x, columns).residual)
-    return here._replace(
-        information=information, weight=used.astype(float), iterations=found.iterations, message=found.message
-    )
+    without = weightless(problem, columns, here._replace(iterations=found.iterations, message=found.message), used)
+    return Rejection(without, settled and bool((square > gate(width)).sum() <= MOST * n))
+
+
+def weightless(problem: Problem, columns: Mask, found: Solution, used: Mask) -> Solution:
+    """Return a fit of the ``used`` rows (n_rows,) with the residuals of all rows, of which the others have weight 0."""
+    information = found.information._replace(residual=observe(problem, found.x, columns).residual)
+    return found._replace(information=information, weight=used.astype(float))
 
 
 def misfit(square: Floats, width: Indices, used: Mask) -> Floats:

@@ -19,6 +19,7 @@ from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
+from truearm.estimate.law_outliers import fitted_without_outliers
 from truearm.estimate.other_readings import Candidate
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
@@ -325,33 +326,47 @@ def identified(
     sigma = weak if prior is Prior.WHERE_NEEDED else prior_named(chain, prior)
     if prior is Prior.WHERE_NEEDED and not chosen.believed:
         prior = Prior.NONE
-    estimate = estimate_parameters(
-        chain,
-        rig,
-        table,
-        free=free,
-        hold_out=selection.held_out,
-        prior_sigma=sigma,
-        options=SolverOptions(
-            solver=options.solver,
-            loss=options.loss,
-            max_iterations=options.max_iterations,
-            progress=progress,
-            effects=effects,
-            leave_out=leave_out,
-            reject=True,
-        ),
-        prefer=default_free(robot),
+    solver_options = SolverOptions(
+        solver=options.solver,
+        loss=options.loss,
+        max_iterations=options.max_iterations,
+        progress=progress,
+        effects=effects,
+        leave_out=leave_out,
+        reject=True,
     )
-    request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)
-    chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
-    others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
-    with step("trying other interpretations of the inputs"):
+
+    def geometry(outliers: Mask | None = None) -> Estimate:
+        return estimate_parameters(
+            chain,
+            rig,
+            table,
+            free=free,
+            hold_out=selection.held_out,
+            prior_sigma=sigma,
+            options=replace(solver_options, outliers=outliers),
+            prefer=default_free(robot),
+        )
+
+    def checked(estimate: Estimate) -> Estimate:
+        others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
-        estimate = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot), offsets)
-        estimate = with_scale(chain, estimate)
-    with step("fitting joint laws"):
-        chain, estimate = with_joint_laws(chain, rig, table, estimate, request)
+        with step("trying other interpretations of the inputs"):
+            found = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot), offsets)
+            return with_scale(chain, found)
+
+    def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:
+        request = LawRequest(LawMode(options.joint_laws), sigma, effects, robot.gravity)
+        estimate = checked(estimate)
+        with step("fitting joint laws"):
+            return with_joint_laws(chain, rig, table, estimate, request)
+
+    estimate = geometry()
+    chosen = with_frames(chosen, chain, rig, fitted, selection.free, estimate.value)
+    if options.joint_laws == LawMode.NONE:
+        estimate = checked(estimate)
+    else:
+        chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or declare the sigmas of the rig"

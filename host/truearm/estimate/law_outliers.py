@@ -1,0 +1,64 @@
+"""Outlying rows beside joint laws, which geometry alone cannot name: without the laws, most rows are beyond their noise.
+
+Bad rows bend the geometry and hide the laws, and the laws that were not fitted widen the gate for bad rows. Two rounds
+break this circle. First, the geometry is fitted without the rows beyond the gate that its own misfit widens
+(``outliers``), and laws are fitted to the others. Then every row is compared with its prediction by the laws under the
+learned noise: rows beyond that gate are left out, and rows within it return, until the set no longer changes. Where no
+law is kept without those rows, none is left out, and the fit is that of the geometry to all rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.law_rows import LawRows
+from truearm.estimate.outliers import misfit, single
+from truearm.estimate.recursive import within
+from truearm.estimate.whitened_rows import gate
+from truearm.model.chain import Chain
+from truearm.results import Estimate
+
+MAX_ROUNDS = 6  # of fits with laws
+
+Mask = NDArray[np.bool_]
+WithLaws = tuple[Chain, Estimate]
+
+
+def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
+    """Return which rows (n,) to leave out next, after a fit with laws of the ``used`` rows (n,)."""
+    square = np.nan_to_num(rows.distance) ** 2
+    return ~within(square, gate(rows.width) * misfit(square, rows.width, used), used)
+
+
+def fitted_without_outliers(
+    geometry: Estimate, without: Callable[[Mask], Estimate], with_laws: Callable[[Estimate], WithLaws]
+) -> WithLaws:
+    """Return the result of ``with_laws`` for the geometry without outlying rows.
+
+    ``without`` fits the geometry without some rows (n,) of the table.
+    """
+    first = geometry
+    if not np.array_equal(geometry.outlying, geometry.weight == 0.0):
+        first = without(geometry.outlying)
+    best = with_laws(first)
+    if first is not geometry and not _has_laws(best):
+        return with_laws(geometry)
+    seen = {geometry.outlying.tobytes()}
+    for _ in range(MAX_ROUNDS):
+        following = best[1].outlying
+        if not _has_laws(best) or following.tobytes() in seen or not single(following[geometry.fitted]):
+            break
+        seen.add(following.tobytes())
+        further = with_laws(without(following))
+        if not _has_laws(further):
+            break
+        best = further
+    return best
+
+
+def _has_laws(found: WithLaws) -> bool:
+    laws = found[1].joint_laws
+    return bool(laws and laws.kept)
