@@ -62,21 +62,55 @@ UR5E_SURFACE = [
 ]
 
 
-def test_a_ur5e_is_inside_its_capsules():
-    known = bench.known("ur5e")
+def puma560_links(q):
+    """Poses of column, shoulder, upper arm, forearm and wrist from Fu, Gonzalez, Lee (1987), table 2.1: x along the upper
+    arm and the forearm, z along axes 2 and 3 away from the column, at the column's axis for the upper arm."""
+    shoulder = rigid((0, 0, 1), q[0], (0, 0, 0.6604))
+    upper = shoulder @ rigid((1, 0, 0), -np.pi / 2, (0, 0, 0)) @ turned(q[1])
+    fore = upper @ rigid((0, 0, 1), q[2] - np.pi / 2, (0.4318, 0, 0.14909)) @ rigid((0, 0, 1), 0.0, (0, -0.02032, 0))
+    wrist = fore @ rigid((1, 0, 0), 0.0, (0.43307, 0, 0)) @ rigid((1, 0, 0), q[3], (0, 0, 0))
+    return np.eye(4), shoulder, upper, fore, wrist
+
+
+# Corners of the housings, from the meshes of nimasarli/puma560_description: the column, 150 mm thick; the shoulder's tube about axis 2;
+# the upper arm's plate, 305 mm wide behind the elbow; the forearm, 150 mm wide at the elbow and 90 mm at the wrist; the wrist's tube.
+PUMA560_SURFACE = [
+    (0, [(0.075 * np.cos(a), 0.075 * np.sin(a), z) for a in np.linspace(0, 6, 9) for z in (0.0, 0.3, 0.58)]),
+    (
+        1,
+        [
+            (0.076 * np.cos(a), y, 0.076 * np.sin(a))
+            for a in np.linspace(0, np.pi, 7)
+            for y in np.linspace(-0.095, 0.18, 6)
+        ],
+    ),
+    (2, [(x, y, z) for x, y in ((-0.17, 0.152), (0.05, 0.152), (0.43, 0.076), (0.495, 0.0)) for z in (0.195, 0.294)]),
+    (2, [(x, -y, z) for x, y in ((-0.17, 0.152), (0.05, 0.152), (0.43, 0.076), (-0.228, 0.0)) for z in (0.195, 0.294)]),
+    (3, [(x, y, z) for x, y in ((-0.1, 0.075), (-0.1, -0.075), (-0.148, 0.0)) for z in (-0.045, 0.045)]),
+    (3, [(0.35, y, z) for y in (-0.043, 0.043) for z in (-0.045, 0.045)]),
+    (4, [(x, 0.044 * np.cos(a), 0.044 * np.sin(a)) for a in np.linspace(0, 6, 9) for x in (-0.07, 0.04)]),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "links_of", "surface"),
+    [("ur5e", ur5e_links, UR5E_SURFACE), ("puma560", puma560_links, PUMA560_SURFACE)],
+)
+def test_an_arm_is_inside_its_capsules(name, links_of, surface):
+    known = bench.known(name)
     shapes = make_shapes(known.chain, known.params, Rig(), Sizes(), known.links)
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
     ends, radius = link_ends(shapes, q), shapes.links.radius
     for posture, capsules in zip(q, ends, strict=True):
-        links = ur5e_links(posture)
-        for link, points in UR5E_SURFACE:
+        links = links_of(posture)
+        for link, points in surface:
             p = np.array(points) @ links[link][:3, :3].T + links[link][:3, 3]
             apart = segment_distance(p[:, None], p[:, None], capsules[:, 0], capsules[:, 1]) - radius
             assert apart.min(axis=1).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in builtin_names() if builtin_robot(name).capsules is None])
-def test_other_arms_are_lines_through_their_joints(name):
+@pytest.mark.parametrize("name", builtin_names())
+def test_an_arm_without_capsules_is_lines_through_its_joints(name):
     """Every joint's origin lies on them at any posture, but for SHORT."""
     chain = builtin_robot(name).chain
     shapes = make_shapes(chain, chain.params_nominal, Rig(), Sizes())

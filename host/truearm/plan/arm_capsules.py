@@ -2,8 +2,7 @@
 
 The segments run from the foot of the base through the origins of the joints to the end. This describes the arm if its
 links are no wider than ``Sizes.link`` and lie on their axes. Most arms are wider, and the upper arm of a Universal
-Robots arm lies 135 mm beside the plane of its axes: their files have capsules of their own. The PUMA 560, which is only
-simulated, has none.
+Robots arm lies 135 mm beside the plane of its axes: the files of the built-in arms have capsules of their own.
 """
 
 from __future__ import annotations

@@ -90,7 +90,8 @@ def _around(roadmap: Roadmap, start: Floats, end: Floats) -> Floats | None:
                 break
             parts += [leg, q[b : b + 1]]
         else:
-            return np.concatenate(parts)[:-1]
+            via = np.concatenate(parts)[:-1]
+            return via[np.all(np.any(via[:, None] != [start, end], axis=2), axis=1)]  # both are candidates too
     return None
 
 
