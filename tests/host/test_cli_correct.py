@@ -346,7 +346,10 @@ def test_what_was_not_seen_is_said(tmp_path, capsys):
     out = tmp_path / "o.csv"
     code, said, err = run(capsys, "correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--out", out)
     assert code == 0, err
-    assert "Unidentifiable combinations of parameters move the end" in said
+    assert "The pose of the base (" in said
+    assert "because the positions of the" in said
+    given = ("correct", tmp_path / "r.json", tmp_path / "t.csv", "--model", urdf, "--own-frames", "--out")
+    assert "The pose of the base (" not in run(capsys, *given, tmp_path / "own.csv")[1]
     assert "chose the arm's configuration" not in " ".join(said.split())
     assert max(float(row["after_mm"]) for row in csv.DictReader(out.open())) < 1e-5
 

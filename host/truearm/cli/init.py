@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -169,7 +170,8 @@ def init(
     print_lines(f"{path.name:<16}{path}" for path in created.written)
     if created.plan is not None:
         print_lines(visit_lines(created.plan))
-    typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}, then truearm status")
+    then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
+    typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
 
 
 def _from_folder(model: str, folder: Path) -> str:

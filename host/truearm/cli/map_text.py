@@ -28,10 +28,8 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
             f"Error with calibration, from the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
         )
     if sigma.size < error.size:
-        text.append(
-            f"Error with calibration: unknown in {counted(error.size - sigma.size, 'cell')}, because unidentifiable combinations of "
-            "parameters move the end there."
-        )
+        which = "all" if not sigma.size else f"{error.size - sigma.size} of {error.size}"
+        text += [f"Error with calibration: unknown in {which} cells.", *mapped.undetermined]
     if outside := _outside(found):
         text.append(
             f"In {counted(outside, 'cell')} a joint is outside the readings that the calibration was identified from "

@@ -18,7 +18,7 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs.program import Refused, is_program, suffixes_like
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
-from truearm.model.chain import Chain, forward, point_jacobians
+from truearm.model.chain import Chain, forward
 from truearm.model.poses import inverted, pose_of
 from truearm.progress import step
 from truearm.report.correction_page import render
@@ -46,12 +46,12 @@ from truearm.workflows.correction_findings import (
     warnings,
 )
 from truearm.workflows.correction_report import page_of
+from truearm.workflows.undetermined import undetermined
 
 Six = tuple[float, float, float, float, float, float]
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
-MOVES = 1e-6  # m of motion by an unseen direction with a largest weight of 1
 
 
 class CorrectOptions(NamedTuple):
@@ -280,20 +280,7 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
         )
     if calibration.doubt_of_payload:
         caveats.append(calibration.doubt_of_payload)
-    _, jac, _ = point_jacobians(calibration.chain, calibration.identified, q, np.zeros(3))
-    if np.abs(jac @ calibration.unseen).max(initial=0.0) > MOVES:
-        example, remedy = (
-            ("", " Measure what truearm identify proposes.")
-            if own_frames
-            else (
-                ", for example the mounting of base or tool",
-                " To leave out base and tool, run truearm correct --own-frames.",
-            )
-        )
-        caveats.append(
-            f"Unidentifiable combinations of parameters move the end{example}. "
-            f"The corrections use nominal values for them.{remedy}"
-        )
+    caveats += undetermined(calibration, q, own_frames)
     return caveats
 
 

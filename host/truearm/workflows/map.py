@@ -25,8 +25,10 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
+from truearm.workflows.undetermined import undetermined, unseen_by_use
 
 MARK = "u_mm,v_mm"
+SOME = 12  # cells at which the reason for an unknown error is sought
 
 
 class Section(NamedTuple):
@@ -64,12 +66,14 @@ class MapFiles(NamedTuple):
 class Mapped(NamedTuple):
     """A map, and the best region for the task; None if there is no task, or no place for it.
 
-    ``payload`` is a sentence about the payload that the map holds for; "" if the result has no sag.
+    ``payload`` is a sentence about the payload that the map holds for; "" if the result has no sag. ``undetermined`` are
+    sentences about why the error with calibration is unknown in some cells.
     """
 
     map: ErrorMap
     region: BestRectangle | None
     payload: str = ""
+    undetermined: tuple[str, ...] = ()
 
 
 @step("mapping the errors")
@@ -97,7 +101,9 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
         write_atomic(files.out, _table(found, calibration.joint_units))
     if files.picture is not None:
         write_atomic(files.picture, _picture(found, region, calibration))
-    return Mapped(found, region, calibration.doubt_of_payload)
+    unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
+    why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
+    return Mapped(found, region, calibration.doubt_of_payload, tuple(why))
 
 
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
@@ -115,7 +121,8 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
-    found = error_map(pair, q, varied, section.cell, calibration.covariance, calibration.unseen, section.elbow_up)
+    unseen = unseen_by_use(calibration, section.own_frames)
+    found = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
     outside = calibration.outside(found.q.reshape(-1, q.size))
     return found if outside is None else found._replace(outside=np.any(outside, axis=1).reshape(*found.error.shape))
 
