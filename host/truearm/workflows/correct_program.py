@@ -31,6 +31,7 @@ from truearm.files.programs.program import (
 )
 from truearm.files.programs.reread import Wanted, check_reread
 from truearm.files.programs.syntax import Taught
+from truearm.files.programs.target_users import users_of
 from truearm.files.programs.targets import (
     PoseTarget,
     ProgramTargets,
@@ -161,16 +162,19 @@ def correct_program(
     done = _rows(every, range(len(targets.poses)))
     readings = [literal for literal, _ in targets.joints]
     joints = _corrected_joints(how, readings)
-    refused = [*targets.refused, *_problems(program, done, [one.at for one in targets.poses])]
+    users = users_of(program, targets)
+    refused = [*targets.refused, *_problems(program, done, users.poses)]
     refused += _other_configurations(program, targets, every)
-    refused += _problems(program, joints, [at for _, at in targets.joints])
+    refused += _problems(program, joints, users.joints)
     good = [i for i, problem in enumerate(done.problem) if not problem]
     poses = [targets.poses[i] for i in good]
     asked = inverted(frame[good]) @ inverted(base.pose) @ done.commanded[good] @ flange.pose @ tools[good]
     new = solved(poses, asked, literals)
+    index_of = dict(zip(poses, good, strict=True)) if new.circular else {}
     refused += [
-        refused_at(program, one.at, "its target and another's depend on each other", "" if options.split else "split")
+        refused_at(program, at, "its target and another's depend on each other", "" if options.split else "split")
         for one in new.circular
+        for at in users.poses[index_of[one]]
     ]
     refused = sorted(set(refused))
     if refused and not options.partial:
@@ -397,8 +401,9 @@ def _rows(of: Correction, rows: Sequence[int]) -> Correction:
     return Correction(of.q_nominal[k], of.q[k], of.commanded[k], of.before[k], of.after[k], problems)
 
 
-def _problems(program: Program, done: Correction, places: Sequence[int]) -> list[Refused]:
-    return [refused_at(program, at, problem) for at, problem in zip(places, done.problem, strict=True) if problem]
+def _problems(program: Program, done: Correction, users: Sequence[Sequence[int]]) -> list[Refused]:
+    pairs = zip(users, done.problem, strict=True)
+    return [refused_at(program, at, problem) for moves, problem in pairs if problem for at in moves]
 
 
 def _other_configurations(program: Program, targets: ProgramTargets, done: Correction) -> list[Refused]:
@@ -416,7 +421,7 @@ def _other_configurations(program: Program, targets: ProgramTargets, done: Corre
         if is_off or problem:
             line = program.source.line(targets.poses[row].at)
             why = f"the arm reaches its target in another configuration than in line {line}, which needs different numbers"
-            found.append(refused_at(program, one.at, problem or why))
+            found += [refused_at(program, at, problem or why) for at in one.moves]
     return found
 
 

@@ -63,7 +63,7 @@ class Revisit(NamedTuple):
     pose: int
     goal: Goal
     origin: int | Taught | None
-    at: int  # of the move
+    moves: dict[int, None]  # their places
 
 
 class ProgramTargets(NamedTuple):
@@ -192,12 +192,12 @@ def _ways(
                 same = chooses == _chooses(poses[to].goal)
                 for place in places:
                     if place != to and not (same and place == first):
-                        further.setdefault((to, chooses, place), Revisit(to, end, place, motion.start))
+                        further.setdefault((to, chooses, place), Revisit(to, end, place, {})).moves[motion.start] = None
     for (goal, motion), of in zip(users.items(), index, strict=True):
         if of is None or goal is (first_goal := poses[of].goal) or _chooses(goal) == _chooses(first_goal):
             continue
         if not (_by_origin(goal) and (of, _chooses(goal)) in arrived):
-            further.setdefault((of, _chooses(goal)), Revisit(of, goal, None, motion.start))
+            further.setdefault((of, _chooses(goal)), Revisit(of, goal, None, {})).moves[motion.start] = None
     return tuple(origins.get(i) for i in range(len(poses))), tuple(further.values())
 
 
