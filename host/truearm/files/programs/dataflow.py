@@ -16,6 +16,7 @@ from typing import Protocol, assert_never
 
 from truearm.files.programs.calls import Calls
 from truearm.files.programs.environment import HERE, Key
+from truearm.files.programs.index_ways import Indexed, indexed_by, values_of_index
 from truearm.files.programs.motions import UNDECLARED
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.routines import Routines
@@ -130,10 +131,9 @@ class Flow(Calls):
             self.work.statement = statement
         self.work.spend(1)
         match statement:
-            case Do(what):
-                self.value(what)
-            case Assign(target, value, scope):
-                self.assign(target, self.value(value), scope)
+            case Do() | Assign():
+                place = next(places_in(statement), -1) if self.work.indexed else -1
+                self._simple(statement, indexed_by(_expression_of(statement)) if place in self.work.indexed else {})
             case If():
                 return self._choose(statement)
             case Loop():
@@ -150,6 +150,36 @@ class Flow(Calls):
             case _:
                 assert_never(statement)
         return True
+
+    def _simple(self, statement: Do | Assign, indexed: Mapping[str, Sequence[Indexed]]) -> None:
+        """Execute a statement once for each value of its indexes, so that elements with one index stay together."""
+        whole = _expression_of(statement)
+        for name in indexed if not self._has_effects(whole) else ():
+            key, rest = self.key_of(name), {other: ones for other, ones in indexed.items() if other != name}
+            known = () if key is None else self.get(name) or ()
+            values = values_of_index(name, indexed[name], whole, known, self.value)
+            if key is None or not values:
+                continue
+            ways = []
+            for each in values:
+                self.environment.begin({key: (each,)})
+                self._simple(statement, rest)
+                way = self.environment.end()
+                ways.append({at: given for at, given in way.items() if at != key or given != (each,)})
+            self.environment.join(ways)
+            return
+        if isinstance(statement, Do):
+            self.value(statement.what)
+        else:
+            self.assign(statement.target, self.value(statement.value), statement.scope)
+
+    def _has_effects(self, expression: Expression) -> bool:
+        """Return whether the parts of an expression do more than give values; the outermost call follows after them."""
+        if not isinstance(expression, Call):
+            return self.routines.runs_routine(expression)
+        routine = self.routines.by_name.get(expression.function)
+        parts = (*expression.arguments, *(value for _, value in expression.named))
+        return (routine is not None and routine.kind == "beside") or any(map(self.routines.runs_routine, parts))
 
     def _leave(self, what: str) -> bool:
         if what != "halt" and self.stack[-1].turns:
@@ -350,6 +380,10 @@ class Flow(Calls):
         """Return what a function of poses gives for every choice of its arguments' possibilities (``combined``)."""
         self.work.spend(GEOMETRY * min(prod(map(len, arguments)), most_choices(arguments)))
         return combined(at, function, arguments)
+
+
+def _expression_of(statement: Do | Assign) -> Expression:
+    return statement.what if isinstance(statement, Do) else statement.value
 
 
 def length_of_texts(given: Iterable[Values]) -> int:

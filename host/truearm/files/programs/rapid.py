@@ -305,7 +305,7 @@ class _Reader(ExpressionReader):
 
     def simple(self) -> Statement:
         """Read an assignment, or an instruction or procedure with its arguments."""
-        start = self.start
+        start, before = self.start, self.elements
         if self.following in (":=", ".", "{"):
             left = self.postfix()
             self.take(":=")
@@ -315,10 +315,14 @@ class _Reader(ExpressionReader):
             self.assigned.add(root_of(left))
             found: Statement = Assign(left, value)
             self.take(";")
+            if self.elements > before + 1:
+                self.work.indexed.add(start)
             return found
         name = self.word("a statement")
         self.calls.add(name)
         arguments, named = self.arguments(";")
+        if self.elements > before + 1:
+            self.work.indexed.add(start)
         return Do(Call(name, arguments, named, start, self.last))
 
     def choice(self) -> list[Statement]:

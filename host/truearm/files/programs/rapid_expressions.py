@@ -153,6 +153,7 @@ class ExpressionReader(Reader):
                 found = Element(found, self.word("a component"), start, self.end)
                 continue
             for item in self.bracketed("}"):
+                self.elements += 1
                 counted = Operation("-", (item, Number(1.0)), start, self.end)  # counted from 1
                 found = Element(found, counted, start, self.end)
         return found

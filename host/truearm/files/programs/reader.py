@@ -44,7 +44,20 @@ class Reader:
     in lower case.
     """
 
-    __slots__ = ("_next", "_tokens", "depth", "end", "kind", "known", "last", "source", "start", "text", "work")
+    __slots__ = (
+        "_next",
+        "_tokens",
+        "depth",
+        "elements",
+        "end",
+        "kind",
+        "known",
+        "last",
+        "source",
+        "start",
+        "text",
+        "work",
+    )
 
     def __init__(self, work: Work, pattern: re.Pattern[str], text: str) -> None:
         self.work, self.source, self.depth, self.last, self.end = work, work.source, 0, 0, 0
@@ -52,6 +65,7 @@ class Reader:
         self.kind, self.text, self.start = next(self._tokens)
         self._next = next(self._tokens)
         self.known: dict[str, str] = {}  # names, each stored once
+        self.elements = 0  # of lists, by an index
 
     def step(self) -> str:
         """Take the token; return its text."""

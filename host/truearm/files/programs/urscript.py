@@ -117,15 +117,18 @@ class _Reader(Reader):
 
     def assigned(self, scope: str) -> Statement:
         """Read an assignment, a declaration without value, or an expression for its effect."""
+        start, before = self.start, self.elements
         left = self.expression()
         if self.text != "=" or self.kind != "sign":
-            if scope:
-                return Do(Truth(False))  # a name is declared without a value
-            return Do(left)
+            if self.elements > before + 1:
+                self.work.indexed.add(start)
+            return Do(Truth(False)) if scope else Do(left)  # a name may be declared without a value
         if not isinstance(left, Name | Element):
             raise self.wrong("the left side of = is not a variable")
         self.step()
         value = self.expression()
+        if self.elements > before + 1:
+            self.work.indexed.add(start)
         return Assign(left, value, "global" if scope == "global" else "local" if scope else "")
 
     def routine(self) -> Routine:
@@ -239,6 +242,7 @@ class _Reader(Reader):
             items = self.bracketed("]")
             if len(items) not in (1, 2):
                 raise self.source.wrong(start, "an index has one or two numbers")
+            self.elements += 1
             for item in items:
                 found = Element(found, item, start, self.end)
         return found

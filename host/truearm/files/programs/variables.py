@@ -68,6 +68,13 @@ class Variables:
             at = at.parent
         return self.environment.get((GLOBAL, name))
 
+    def key_of(self, name: str) -> Key | None:
+        """Return where the possible values of a name are kept; None if it has none, or if they may change at any time."""
+        if name in self.routines.volatile or self.loose:
+            return None
+        keys = [*((one.scope, name) for one in _upward(self.stack[-1])), (GLOBAL, name)]
+        return next((key for key in keys if self.environment.get(key) is not None), None)
+
     def set(self, name: str, values: Values, scope: str = "") -> None:
         """Assign to a name.
 

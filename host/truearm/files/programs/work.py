@@ -26,6 +26,7 @@ class Work:
     def __init__(self, source: Source) -> None:
         self.source, self.left = source, WORK + WORK_EACH * len(source.text)
         self.statement: object = None  # that is followed now
+        self.indexed: set[int] = set()  # places of statements with several elements of lists
 
     def spend(self, units: int) -> None:
         """Take off units; raises ProgramError where too few are left."""
