@@ -24,7 +24,7 @@ from truearm.estimate.problem import Problem
 from truearm.kinds.linearised import Indices
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of
-from truearm.model.rotation import left_jacobian, rotation, rotation_vector, skew, turned
+from truearm.model.rotation import screw, skew, turned
 from truearm.model.transforms import cross, mixed
 from truearm.types import Floats
 
@@ -101,6 +101,11 @@ def _posed(base: _Base, x: Floats) -> _Pose:
     return _Pose(frames[b], twists[:, base.named])
 
 
+def _small_turn(rot: Floats) -> Floats:
+    """Return sin θ times the axis of a rotation (3, 3) by θ: its rotation vector, but for θ³/6, which Newton's next step takes."""
+    return 0.5 * np.array([rot[2, 1] - rot[1, 2], rot[0, 2] - rot[2, 0], rot[1, 0] - rot[0, 1]])
+
+
 def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Floats:
     """Return x (k,) after a step that moves base and points along the screw; ``added_to`` is x + Δ, and remains otherwise.
 
@@ -108,16 +113,17 @@ def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Flo
     """
     at = base.parameter[base.named]
     here = _posed(base, x)
-    omega, v = np.split(here.twists @ (added_to - x)[at], 2)
+    twist = here.twists @ (added_to - x)[at]
+    omega, v = np.split(twist, 2)
     if np.linalg.norm(omega) <= STRAIGHT:
         return added_to
-    rot, shift = rotation(omega), left_jacobian(omega) @ v
+    rot, shift = screw(twist)
     goal_rot, goal_shift = rot @ here.transform[:3, :3], rot @ here.transform[:3, 3] + shift
     out = added_to.copy()
     for _ in range(NEWTON_STEPS):
         now = _posed(base, out)
         left = goal_rot @ now.transform[:3, :3].T
-        error = np.concatenate([rotation_vector(left), goal_shift - left @ now.transform[:3, 3]])
+        error = np.concatenate([_small_turn(left), goal_shift - left @ now.transform[:3, 3]])
         out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
         if np.abs(error).max() <= NEAR:
             points = x[beside]

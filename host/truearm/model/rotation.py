@@ -42,6 +42,13 @@ def left_jacobian(vector: Floats) -> Floats:
     return _series(vector, b, c)
 
 
+def screw(twist: Floats) -> tuple[Floats, Floats]:
+    """Return the rotation (3, 3) and shift (3,) [m] of the motion exp(ξ) by a twist ξ = (ω, v) (6,) [rad, m]."""
+    omega, v = twist[:3], twist[3:]
+    a, b, c = _coefficients(omega)
+    return _series(omega, a, b), _series(omega, b, c) @ v
+
+
 def turned(vector: Floats, change: Floats) -> Floats:
     """Return rotation vectors (…, 3), |ω| ≤ π, after the small rotations J_l(ω)·change, for changes (…, 3)."""
     turn = (left_jacobian(vector) @ change[..., None])[..., 0]
