@@ -295,6 +295,22 @@ def test_the_row_of_a_slip_is_within_the_range_that_is_named():
     assert outside <= 1
 
 
+def test_a_ball_that_was_not_seated_in_one_mount_is_named_with_its_rows():
+    """All lengths of one mount are 0.3 mm too long; at the next mount the ball is seated again."""
+    plan = worlds.plan()
+    starts = np.flatnonzero(
+        np.concatenate([[True], (plan.chuck[1:] != plan.chuck[:-1]) | (plan.sphere[1:] != plan.sphere[:-1])])
+    )
+    for seed, mount in ((0, 0), (1, 3), (2, 6)):  # the first mount, and two others
+        first, last = starts[mount], starts[mount + 1]
+        rows = worlds.clean(plan, np.random.default_rng(seed))
+        rows.value[first:last] += 0.3e-3
+        found = the_one(worlds.identified(rows))
+        assert found.effect == Effect("bar.bar46.zero", first=first, last=last)
+        assert found.within == ((first, first), (last, last))
+        assert abs(found.size - 0.3e-3) < 4.0 * found.sigma
+
+
 def in_time(rows, size, pause_s, swing):
     """Return rows whose zero is off by ``size`` times a profile in time or in the box's temperature, with a pause half-way."""
     n = len(rows)

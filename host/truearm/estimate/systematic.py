@@ -14,7 +14,8 @@ part in C⊥.
 
 **Change points.** A step that begins at row k needs the sums of CᵀC, QᵀC and Cᵀe over the rows from k on, which are
 differences of one cumulative sum. All steps of an item therefore cost as much as one. A joint that is off over an
-interval of rows is searched for between every two of WINDOW_KNOTS, then between their neighbours row by row.
+interval of rows is searched for between every two of WINDOW_KNOTS, then between their neighbours row by row. A ball that
+is not seated makes a bar longer in one run of rows with the same items mounted.
 
 **Drifts.** A drift is linear in time, from the first row of a session to its last, or linear in the box's temperature
 if that changed. Its zero is unknown, so an offset is fitted with it.

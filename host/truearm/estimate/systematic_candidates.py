@@ -79,6 +79,12 @@ def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterat
             first, last = (knots[of] for of in np.triu_indices(knots.size, 1))
             enough = (np.searchsorted(used, last) - np.searchsorted(used, first) >= LEAST_ROWS) & (last - first < n)
             yield Family(cause, first[enough], last[enough])
+        if cause.fault.run:
+            starts = run_starts(how)
+            first, last = starts[:-2], starts[1:-1]  # an error in the last run is a step
+            enough = np.searchsorted(used, last) - np.searchsorted(used, first) >= LEAST_ROWS
+            if enough.any():
+                yield Family(cause, first[enough], last[enough], runs=True)
         if cause.fault.drift:
             for number in np.unique(how.session[used]):
                 mine = np.flatnonzero(how.session == number)
@@ -89,10 +95,15 @@ def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterat
                         yield family
 
 
+def run_starts(how: Measured) -> Indices:
+    """Return the first row of each run, and the number of rows."""
+    return np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [how.run.size]])
+
+
 def blocks_of_rows(how: Measured) -> Iterator[Family]:
     """Return first and last parts of the runs, and complete runs, of at most half the rows."""
     n = how.row.size
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(how.run)) + 1, [n]])
+    starts = run_starts(how)
     spans = set[tuple[int, int]]()
     for a, b in pairwise(starts.tolist()):
         if b - a < LEAST_ROWS:
@@ -195,6 +206,8 @@ def _within(family: Family, evidence: Floats) -> tuple[tuple[int, int], tuple[in
     likely = order[: int(np.searchsorted(share, LIKELY * share[-1])) + 1]
 
     def span(values: Indices) -> tuple[int, int]:
+        if family.runs:
+            return int(values[likely].min()), int(values[likely].max())
         every = np.unique(values)
         low, high = np.searchsorted(every, [values[likely].min(), values[likely].max()])
         before, after = every[max(low - 1, 0)], every[min(high + 1, every.size - 1)]

@@ -122,6 +122,7 @@ class Family(NamedTuple):
     first: Indices
     last: Indices
     drift: DriftWith | None = None
+    runs: bool = False  # whether an error can begin and end between these rows only
     size: Floats = np.zeros(0)  # (w,) trace of CᵀC
     left: Floats = np.zeros((0, 0, 0))  # (w, d, d) V without findings
 
