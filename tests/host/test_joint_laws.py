@@ -517,16 +517,16 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     everywhere = mapped(found, section)
     reached = ~np.isnan(everywhere.error)
     assert everywhere.outside[reached].all()  # joint 1 stands in the gap
+    files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
+    assert "Outside in every cell: joint1. " in "\n".join(map_lines(map_files(found, files, section), 0.1, None))
     section = section._replace(at=(0.8, *section.at[1:]))
     some = mapped(found, section)
     q, limits = some.q[reached], np.array([found.table.q.min(axis=0), found.table.q.max(axis=0)])
     beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
     assert 0 < some.outside[reached].sum() < reached.sum()
     assert some.outside[reached][beyond].all()
-    said = map_lines(Mapped(some, None), 0.1, None)
+    said = map_lines(map_files(found, files._replace(force=True), section), 0.1, None)
     assert any(f"In {some.outside[reached].sum()} cells a joint is outside the readings" in line for line in said)
-    files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
-    map_files(found, files, section)
     rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
     assert rows[0] == "covered"
     assert rows[1:] == [str(int(not one)) for one in some.outside[reached]]

@@ -35,6 +35,10 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
             f"In {counted(outside, 'cell')} a joint is outside the readings that the calibration was identified from "
             '("covered" is 0 in the table; pale in the picture).'
         )
+        if mapped.outside:
+            text.append(
+                f"Outside in every cell: {' and '.join(mapped.outside)}. Give other readings with --at, or the other --elbow."
+            )
     if mapped.payload:
         text.append(mapped.payload)
     if task:

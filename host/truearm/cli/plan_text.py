@@ -32,7 +32,7 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
         )
         line = f"error curve of {curve['joint']}: ± {curve['sigma_mrad']:.2g} mrad ({parts})"
         gaps = ", ".join(f"{a:.0f} to {b:.0f}" for a, b in curve["unseen_deg"])
-        lines.append(line + (f"; not covered: {gaps} deg" if gaps else ""))
+        lines.append(line + (f"; not determined: {gaps} deg" if gaps else ""))
     if lines:
         lines.append("Outside these ranges, corrections use geometry and sag alone: measure where the robot will work.")
     return lines

@@ -67,13 +67,15 @@ class Mapped(NamedTuple):
     """A map, and the best region for the task; None if there is no task, or no place for it.
 
     ``payload`` is a sentence about the payload that the map holds for; "" if the result has no sag. ``undetermined`` are
-    sentences about why the error with calibration is unknown in some cells.
+    sentences about why the error with calibration is unknown in some cells. ``outside`` names the joints whose readings
+    are outside the fitted ones in every reachable cell.
     """
 
     map: ErrorMap
     region: BestRectangle | None
     payload: str = ""
     undetermined: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
 
 
 @step("mapping the errors")
@@ -103,7 +105,15 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
         write_atomic(files.picture, _picture(found, region, calibration))
     unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
     why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
-    return Mapped(found, region, calibration.doubt_of_payload, tuple(why))
+    return Mapped(found, region, calibration.doubt_of_payload, tuple(why), _outside_everywhere(calibration, found))
+
+
+def _outside_everywhere(calibration: Calibration, found: ErrorMap) -> tuple[str, ...]:
+    """Return the joints whose readings are outside the fitted ones in every reachable cell."""
+    outside = calibration.outside(found.q[~np.isnan(found.error)])
+    if outside is None or not outside.size:
+        return ()
+    return tuple(joint.name for joint, out in zip(calibration.chain.joints, outside.T, strict=True) if out.all())
 
 
 def mapped(calibration: Calibration, section: Section) -> ErrorMap:
