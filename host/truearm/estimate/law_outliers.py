@@ -3,7 +3,8 @@
 Bad rows bend the geometry and hide the laws, and the laws that were not fitted widen the gate for bad rows. Two rounds
 break this circle. First, the geometry is fitted without the rows beyond the gate that its own misfit widens
 (``outliers``), and laws are fitted to the others. Then every row is compared with its prediction by the laws under the
-learned noise: rows beyond that gate are left out, and rows within it return, until the set no longer changes. Where no
+learned noise: rows beyond that gate are left out if they ``matter``, and rows within it return, until the set no longer
+changes. Where no
 law is kept without those rows, none is left out, and the fit is that of the geometry to all rows.
 """
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.law_rows import LawRows
-from truearm.estimate.outliers import misfit, single
+from truearm.estimate.outliers import matter, misfit, single
 from truearm.estimate.recursive import within
 from truearm.estimate.whitened_rows import gate
 from truearm.model.chain import Chain
@@ -30,7 +31,9 @@ WithLaws = tuple[Chain, Estimate]
 def outlying_beside_laws(rows: LawRows, used: Mask) -> Mask:
     """Return which rows (n,) to leave out next, after a fit with laws of the ``used`` rows (n,)."""
     square = np.nan_to_num(rows.distance) ** 2
-    return ~within(square, gate(rows.width) * misfit(square, rows.width, used), used)
+    staying = within(square, gate(rows.width) * misfit(square, rows.width, used), used)
+    out, leaving = ~used & ~staying, used & ~staying
+    return out | leaving if matter(np.where(used, square, 0.0), leaving) else out
 
 
 def fitted_without_outliers(

@@ -8,7 +8,7 @@ by more than its declared noise, the gate is wider in proportion: clean rows are
 This works for individual rows. If more than MOST of all rows are left out, or more than LONGEST_RUN consecutive ones,
 the fault is in the model and not in the rows: something moved, a label is wrong, or the noise is not as declared. The
 same holds if more than MOST are beyond the gate of their declared noise. Joint laws may be what is wrong with the model
-then, so the rows that are farthest are still named: a fit with laws decides (``law_outliers``).
+then, so the rows that are farthest are still named if they ``matter``: a fit with laws decides (``law_outliers``).
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from truearm.types import Floats
 
 MOST = 0.05  # of the rows
 LONGEST_RUN = 3
+MATTERING = 0.3  # of all squared distances: without such rows, the noise is smaller by a sixth
 MAX_ROUNDS = 50
 GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
 GROSS_ROUNDS = 5
@@ -112,8 +113,19 @@ def without_outliers(
         return None
     if used.all() or not single(~used):
         return None
+    explained = settled and bool((square > gate(width)).sum() <= MOST * n)
+    if not explained and not matter(square, ~used):
+        return None
     without = weightless(problem, columns, here._replace(iterations=found.iterations, message=found.message), used)
-    return Rejection(without, settled and bool((square > gate(width)).sum() <= MOST * n))
+    return Rejection(without, explained)
+
+
+def matter(square: Floats, out: Mask) -> bool:
+    """Return whether rows bend a fit: whether they have a large share of the squared distances (n,).
+
+    Where a model misfits, or real noise has long tails, a few clean rows are beyond any gate, and change nothing.
+    """
+    return bool(square[out].sum() > MATTERING * square.sum())
 
 
 def weightless(problem: Problem, columns: Mask, found: Solution, used: Mask) -> Solution:
