@@ -35,6 +35,9 @@ def _curves(document: Mapping[str, Any]) -> list[str]:
         lines.append(line + (f"; not determined: {gaps} deg" if gaps else ""))
     if lines:
         lines.append("Outside these ranges, corrections use geometry and sag alone: measure where the robot will work.")
+        lines.append(
+            "The sigmas and the error in the region above are those of the geometry: curves and sag add to them."
+        )
     return lines
 
 
