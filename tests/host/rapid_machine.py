@@ -409,7 +409,7 @@ class Machine:
         values = [one(frame) for one in arguments[0]]
         options = {key: one(frame) for key, one in arguments[1].items()}
         options = {
-            key: value for key, value in options.items() if value is not None
+            key: value for key, value in options.items() if value_of(value) is not None
         }  # a \name?parameter that is absent
         if name in self.routines:
             return self.enter(name, values, options, frame)
@@ -434,8 +434,8 @@ class Machine:
             if not isinstance(inner[parameter], Cell | Part):
                 raise ProgramFault(f"{parameter} of {name} needs a variable")
         for parameter, optional, shared in parameters:
-            if optional and parameter in options:
-                value = options[parameter]
+            if optional:
+                value = options.get(parameter, Cell(None))
                 inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
         for variable, value in local:
             inner[variable] = Cell(value(inner))

@@ -6,10 +6,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from truearm.files.programs.choices import ABSENT
 from truearm.files.programs.environment import GLOBAL, HERE, Key, Trace
 from truearm.files.programs.moves import ANYWHERE, Moves, placed
 from truearm.files.programs.routines import Routines
-from truearm.files.programs.syntax import Block, Call, Element, Expression, Loop, Name, Routine, Truth
+from truearm.files.programs.syntax import Block, Call, Element, Expression, Loop, Name, Routine
 from truearm.files.programs.values import Begin, Unknown, Value, Values, all_of, joined
 from truearm.files.programs.variables import Activation
 from truearm.files.programs.work import CALL, SEVERAL, Work
@@ -182,7 +183,7 @@ class Calls(Moves, ABC):
             if value is None and parameter.default is not None:
                 value = self.value(parameter.default)
             if value is None and parameter.optional and entry.called:
-                value = (Truth(False),)
+                value = (ABSENT,)
             why = f"{parameter.name} is an argument of {routine.name} that no call in this file passes"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
         for name, root in entry.doubled.items():

@@ -15,6 +15,7 @@ from math import prod
 from typing import Protocol, assert_never
 
 from truearm.files.programs.calls import Calls
+from truearm.files.programs.choices import Choices
 from truearm.files.programs.environment import HERE, Key
 from truearm.files.programs.index_ways import Indexed, indexed_by, values_of_index
 from truearm.files.programs.motions import UNDECLARED
@@ -115,6 +116,7 @@ class Flow(Calls):
         self.language = language
         self.judged: dict[int, int] = {}
         self.unused: dict[str, str] = {}
+        self.choices = Choices()
 
     # statements
 
@@ -216,7 +218,7 @@ class Flow(Calls):
 
     def _choose(self, choice: If) -> bool:
         """Execute the blocks of a choice. A condition that calls a routine is reached only if none before it holds."""
-        conditions, blocks, whole = choice
+        conditions, blocks, whole = self.choices.reachable(choice, self.value)
         parts = [k for k, one in enumerate(conditions) if k and self.routines.runs_routine(one)]
         ways: list[list[dict[Key, Values]]] = []  # of each part of the choice, a layer deeper than the part before
         for start, end in pairwise([0, *parts, len(conditions)]):

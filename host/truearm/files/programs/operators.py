@@ -5,8 +5,9 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 
+from truearm.files.programs.choices import GIVEN, NOT_GIVEN, PRESENT
 from truearm.files.programs.sent_moves import sum_of
-from truearm.files.programs.syntax import Number, Text
+from truearm.files.programs.syntax import Number, Text, Truth
 from truearm.files.programs.values import Unknown, Value
 
 _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
@@ -14,6 +15,11 @@ _ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
     "-": operator.sub,
     "*": operator.mul,
     "/": operator.truediv,
+}
+_WHOLE: Mapping[str, Callable[[float, float], float]] = {
+    "div": operator.floordiv,
+    "mod": operator.mod,
+    "%": operator.mod,
 }
 
 
@@ -27,6 +33,15 @@ def operator_of(sign: str, at: int) -> Callable[..., Value]:
                 return Number(-values[0] if sign == "-" else values[0])
             if len(values) == 2 and sign in _ARITHMETIC and not (sign == "/" and values[1] == 0.0):
                 return Number(_ARITHMETIC[sign](*values))
+            if (
+                len(values) == 2
+                and sign in _WHOLE
+                and values[0] >= 0.0 < values[1]
+                and all(map(float.is_integer, values))
+            ):
+                return Number(_WHOLE[sign](*values))
+        if sign == "not" and isinstance(operands[0], Truth) and operands[0].type == PRESENT:
+            return GIVEN if operands[0] == NOT_GIVEN else NOT_GIVEN
         if sign == "+" and any(isinstance(one, Text) for one in operands):
             return sum_of(operands, at)
         return next(

@@ -10,13 +10,17 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from truearm.errors import ProgramError
+from truearm.files.programs.choices import ABSENT, PRESENT, asked_of, present
 from truearm.files.programs.dataflow import Flow, length_of_texts
 from truearm.files.programs.environment import Key
+from truearm.files.programs.numeric_functions import OF_RAPID, applied
 from truearm.files.programs.rapid import LATE_BOUND, Module
 from truearm.files.programs.rapid_expressions import PASSED
 from truearm.files.programs.rapid_poses import (
     NO_AXIS,
+    inverted,
     items_of,
+    multiplied,
     object_of,
     offset,
     offset_along_tool,
@@ -49,6 +53,7 @@ from truearm.files.programs.values import (
     Values,
     computed,
     counts,
+    distinct,
     joined,
     origin_of,
 )
@@ -75,7 +80,7 @@ class Rapid:
     """The meaning of RAPID.
 
     ``fields``: places of components in records; ``harmless``: external routines that do not move the robot;
-    ``constants``: their names.
+    ``constants``: their names; ``asked``: optional parameters of routines that some calls give and others do not.
     """
 
     fields: Mapping[str, int]
@@ -83,6 +88,7 @@ class Rapid:
     constants: frozenset[str] = frozenset()
     effects: frozenset[str] = frozenset()  # its functions have none
     distances: frozenset[str] = frozenset({"distance"})
+    asked: frozenset[tuple[str, str]] = frozenset()
 
     def changed_by(self, call: Call) -> Sequence[Expression]:
         """Return the arguments to which an instruction may assign: all except constants and read-only ones."""
@@ -133,6 +139,8 @@ class Rapid:
             return ()
         if name == PASSED:
             return arguments[0]
+        if name == PRESENT and arguments and self._is_asked(flow, call.arguments[0]):
+            return distinct(tuple(present(arguments[0])))
         if name == "offs" and len(arguments) == 4:
             return flow.posed(at, lambda *given: offset(given, at), arguments)
         if name == "orientzyx" and len(arguments) == 3:
@@ -140,6 +148,12 @@ class Rapid:
         if name == "reltool" and len(arguments) == 4:
             turns = [named.get(key, (Number(0.0),)) for key in ("rx", "ry", "rz")]
             return flow.posed(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
+        if name in OF_RAPID and not named:
+            return flow.posed(at, lambda *given: applied(name, OF_RAPID[name], given, at), arguments)
+        if name == "posemult" and len(arguments) == 2:
+            return flow.posed(at, lambda *given: multiplied(given, at), arguments)
+        if name == "poseinv" and len(arguments) == 1:
+            return flow.posed(at, lambda *given: inverted(given, at), arguments)
         if name in SENDERS and name not in self.harmless:
             flow.work.spend(length_of_texts([*arguments, *named.values()]) // LETTERS)
             sent = why_sent(value for values in (*arguments, *named.values()) for value in values)
@@ -151,6 +165,11 @@ class Rapid:
         if name in QUIET or name in FUNCTIONS or name in self.harmless:
             return (Unknown(f"the result of {name} is known only at run time", at),)
         return None
+
+    def _is_asked(self, flow: Flow, parameter: Expression) -> bool:
+        """Return whether some calls of the routine being executed give this optional parameter and others do not."""
+        routine = flow.stack[-1].routine
+        return routine is not None and (routine.name, root_of(parameter)) in self.asked
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:
         """Return an element of an array, counted from 0, or a component of a record; nothing beyond its end."""
@@ -181,9 +200,8 @@ class Rapid:
         if "corr" in named:
             flow.uncertain(name, at, call.end, r"\Corr changes the path at run time")
         tools = tuple(tool_of(value, at) for value in arguments[move.tool])
-        absent = (Truth(False),)  # an optional parameter that is passed on but was not given
-        given = named.get("wobj", absent)
-        objects = tuple(NOWHERE if value in absent else object_of(value, at) for value in given)
+        given = named.get("wobj", (ABSENT,))  # or an optional parameter that is passed on but was not given
+        objects = tuple(NOWHERE if value == ABSENT else object_of(value, at) for value in given)
         for state in (DISPLACED, LOCKED):
             objects = tuple(value for value in flow.get(state) or () if isinstance(value, Unknown)) + objects
         free = Truth(False) in (flow.get(CONFIGURATIONS[name not in BY_JOINTS]) or ())
@@ -227,7 +245,8 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
     for routine in routines:  # in a routine, a name may be another variable's
         constants -= {one.name for one in routine.parameters}
     constants = constants.difference(*(module.assigned for module in modules))
-    flow = Flow(work, Rapid(fields, frozenset(name.lower() for name in harmless), frozenset(constants)), routines)
+    known = frozenset(name.lower() for name in harmless), frozenset(constants)
+    flow = Flow(work, Rapid(fields, *known, asked=asked_of(routines)), routines)
     for name in given:
         if name in PREDEFINED:
             raise ProgramError(f"{work.source.name}: {name} is predefined; leave it out of the options")
@@ -301,6 +320,10 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
             flow.enter(routine, None, (), {})
             flow.environment.end()
     flow.environment.end()
+    for call in flow.choices.never_followed():
+        if call.function in (MOVES.keys() | AIMLESS) and call.start not in flow.motions:
+            why = "it is reached only with an optional argument that no call in this file gives, or omits"
+            flow.uncertain(call.function, call.start, call.end, why)
     return flow
 
 

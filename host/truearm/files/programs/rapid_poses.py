@@ -13,6 +13,7 @@ from functools import lru_cache
 from scipy.spatial.transform import Rotation
 
 from truearm.files.programs.motions import UNDECLARED
+from truearm.files.programs.numeric_functions import matrix
 from truearm.files.programs.rotations import of_quaternion, quaternion_of_angles, quaternion_of_tool_angles
 from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
 from truearm.files.programs.values import (
@@ -23,6 +24,7 @@ from truearm.files.programs.values import (
     Values,
     first_unknown,
     fixed_mm,
+    inverse,
     numbers_of,
     origin_of,
     shifted,
@@ -164,6 +166,32 @@ def oriented(given: Sequence[Value], at: int) -> Value:
         return first_unknown(given) or Unknown("the angles of OrientZYX are not known", at)
     z, y, x = map(math.radians, numbers)
     return Listed(tuple((Number(value),) for value in quaternion_of_angles(z, y, x)))
+
+
+def multiplied(given: Sequence[Value], at: int) -> Value:
+    """Return the product of poses [[x, y, z], [q1, q2, q3, q4]], in this form."""
+    poses = [_frame((one,)) for one in given]
+    known = [one for one in poses if one is not None]
+    if len(known) < len(poses):
+        unknown = next((found for one in given if (found := _unknown_in(one)) is not None), None)
+        return unknown or Unknown("a pose of PoseMult is not made of plain numbers", at)
+    return _listed(times(*known))
+
+
+def inverted(given: Sequence[Value], at: int) -> Value:
+    """Return the inverse of a pose [[x, y, z], [q1, q2, q3, q4]], in this form."""
+    pose = _frame((given[0],))
+    if pose is None:
+        return _unknown_in(given[0]) or Unknown("the pose of PoseInv is not made of plain numbers", at)
+    return _listed(inverse(pose))
+
+
+def _listed(pose: Pose) -> Listed:
+    """Return a fixed pose as [[x, y, z], [q1, q2, q3, q4]]."""
+    here = matrix(pose)
+    x, y, z, w = Rotation.from_matrix(here[:3, :3]).as_quat().tolist()
+    parts = [MM.of(here[:3, 3]).tolist(), [w, x, y, z]]
+    return Listed(tuple((Listed(tuple((Number(value, pose.origin),) for value in part)),) for part in parts))
 
 
 def items_of(of: Value) -> tuple[Values, ...] | None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from truearm.files.programs.numeric_functions import OF_URSCRIPT, applied, between
 from truearm.files.programs.rotations import transposed
 from truearm.files.programs.syntax import Number, Taught
 from truearm.files.programs.values import (
@@ -155,7 +156,20 @@ def _three(given: Sequence[Value], at: int, function: Callable[[Floats], Floats]
     return Listed(tuple((Number(value),) for value in function(np.array(numbers)).tolist()))
 
 
-PURE = {
+def _between(given: Sequence[Value], at: int) -> Value:
+    if len(given) != 3:
+        return Unknown(f"it has {len(given)} arguments instead of 3", at)
+    poses = _poses(given[:2], 2, at)
+    return poses if isinstance(poses, Unknown) else between(poses[0], poses[1], given[2], at)
+
+
+def _of_numbers(name: str) -> Callable[[Sequence[Value], int], Value]:
+    return lambda given, at: applied(name, OF_URSCRIPT[name], given, at)
+
+
+PURE: Mapping[str, Callable[[Sequence[Value], int], Value]] = {
+    **{name: _of_numbers(name) for name in OF_URSCRIPT},
+    "interpolate_pose": _between,
     "rpy2rotvec": _rotvec,
     "rotvec2rpy": _rpy,
     "pose_trans": _trans,
