@@ -146,7 +146,7 @@ CROSSED = {
 
 @pytest.mark.parametrize("form", CROSSED)
 def test_what_does_not_belong_together_is_refused(tmp_path, form):
-    text = module(LISTS, ["FOR i FROM 1 TO 3 DO", CROSSED[form], "n:=4-n;", "ENDFOR"])
+    text = module([*LISTS, "VAR num di1:=0;"], ["FOR i FROM 1 TO 1+DInput(di1) DO", CROSSED[form], "n:=4-n;", "ENDFOR"])
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
     assert {text.splitlines()[one.line - 1].strip() for one in caught.value.refused} == {CROSSED[form]}

@@ -14,10 +14,10 @@ from itertools import chain, pairwise, product
 from math import prod
 from typing import Protocol, assert_never
 
-from truearm.files.programs.calls import Calls
 from truearm.files.programs.choices import Choices
 from truearm.files.programs.environment import HERE, Key
 from truearm.files.programs.index_ways import Indexed, indexed_by, values_of_index
+from truearm.files.programs.loops import Loops
 from truearm.files.programs.motions import UNDECLARED
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.routines import Routines
@@ -57,7 +57,6 @@ from truearm.files.programs.values import (
     Values,
     combined,
     computed,
-    counts,
     distinct,
     first_unknown,
     joined,
@@ -67,10 +66,7 @@ from truearm.files.programs.values import (
     origin_of,
     united,
 )
-from truearm.files.programs.variables import Turn
 from truearm.files.programs.work import BLOCK, CHANGED, ELEMENT, GEOMETRY, LETTERS, OPENED, SEVERAL, Work
-
-MAX_TURNS = 4  # of a loop, before values that still change become unknown
 
 
 class Language(Protocol):
@@ -100,7 +96,7 @@ class Language(Protocol):
         """Return the arguments to which an instruction may assign that the program does not define."""
 
 
-class Flow(Calls):
+class Flow(Loops):
     """A program that is followed; ``motions`` contains the moves found, by place.
 
     ``unused``: names given from outside that the program does not mention, each with a similar one that it does, or "".
@@ -225,7 +221,7 @@ class Flow(Calls):
             if start:
                 self.environment.begin({})
             for condition in conditions[start:end]:
-                self._decide(condition)
+                self.decide(condition)
             ways.append(self._ways(blocks[start : end if end < len(conditions) else None]))
         if not whole:
             ways[-1].append({})
@@ -251,38 +247,9 @@ class Flow(Calls):
                 ways.append(way)
         return ways
 
-    def loop(self, loop: Loop) -> None:
-        environment = self.environment
-        for turns in range(MAX_TURNS + 2):
-            turn = Turn(environment.depth)
-            environment.begin({})
-            self.stack[-1].turns.append(turn)
-            if loop.counter:
-                self.set(loop.counter, (Unknown(f"{loop.counter} counts in a loop", 0),), "local")
-            if loop.condition is not None:
-                self._decide(loop.condition)
-            reached = self.run(loop.body)
-            self.stack[-1].turns.pop()
-            end = environment.end()
-            before = {key: environment.get(key) for way in (end, *turn.continues) for key in way}
-            self.work.spend(len(before))
-            environment.join([{}, *turn.continues, *([end] if reached else [])])
-            if loop.counter and not self.loose:  # each turn gives it a value before anything reads it
-                before.pop((self.stack[-1].scope, loop.counter), None)
-            grown = [key for key, values in before.items() if environment.get(key) != values]
-            if not grown:
-                break
-            for key in grown:
-                if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
-                    origin = origin_of(environment.get(key) or ())
-                    environment.set(key, (Unknown(f"{key[1]} changes between iterations of a loop", 0, "", origin),))
-        if loop.condition is not None and self.routines.runs_routine(loop.condition):
-            self._decide(loop.condition)  # it is evaluated once more often than the body
-        environment.join([{}, *turn.breaks])
-
     # expressions
 
-    def _decide(self, condition: Expression) -> None:
+    def decide(self, condition: Expression) -> None:
         """Evaluate a condition and record in ``judged`` from which literals' numbers it is computed."""
         self._decided(self.value(condition), next(places_in(condition), 0))
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from truearm.files.programs.rotations import Nine
 from truearm.files.programs.syntax import Number
 from truearm.files.programs.values import (
+    Listed,
     LiteralPoses,
     Pose,
     Unknown,
@@ -71,6 +72,13 @@ def applied(name: str, function: Function, given: Sequence[Value], at: int) -> V
         if math.isfinite(found):
             return Number(found, origin_of(given))
     return first_unknown(given) or Unknown(f"the result of {name} is not known", at)
+
+
+def length_of(value: Value, at: int) -> Value:
+    """Return the number of elements of a list."""
+    if isinstance(value, Listed) and not value.pose:
+        return Number(float(len(value.items)))
+    return value if isinstance(value, Unknown) else Unknown("the length of a list is not known", at)
 
 
 def matrix(pose: Pose) -> Floats:

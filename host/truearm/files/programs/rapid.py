@@ -258,7 +258,7 @@ class _Reader(ExpressionReader):
         body = self.block()
         self.take("endfor")
         decisions = (If((bound,), ((),), False) for bound in bounds)  # evaluated once, and they decide
-        return [*decisions, Loop(None, body, counter)]
+        return [*decisions, Loop(None, body, counter, tuple(bounds))]
 
     def loop(self) -> list[Statement]:
         self.step()

@@ -13,7 +13,7 @@ from truearm.errors import ProgramError
 from truearm.files.programs.choices import ABSENT, PRESENT, asked_of, present
 from truearm.files.programs.dataflow import Flow, length_of_texts
 from truearm.files.programs.environment import Key
-from truearm.files.programs.numeric_functions import OF_RAPID, applied
+from truearm.files.programs.numeric_functions import OF_RAPID, applied, length_of
 from truearm.files.programs.rapid import LATE_BOUND, Module
 from truearm.files.programs.rapid_expressions import PASSED
 from truearm.files.programs.rapid_poses import (
@@ -150,6 +150,8 @@ class Rapid:
             return flow.posed(at, lambda *given: offset_along_tool(given, at), [*arguments, *turns])
         if name in OF_RAPID and not named:
             return flow.posed(at, lambda *given: applied(name, OF_RAPID[name], given, at), arguments)
+        if name == "dim" and arguments[1:] == [(Number(1.0),)]:
+            return distinct(tuple(length_of(one, at) for one in arguments[0]))
         if name == "posemult" and len(arguments) == 2:
             return flow.posed(at, lambda *given: multiplied(given, at), arguments)
         if name == "poseinv" and len(arguments) == 1:

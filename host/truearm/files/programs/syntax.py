@@ -163,11 +163,12 @@ class If(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """A block that is executed any number of times. ``counter``: a variable that counts."""
+    """A block that is executed any number of times. ``counter``: a variable that counts from one of ``bounds`` to the next."""
 
     condition: Expression | None
     body: Block
     counter: str = ""
+    bounds: tuple[Expression, ...] = ()  # first value, last value, and step if it is given
 
 
 class Return(NamedTuple):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.files.programs.numeric_functions import OF_URSCRIPT, applied, between
+from truearm.files.programs.numeric_functions import OF_URSCRIPT, applied, between, length_of
 from truearm.files.programs.rotations import transposed
 from truearm.files.programs.syntax import Number, Taught
 from truearm.files.programs.values import (
@@ -167,9 +167,15 @@ def _of_numbers(name: str) -> Callable[[Sequence[Value], int], Value]:
     return lambda given, at: applied(name, OF_URSCRIPT[name], given, at)
 
 
+def _length(given: Sequence[Value], at: int) -> Value:
+    return length_of(given[0], at) if len(given) == 1 else Unknown("the length of a list is not known", at)
+
+
 PURE: Mapping[str, Callable[[Sequence[Value], int], Value]] = {
     **{name: _of_numbers(name) for name in OF_URSCRIPT},
     "interpolate_pose": _between,
+    "length": _length,
+    "get_list_length": _length,
     "rpy2rotvec": _rotvec,
     "rotvec2rpy": _rpy,
     "pose_trans": _trans,

@@ -24,7 +24,8 @@ class Work:
     """What may still be spent on a program, in units of about a microsecond: tokens read, and parts followed."""
 
     def __init__(self, source: Source) -> None:
-        self.source, self.left = source, WORK + WORK_EACH * len(source.text)
+        self.source, self.whole = source, WORK + WORK_EACH * len(source.text)
+        self.left = self.whole
         self.statement: object = None  # that is followed now
         self.indexed: set[int] = set()  # places of statements with several elements of lists
 
