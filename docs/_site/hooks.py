@@ -126,7 +126,8 @@ def _row(names: str, said: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    return re.sub(r"(?<!`)([<>*_\[\]])", r"\\\1", text)
+    text = re.sub("(?<!`)<", "&lt;", re.sub("(?<!`)>", "&gt;", text))  # Markdown knows no backslash before them
+    return re.sub(r"(?<!`)([*_\[\]])", r"\\\1", text)
 
 
 # Python

@@ -1,8 +1,9 @@
-"""Names of files in messages: what to say of a file that does not exist."""
+"""Files in messages: what to say of one that does not exist, and what to do if the system refuses one."""
 
 from __future__ import annotations
 
 import difflib
+import errno
 from itertools import islice
 from pathlib import Path
 
@@ -21,3 +22,24 @@ def no_such_file(path: Path) -> str:
     if close := difflib.get_close_matches(path.name, names, n=1, cutoff=0.75):
         return f"{path}: no such file; did you mean {folder / close[0]}?"
     return f"{path}: no such file; check its name and folder"
+
+
+_REMEDIES = {
+    errno.EACCES: "change its permissions, or use another folder",
+    errno.EPERM: "change its permissions, or use another folder",
+    errno.EROFS: "use another folder",
+    errno.ENAMETOOLONG: "use a shorter name",
+    errno.ENOTDIR: "check the path: a file stands where a folder should be",
+    errno.EISDIR: "give a file, not a folder",
+    errno.ENOSPC: "free some space, or use another disk",
+    errno.EDQUOT: "free some space, or use another disk",
+    errno.EMFILE: "close other programs",
+    errno.ENFILE: "close other programs",
+    errno.EIO: "copy it to another disk: this one may fail",
+}
+
+
+def system_reason(exc: Exception) -> str:
+    """Return the system's reason, and what to do about it."""
+    reason, number = getattr(exc, "strerror", None) or str(exc), getattr(exc, "errno", None) or 0
+    return f"{reason}; {_REMEDIES.get(number, 'check the path, the disk and its permissions')}"

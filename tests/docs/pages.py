@@ -7,7 +7,7 @@
 - ``<!-- test: skip, REASON -->`` before a block: it is not run, but its commands are parsed. ``<!-- test: soak -->``: only
   by ``make soak``.
 - ``<!-- test: setup`` (or ``setup soak``) … ``-->``: lines that are run and not shown; ``copy PATH [NAME]`` copies a file
-  of the repository, ``tree PATH`` a folder, ``cut NAME BYTES`` leaves only the beginning of a file.
+  of the repository, ``tree PATH`` a folder, ``rows PATH PATTERN NAME`` the rows of a table that hold a text, ``cut NAME BYTES`` leaves only the beginning of a file.
 - ``<!-- test: page skip, REASON -->``: no block of the page is run.
 """
 

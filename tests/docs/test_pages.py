@@ -59,6 +59,9 @@ def command(words: list[str], block: Block, monkeypatch) -> None:
             monkeypatch.chdir(folder)
         case ["copy", source, *name] if block.language == "setup":
             shutil.copy(ROOT / source, Path(*name) if name else Path())
+        case ["rows", source, pattern, name] if block.language == "setup":
+            head, *rows = (ROOT / source).read_text(encoding="utf-8").splitlines(keepends=True)
+            Path(name).write_text("".join([head, *(row for row in rows if pattern in row)]), encoding="utf-8")
         case ["cut", name, size] if block.language == "setup":
             Path(name).write_bytes(Path(name).read_bytes()[: int(size)])
         case ["tree", folder] if block.language == "setup":

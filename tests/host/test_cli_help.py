@@ -5,6 +5,7 @@ import re
 import pytest
 
 from truearm.cli import main as cli
+from truearm_sim.simbox import FAULTS
 
 
 def commands(command, name=""):
@@ -34,3 +35,9 @@ def test_examples_name_options_that_exist(run, name):
     known = {option for parameter in COMMANDS[name].params for option in (*parameter.opts, *parameter.secondary_opts)}
     if not hasattr(COMMANDS[name], "commands"):
         assert set(re.findall(r"(?<=\s)--[a-z][a-z-]*", example)) <= known
+
+
+def test_the_help_of_simulate_names_every_fault(run):
+    words = " ".join(run("simulate", "--help").out.split())
+    for fault in FAULTS:
+        assert fault in words

@@ -58,7 +58,7 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     # The largest comes first: the slip displaces base and tool, and lengths from the slipped chuck agree with that.
     # Then the error of poses that were not fitted. The covariance knows nothing of the slip.
     expect = r"The fit has systematic errors\. Expect tool errors of at least (0\.\d+) mm RMS: by so much the tool moves if they are "
-    measured = r"What the rows measure errs by (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
+    measured = r"The error that the rows show: (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
     without = r"These sigmas predict a tool error of (0\.\d+) mm RMS over "
     for text in (outcome.out, page.read_text()):
         assert "Tool error predicted from these sigmas" not in text
@@ -75,7 +75,9 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
 def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
     folder, *_ = slip
     arguments = ["identify", folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--json"]
-    result = json.loads(run(*arguments, "--hold-out", "0.2", "--leave-out", "11:30", "--leave-out", "40").out)
+    result = json.loads(
+        run(*arguments, "--hold-out", "0.2", "--leave-out", "poses.csv row 12:31", "--leave-out", "40").out
+    )
     (rows,) = result["observations"]
     assert rows["fitted"] + rows["held_out"] == 360 - 21
     assert result["held_out"]["n"] == rows["held_out"]
@@ -89,6 +91,7 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
         (["--allow", "chuck.c1@9:3"], "--allow 'chuck.c1@9:3' is not NAME"),
         (["--allow", "chuck.c1@361"], "the table has rows 1 to 360"),
         (["--leave-out", "x"], "--leave-out 'x' is not FIRST:LAST"),
+        (["--leave-out", "poses.csv row 1"], "names no row of the inputs; the first is poses.csv row 2"),
         (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out: the table has rows 1 to 360"),
         (["--leave-out", "1:360"], "no observations are left to fit"),
     ],

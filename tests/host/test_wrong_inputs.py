@@ -233,7 +233,7 @@ def test_the_error_to_expect_includes_what_no_row_sees():
     first, second = identify_text.predicted(result.document)
     assert first.startswith("The declared noise does not explain the residuals. Expect tool errors of ")
     assert f"{result.document['predicted_error']['rms_mm']:.3g}"[:3] in first
-    assert second.startswith(f"What they measure errs by {held_out:.4f}"[:-2])
+    assert second.startswith(f"The error that the rows show: {held_out:.4f}"[:-2])
 
 
 def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels(monkeypatch):

@@ -177,7 +177,8 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     target, table, name = _place(new, path.strip())
     keys = {key.name: key for key in config_keys(table)}
     with raising(ConfigError):
-        check_known({name: value}, list(keys))
+        parts = [] if "." in path else ["channel.NAME.…", "magnetostrictive.…", "thermometers.NAME"]
+        check_known({name: value} if name not in keys else {}, [*keys, *parts])
         key = keys[name]
         with at(path.strip()):
             raw = _value(value.strip(), isinstance(key.value, UnquotedText))

@@ -140,7 +140,7 @@ class Address(UnquotedText):
 
     def check(self, wire: Any) -> str:
         if not isinstance(wire, str) or not re.fullmatch("[0-9a-f]{16}", wire):
-            raise SchemaError("must be 16 hexadecimal digits in lower case, in quotes")
+            raise SchemaError("must be 16 hexadecimal digits in lower case, such as 28ff641e0316c2a5")
         return wire
 
 

@@ -131,7 +131,7 @@ def correct(
 
     \b
     Example:
-      truearm correct result.json program.mod --model irb120 --out corrected.mod
+      truearm correct result.json program.mod --own-frames --out corrected.mod
     """
     from truearm.cli.correct_text import lines, refused_lines
     from truearm.files.robot_file import RobotChoice

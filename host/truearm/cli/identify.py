@@ -121,13 +121,17 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="NAME[@FIRST[:LAST]]",
-            help="Estimate a systematic error too: bar.bar46.zero, chuck.c2@183 (from row 183 on), joint2@91:270, "
+            help="Estimate a systematic error too: bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270, "
             "bar.bar46.zero.drift or .thermal_drift (repeatable). The check after a fit names what to allow.",
         ),
     ] = None,
     leave_out: Annotated[
         list[str] | None,
-        typer.Option(metavar="FIRST:LAST", help="Rows to leave out completely, such as 120:140 (repeatable)."),
+        typer.Option(
+            metavar="ROWS",
+            help="Rows to leave out completely: 120:140, counted from 1 over all inputs, or a row as messages name it, "
+            "such as 'poses.csv row 100' (repeatable).",
+        ),
     ] = None,
     max_iterations: Annotated[
         int, typer.Option(metavar="N", help="Stop after N iterations, converged or not.", **bounded(ITERATIONS))

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, assert_never
 from rich.console import Console
 from rich.table import Table
 
+from truearm.cli.outlier_text import suspects
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
@@ -42,10 +43,8 @@ Document = Mapping[str, Any]
 MAX_DIRECTIONS = 6
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
-MAX_ROWS = 6
 MAX_NAMES = 12
 PLACES = (".x", ".y", ".z", ".rx", ".ry", ".rz")  # numbers of a place
-OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
@@ -127,7 +126,7 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
         rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
         line += f"; rejected: {rejected}" * bool(rejected)
-        line += f"; {counted(count['mountings'], 'stop')} for mounting" * bool(count["mountings"])
+        line += f"; {counted(count['mountings'], 'stop')} for mounting, numbered like dwells" * bool(count["mountings"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_DECISION)
         if unsettled:
             session = one_line(given.get(count["session"], count["session"]))
@@ -364,8 +363,9 @@ def chi2_notes(document: Document) -> list[str]:
         by_chance = chi2 <= high
         where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
         weighted = "" if document["loss"] == Loss.LINEAR else f" (rows weighted by the {document['loss']} loss)"
+        less = ": the rows scatter less than their declared noise" if chi2 < low else ""
         lines.append(
-            f"χ² per degree of freedom {chi2:.3g}{weighted}, {where} its 95 % range of {low:.3g} to {high:.3g}."
+            f"χ² per degree of freedom {chi2:.3g}{weighted}, {where} its 95 % range of {low:.3g} to {high:.3g}{less}."
         )
     parts = {}
     for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
@@ -377,33 +377,6 @@ def chi2_notes(document: Document) -> list[str]:
     shared = document["pose_error"]
     if shared is not None:
         lines.append(pose_error_words(PoseError(MM.to_si(shared["sigma_mm"]), shared["row_variance"], shared["n"])))
-    return lines
-
-
-def suspects(document: Document) -> list[str]:
-    """Return the outliers."""
-    rows, fitted = document["suspect"], document["n_observations"]
-    if not rows:
-        return []
-    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
-        return [
-            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
-            "wrong, or the sigmas are too small."
-        ]
-    named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
-    more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
-    out = sum(row["weight"] == 0.0 for row in rows)
-    end = f"; {out} left out of the fit" if out else ""
-    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
-    lines = [f"{who} significantly with all others{end}: {named}{more}."]
-    every = document["with_outliers"]
-    if every is not None:
-        units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-        rms = (f"{_cell(every[f'rms_after_{u.suffix}'], UNITS[u.si].decimals)} {u.symbol}" for u in units)
-        lines.append(
-            f"The parameters are fitted without {'it' if every['n'] == 1 else 'them'}. Fitted to all rows: RMS {' and '.join(rms)}, χ² per degree of "
-            f"freedom {every['chi2_reduced']:.3g}."
-        )
     return lines
 
 
@@ -451,10 +424,14 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
             + " The sigmas above follow from the declared noise alone."
             * (not read_off and document["pose_error"] is None)
         )
-    lines += further_measurements(document)
-    if not document["held_out_by"]:
+    wrong = document["unusable_because"] in (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
+    if wrong:
+        lines.append("Next: correct what the first lines name, then identify again.")
+    else:
+        lines += further_measurements(document)
+    if not wrong and not document["held_out_by"]:
         lines.append(f"Next: judge the result by held-out rows{_proposal(document)}.")
-    if files.out is None:
+    if not wrong and files.out is None:
         lines.append("Next: keep the result with --out result.json.")
     written = [*([files.out] if files.out else []), *files.others]
     return [*lines, *(f"Written: {one_line(str(path))}" for path in written)]

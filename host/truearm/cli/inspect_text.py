@@ -177,7 +177,7 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
         return
     yield (
         f"robot: {counted(robot['readings'], 'reading')} of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
-        f"{'unknown' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} duplicated, "
+        f"{'an unknown number' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} duplicated, "
         f"{robot['malformed']} malformed, {robot['restarts']} restarts"
     )
     if added:
@@ -219,7 +219,7 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     )
     least, most = edges["falling_later_ns"]
     if least is not None:
-        yield f"  the input shows falling edges of the box's output {_of_ns(least, '.0f')} to {_of_ns(most, '.0f')} µs later than rising ones"
+        yield f"  the input shows falling edges of the box's output later than rising ones by {_of_ns(least, '.0f')} to {_of_ns(most, '.0f')} µs (below 0: earlier)"
 
 
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:

@@ -148,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return exc.exit_code
     except _UsageError as exc:
         message = _renamed(exc) or _missing(exc, arguments) or _plain(exc.format_message())
-        _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else 'truearm'} --help)")
+        _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else _command_of(arguments)} --help)")
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")
@@ -188,6 +188,11 @@ def _plain(message: str) -> str:
     for theirs, ours in _PLAINER:
         message = re.sub(theirs, ours, message)
     return message
+
+
+def _command_of(arguments: Sequence[str]) -> str:
+    """Return the command of a line that its parser could not read at all, such as "truearm identify"."""
+    return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMAND_OF)])
 
 
 def _renamed(exc: typer.BadParameter) -> str | None:

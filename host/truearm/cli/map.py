@@ -52,7 +52,10 @@ def map_(
         ),
     ] = "2,3",
     at: Annotated[
-        str | None, typer.Option(metavar="Q1,Q2,...", help="Values of the other joints [deg, mm]. Default: 0.")
+        str | None,
+        typer.Option(
+            metavar="Q1,Q2,...", help="Values of all joints [deg, mm]; those of --vary do not matter. Default: 0."
+        ),
     ] = None,
     elbow: Annotated[Elbow, typer.Option(help="Configuration of the elbow.")] = Elbow.up,
     cell: Annotated[float, typer.Option(metavar="MM", help="Size of a cell.", **bounded(CELL, MM))] = 25.0,

@@ -79,14 +79,15 @@ def _pairing_lines(document: Mapping[str, Any]) -> list[str]:
         f"  {' '.join(pairing[key] for key in BAR_MOUNTED):<32} {counted(pairing['poses'], 'pose'):>9}"
         for pairing in document["pairings"]
     ]
-    return ["pairings:", *rows, *(_hold_out(one, document) for one in document["hold_outs"])]
+    held_out = [_hold_out(one, document) for one in document["hold_outs"]]
+    return ["pairings:", *rows, *(["rows that truearm identify can hold out:"] if held_out else []), *held_out]
 
 
 def _hold_out(one: Mapping[str, Any], document: Mapping[str, Any]) -> str:
     seed = f" --seed {one['seed']}" * (one["seed"] > 0)
     gone = [name for name in one["all_held_out"] if name != one["hold_out"]]
     words = f"--hold-out {one['hold_out']}{seed}"
-    without = f", no pose of {', '.join(gone)}" * bool(gone)
+    without = f", none with {', '.join(gone)}" * bool(gone)
     return (
         f"  {words:<32} {counted(one['poses'], 'pose'):>9} held out; "
         f"left to fit: rank {one['rank']} of {document['rank']}{without}"

@@ -147,7 +147,8 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="SECONDS:KIND",
-            help="Fault to simulate, such as 20:reboot (repeatable). The error message for an unknown KIND lists all kinds.",
+            help="Fault to simulate, such as 20:reboot (repeatable). KIND: flip, lose, double, text, short-write, stall, crash, "
+            "reboot, hang, bad-crc, converter-reset or no-stop.",
         ),
     ] = None,
 ) -> None:

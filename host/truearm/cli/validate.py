@@ -41,7 +41,7 @@ def validate(
 
     The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without the
     calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool are estimated
-    from these rows too.
+    from these rows too if the rows determine them; the output says so.
 
     \b
     Example:

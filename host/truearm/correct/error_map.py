@@ -90,7 +90,9 @@ def error_map(
     at = np.floor((flat - low) / cell).astype(int)
     u, v = (low[i] + cell * (np.arange(at[:, i].max() + 1) + 0.5) for i in (0, 1))
     if u.size * v.size > MOST_CELLS:
-        raise RobotError(f"the section has {u.size} × {v.size} cells, the maximum is {MOST_CELLS}; choose larger cells")
+        raise RobotError(
+            f"the section has {u.size} × {v.size} cells, in all {u.size * v.size:,}; the most is {MOST_CELLS:,}: choose larger cells"
+        )
     q_grid = np.full((v.size, u.size, q.size), np.nan)
     q_grid[at[:, 1], at[:, 0]] = samples
     middles = np.stack(np.meshgrid(u, v), axis=-1)

@@ -15,7 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import Argument, InputError
-from truearm.file_names import no_such_file
+from truearm.file_names import no_such_file, system_reason
+
+SESSION_MAGIC = b"\x89MCAP"
 
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
@@ -30,7 +32,7 @@ def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
         with path.open("rb") as file:
             data = file.read(max_bytes + 1)
     except OSError as exc:
-        raise error(f"{path}: cannot be read: {exc.strerror}") from exc
+        raise error(f"{path}: cannot be read: {system_reason(exc)}") from exc
     if len(data) > max_bytes:
         raise error(f"{path}: is larger than {max_bytes / 2**20:.0f} MiB, the maximum for such a file")
     return data
@@ -42,6 +44,11 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as exc:
+        if data.startswith(SESSION_MAGIC):
+            raise error(
+                f"{path}: is a session; where a session is wanted, its name must end in .mcap; otherwise give a table, "
+                "such as that of truearm identify SESSION --save-table FILE"
+            ) from exc
         raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
     if "\0" in text:
         raise error(f"{path}: holds a NUL byte at {text.index(chr(0))}, so it is not a text file")
@@ -76,7 +83,7 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
     except OSError as exc:
-        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
     try:
         with os.fdopen(descriptor, "wb") as file:
             for piece in (text,) if isinstance(text, str | bytes) else text:
@@ -88,7 +95,7 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
     except BaseException as exc:
         Path(temporary).unlink(missing_ok=True)
         if isinstance(exc, OSError):
-            raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+            raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
         raise
 
 
@@ -104,7 +111,7 @@ def sha256(path: Path) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as exc:
-        raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
+        raise InputError(f"{path}: cannot be read: {system_reason(exc)}") from exc
 
 
 def check_writable(
@@ -127,7 +134,7 @@ def check_writable(
         if path.exists() and not force:
             raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
     except OSError as exc:  # a name that is too long, or a folder without permission
-        raise InputError(f"{path}: cannot be written: {exc.strerror}") from exc
+        raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
     if suffixes and path.suffix and path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: would be written as {suffixes[0]}; give a name that ends in {' or '.join(suffixes)}")
 
@@ -205,7 +212,7 @@ def own_folder(path: Path, mark: str) -> None:
             raise InputError(f"{path}: holds other files; give a new or empty folder as ", Argument("out"))
         (path / mark).touch()
     except OSError as exc:
-        raise InputError(f"{path}: cannot be used as a folder: {exc.strerror}") from exc
+        raise InputError(f"{path}: cannot be used as a folder: {system_reason(exc)}") from exc
 
 
 def _check_regular(path: Path) -> None:

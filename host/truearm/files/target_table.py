@@ -44,15 +44,20 @@ class Targets(NamedTuple):
     source: tuple[str, ...]  # "targets.csv row 3"
 
 
+def check_is_table(path: Path) -> None:
+    """Raise TargetError unless the name of a file is that of a table."""
+    if path.suffix.lower() != ".csv":
+        raise TargetError(
+            f"{path}: is neither a table of targets (.csv) nor a program (.mod, .prg, .script); give one of these"
+        )
+
+
 def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:
     """Read a table of targets for a robot with these joints ("rad" or "m").
 
     Raises TargetError, with row and column if the file is a table.
     """
-    if path.suffix.lower() != ".csv":
-        raise TargetError(
-            f"{path}: is neither a table of targets (.csv) nor a program (.mod, .prg, .script); give one of these"
-        )
+    check_is_table(path)
     try:
         return parse_targets(read_text(path, MAX_BYTES, TargetError), str(path), joint_units)
     except TableError as exc:

@@ -116,14 +116,14 @@ def check(table: ObservationTable, rig: Rig) -> None:
     for place, socket in rig.sockets:
         if (place, socket) not in used:
             raise TableError(
-                f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it; remove it from the rig"
+                f"the rig's socket {socket} at place {place!r} is unused: no row is seated in it; correct its name or place, or remove it from the rig"
             )
     for distance in rig.socket_distances:
         if not any({(place, socket) for socket in distance.sockets} <= used for place, _ in used):
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
             raise TableError(
                 f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
-                f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has both; remove it from the rig"
+                f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has both; correct its names, measure both sockets at one place, or remove it (then its length no longer sets the scale)"
             )
 
 

@@ -30,7 +30,10 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
         if robot.branch is None:
             check_joints(chain)  # no bounds would help
             known = ", ".join(names_with_branch())
-            text = f"robot {chain.name} has no [branch] in its file ({known} have); give LOW:HIGH,… in degrees as "
+            text = (
+                f"robot {chain.name} has no [branch] in its file (the built-in robots {known} have one, a URDF never); give "
+                f"LOW:HIGH of its {len(chain.joints)} joints in degrees, with commas between them, as "
+            )
             raise PlanError(text, Argument("branch"))
         return robot.branch
     limits = np.array([(joint.lower, joint.upper) for joint in chain.joints])

@@ -96,7 +96,7 @@ def _out_of_reach(site: Site, pairing: Pairing) -> bool:
 def _unreached(pairing: Pairing) -> str:
     return (
         f"the arm cannot reach any pose with bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
-        "move the chucks, or allow more of the joints' range"
+        "give another length of the bar, move the chucks, or allow more of the joints' range"
     )
 
 
@@ -159,7 +159,7 @@ def _reachable(
     chuck, sphere = pairings[int(np.argmin([len(rows) for rows in found]))]
     raise PlanError(
         f"the arm reaches too few poses with bar {bar.name} between chuck {chuck.name} and sphere {sphere.name}; "
-        "move the chucks, or allow more of the joints' range"
+        "give another length of the bar, move the chucks, or allow more of the joints' range"
     )
 
 

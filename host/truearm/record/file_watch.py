@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from truearm.errors import WriteError
+from truearm.file_names import system_reason
 from truearm.files.write_lock import hold
 
 COPIED_BYTES = 1 << 20  # per step
@@ -64,7 +65,7 @@ def _new_file(path: Path) -> tuple[Path, BinaryIO]:
         except FileExistsError:
             number += 1
         except OSError as exc:
-            raise WriteError(f"{out}: cannot be written: {exc.strerror}", exc.strerror or "") from exc
+            raise WriteError(f"{out}: cannot be written: {system_reason(exc)}", exc.strerror or "") from exc
         else:
             hold(file)
             return out, file

@@ -118,7 +118,7 @@ def _verdict(page: CalibrationPage) -> str:
         of_units = judged.figures.items()
         more = "; ".join(f"mean {size(error.mean, si, '')}, largest {size(error.max, si)}" for si, error in of_units)
         rms = {si: error.rms for si, error in of_units}
-        tiles.append(_tile("validation", rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val"))
+        tiles.append(_tile("held out", rms, f"{counted(judged.n, 'observation')} not used to fit; {more}", "val"))
     if page.predicted:
         more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
         tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))

@@ -158,9 +158,7 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
             pairs.append(("part of it that the declared noise does not explain", size(parts.unexplained, si)))
         if judged and si in judged.figures:
             error = judged.figures[si]
-            pairs.append(
-                ("RMS on observations that were not fitted", f"{size(error.rms, si)}, largest {size(error.max, si)}")
-            )
+            pairs.append(("RMS held out", f"{size(error.rms, si)}, largest {size(error.max, si)}"))
     if predicted and (not e.unexplained or predicted.exceeds(e.unexplained)):
         pairs.append(
             (
@@ -172,7 +170,7 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
         pairs.append(
             (
                 f"expanded uncertainty of the tool (k = {K:g})",
-                "does not follow from the parameters: see the error on rows that were not fitted",
+                "does not follow from the parameters: see the error on held-out rows",
             )
         )
     pairs.append(("fit", "converged" if e.status == "converged" else f"NOT USABLE: {outcome(e.status)}"))

@@ -120,7 +120,7 @@ def by_order(rows: ResidualRows) -> Figure:
     parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e."), *keys]))
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
-        f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'mount')}. A step or a "
+        f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'stretch', 'stretches')} of rows with the same items of the rig. A step or a "
         "trend in the mean indicates a slip or a drift that the parameters could not absorb."
     )
     return drawn(plot, "Residual in the order of measurement", caption, parts)._replace(wide=True)
@@ -181,7 +181,7 @@ def _bin_means(x: Floats, y: Floats) -> list[tuple[float, float, float]]:
 
 def _sets(rows: ResidualRows) -> list[tuple[str, str, NDArray[np.bool_]]]:
     """Return class, name and mask of the fitted and the validation rows, for those that exist."""
-    sets = [("fit", "fitting rows", rows.fitted), ("val", "validation rows", ~rows.fitted)]
+    sets = [("fit", "fitted rows", rows.fitted), ("val", "held-out rows", ~rows.fitted)]
     return [entry for entry in sets if entry[2].any()]
 
 

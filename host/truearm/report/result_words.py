@@ -87,7 +87,11 @@ def unexplained_words(
         low, high = (number(value, si) for value in (error.low, error.high))
         parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
-    of = f"{counted(n, 'pose')} held out" if held_out else f"{counted(n, 'pose')}, each predicted without its own rows"
+    of = (
+        f"{counted(n, 'pose')} held out"
+        if held_out
+        else f"{counted(n, 'pose')}, each predicted from the rows of the others"
+    )
     because = (
         "The declared noise does not explain the residuals" if systematic is None else "The fit has systematic errors"
     )
@@ -95,15 +99,15 @@ def unexplained_words(
     if systematic is not None and systematic > max(measured, tool[0] if tool else 0.0):
         lines = [
             f"{because}. Expect tool errors of at least {number(systematic, 'm')} {symbol('m')} RMS: by so much the tool moves if they are estimated, and the estimate errs too.",
-            f"What the rows measure errs by {' and '.join(parts)}, the mean of {of}.",
+            f"The error that the rows show: {' and '.join(parts)}, the mean of {of}.",
         ]
         return lines if tool is None else [*lines, _by_sigmas(tool)]
     if tool is None:
         return [f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."]
     if "m" in errors and tool[0] > measured:
         return [
-            f"{because}. Expect tool errors of {_over_poses(tool)}, by these sigmas: the rows measure only part of the tool's error.",
-            f"What they measure errs by {' and '.join(parts)}, the mean of {of}.",
+            f"{because}. Expect tool errors of {_over_poses(tool)}, as the sigmas predict: the rows show only part of the tool's error.",
+            f"The error that the rows show: {' and '.join(parts)}, the mean of {of}.",
         ]
     return [
         f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}.",
@@ -128,15 +132,20 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
     ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust ``loss`` weights
     down.
     """
-    declared, left = (
-        " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in parts.items())
-        for name in ("declared", "unexplained")
-    )
-    if not parts:
-        return ""
-    weighted = "" if loss == Loss.LINEAR else f" or lie in rows that the {loss} loss weights down"
-    rest = f"may be chance{weighted}" if by_chance else "is unexplained"
-    return f"Declared noise explains {declared} of the RMS after; the rest, {left}, {rest} (the squares add up)."
+    more = {si: of for si, of in parts.items() if of.unexplained > 0.0}
+    less = " and ".join(f"{number(of.declared, si)} {symbol(si)}" for si, of in parts.items() if si not in more)
+    said = [f"Declared noise alone would leave {less} RMS, no less than there is."] if less else []
+    if more:
+        declared, left = (
+            " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in more.items())
+            for name in ("declared", "unexplained")
+        )
+        weighted = "" if loss == Loss.LINEAR else f" or lie in rows that the {loss} loss weights down"
+        rest = f"may be chance{weighted}" if by_chance else "is unexplained"
+        said.append(
+            f"Declared noise explains {declared} of the RMS after; the rest, {left}, {rest} (the squares add up)."
+        )
+    return " ".join(said)
 
 
 def pose_error_words(error: PoseError) -> str:

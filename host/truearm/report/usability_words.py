@@ -39,7 +39,10 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
     for i, one in enumerate(explanations):
         lead = "This explains the observations" if i == 0 else "This explains them too"
         text = one_line(one["text"])
-        fits = f"in a quick fit: RMS {_sizes(one, 'rms')} with this change, {_sizes(one, 'rms_given')} as given"
+        now, given = (_sizes(one, name) for name in ("rms", "rms_given"))
+        fits = f"in a quick fit: RMS {now} with this change, {given} as given"
+        if now == given:
+            fits = f"RMS {now} in a quick fit either way; what was compared is each residual relative to its declared noise"
         apply = "".join(
             f"; {argument(name)} {one_line(value)}{NUMBERED if name == 'leave_out' else ''}"
             for name, value in (one["apply"] or {}).items()

@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 from truearm.report.result_words import copy_sentences
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES, UNITS, Scale, title
+from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
+
+FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 
 
 def verdict(document: Mapping[str, Any]) -> str:
@@ -25,6 +27,12 @@ def verdict(document: Mapping[str, Any]) -> str:
                 "The calibration holds, but its uncertainty here is "
                 f"{unsure[0].text(unsure[0].by_parameters)}. To reduce it, {remedy}."
             )
+    elif not helped and (implausible := [unit for unit in units if _beyond_any_arm(document, unit)]):
+        unit = implausible[0]
+        words = (
+            f"Errors of {document[f'rms_after_{unit.suffix}']:.{UNITS[unit.si].decimals - 1}f} {unit.symbol} RMS remain, more than those of any "
+            "plausible arm: check that these measurements are of this robot, with this rig, and in these units."
+        )
     elif not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
     elif document["consistent"] is None or not told:
@@ -49,6 +57,11 @@ def verdict(document: Mapping[str, Any]) -> str:
     if document["identified_from"]:
         words += " But the identification used these rows too, so this verdict proves little: validate with other measurements."
     return words
+
+
+def _beyond_any_arm(document: Mapping[str, Any], unit: Scale) -> bool:
+    after = document[f"rms_after_{unit.suffix}"]
+    return after is not None and from_shown(after, unit.si) > FAR_OFF * UNITS[unit.si].wide_sigma
 
 
 class _Told(NamedTuple):

@@ -27,7 +27,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, SessionError
-from truearm.file_names import no_such_file
+from truearm.file_names import no_such_file, system_reason
 from truearm.types import Message
 
 MAX_CHUNK_BYTES = 64 << 20
@@ -53,8 +53,10 @@ def open_file(path: Path) -> BinaryIO:
         return path.open("rb")
     except FileNotFoundError as exc:
         raise SessionError(no_such_file(path)) from exc
-    except (OSError, ValueError) as exc:
-        raise SessionError(f"{path}: cannot be read: {getattr(exc, 'strerror', exc)}") from exc
+    except OSError as exc:
+        raise SessionError(f"{path}: cannot be read: {system_reason(exc)}") from exc
+    except ValueError as exc:
+        raise SessionError(f"{path}: cannot be read: {exc}; check its name") from exc
 
 
 def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:

@@ -221,7 +221,8 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
         name = frames.name
     if is_urdf(name):
         base, tip = base or frames.base_frame, tip or frames.end_frame
-    return calibration_of(stored, load_robot(name, base, tip), name, str(result))
+    called = name if choice.robot else f"{name} (built-in, taken because the result names no other file)"
+    return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 
 def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:

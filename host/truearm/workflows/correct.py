@@ -17,7 +17,7 @@ from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs.program import Refused, is_program, suffixes_like
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
-from truearm.files.target_table import format_corrected, looks_like_targets, read_targets
+from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import Chain, forward
 from truearm.model.poses import inverted, pose_of
 from truearm.progress import step
@@ -31,8 +31,8 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
+from truearm.workflows.configuration_notes import SEARCHED
 from truearm.workflows.correct_program import (
-    SEARCHED,
     CalibrationFrames,
     HowCorrected,
     ProgramOptions,
@@ -136,6 +136,8 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     """
     check_names(files.targets, files.out, files.residuals, files.report)
     program = is_program(files.targets)
+    if not program:
+        check_is_table(files.targets)
     read = [files.result, files.targets, *files.robot.files]
     ours, suffixes = (None, suffixes_like(files.targets)) if program else (looks_like_targets, (".csv",))
     check_writable(files.out, program or files.force, inputs=read, ours=ours, suffixes=suffixes)

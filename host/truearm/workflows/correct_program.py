@@ -44,8 +44,9 @@ from truearm.files.programs.targets import (
 from truearm.files.programs.values import Pose, fixed_six, readings_of
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import apart, inverted, pose_of
-from truearm.text import counted, listed
+from truearm.text import counted
 from truearm.types import Floats
+from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
 from truearm.workflows.given_tools import Six, check_names, check_used
 
@@ -54,11 +55,6 @@ SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controll
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 MOST_REREAD = 20_000  # targets of a program that is read again: about 0.05 ms each
-
-SEARCHED = (
-    "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
-    "another one, give joints near those of the first target with --home, as q1_deg … in a table, or as qnear in a URScript."
-)
 
 
 class ProgramOptions(NamedTuple):
@@ -223,7 +219,7 @@ def correct_program(
         (
             f"The controller's base: {base.words}. Its flange: {flange.words}.",
             *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
-            *_configurations(
+            *configuration_notes(
                 correction.q[: len(kept)],
                 near[rows],
                 quarters[rows],
@@ -276,25 +272,6 @@ def _straight_moves(
 
 def _joints_kept(n: int) -> list[str]:
     return [f"{counted(n, 'move')} to joint readings kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
-
-
-def _configurations(
-    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int], home: bool
-) -> list[str]:
-    """Return the arm configurations to check: those found by a search, and those that contradict the program's own
-    data.
-
-    ``after``: the program shows where the robot comes from. ``home``: the user gave joints near those of the first target.
-    """
-    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
-    wrong = ((np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)).any(axis=1)
-    where = listed([str(line) for line, is_wrong in zip(lines, wrong, strict=False) if is_wrong])
-    check = f"Check the configuration data of {counted(int(wrong.sum()), 'robtarget')} (lines {where}): by this model an axis is in another quarter turn."
-    unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
-    chosen = "The arm's configuration there is the one nearest to home." if home else SEARCHED
-    return [
-        f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
-    ] * bool((~told).any()) + [check] * bool(wrong.any())
 
 
 def _last_axis(pair: ModelPair) -> Floats:

@@ -164,7 +164,8 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
             )
     if moves.unchecked:
         said.append(
-            f"{counted(moves.unchecked, 'straight move was', 'straight moves were')} not checked between the ends."
+            f"{counted(moves.unchecked, 'straight move was', 'straight moves were')} not checked between the ends, because the program does not "
+            "say at which joints it starts: begin with a joint move or correct with a home position."
         )
     return said
 

@@ -27,7 +27,8 @@ def page_of(
     """Return the page; ``names`` are those of the targets' file, of the corrected file, and of the result."""
     of, units = found.targets, calibration.joint_units
     given, written, result = map(one_line, names)
-    of_position, of_rotation = MM.text(found.unexplained[0], ".3f"), MRAD.text(found.unexplained[1], ".3f")
+    of_position = MM.text(found.unexplained[0], ".3f")
+    of_rotation = MRAD.text(found.unexplained[1], ".3f") if found.unexplained[1] else "no orientation was measured"
     relative = " A common shift and rotation of all targets is not included, because the calibration does not determine the pose of the base."
     facts = (
         ("targets", counted(len(of.places), "target")),

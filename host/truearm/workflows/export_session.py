@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import InputError, WriteError
+from truearm.file_names import system_reason
 from truearm.files.column_tables import Columns, ColumnTable, Placement
 from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
@@ -67,7 +68,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
                 out.rmdir()
             os.replace(whole, out)
     except OSError as exc:
-        raise WriteError(f"{out}: cannot be written: {exc.strerror or exc}; nothing was exported") from exc
+        raise WriteError(f"{out}: cannot be written: {system_reason(exc)}; nothing was exported") from exc
     return {name: table["rows"] for name, table in document["tables"].items()}
 
 

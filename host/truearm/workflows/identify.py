@@ -87,7 +87,8 @@ class IdentifyOptions:
     fit_only : tuple of str
         Groups such as ``"place=front"``: only their rows are fitted, all others are used for judging.
     leave_out : tuple of str
-        Rows that are neither fitted nor used for judging, such as ``"120:140"``.
+        Rows that are neither fitted nor used for judging, such as ``"120:140"`` (counted from 1 over all inputs) or
+        ``"poses.csv row 100"`` (as messages and ``source`` name it).
     joint_laws : str
         "none", "curve" (error curves of the joints), "sag" (joints that deflect under gravity) or "auto" (both, if geometry
         and declared noise do not explain the residuals). Each law is included if the evidence in the fitted rows
@@ -310,7 +311,7 @@ def identified(
     named = np.zeros(selection.free.size, dtype=bool) if selection.named is None else selection.named
     copied = copied_rows(chain, rig, table)
     copies = [(row, row + 1) for row in np.flatnonzero(copied >= 0).tolist()]
-    leave_out = (*map(parse_rows, options.leave_out), *copies)
+    leave_out = (*(rows for text in options.leave_out for rows in parse_rows(text, table.source)), *copies)
     unused = rows_left_out(leave_out, len(table))
     if selection.held_out is not None:
         unused |= selection.held_out
@@ -369,7 +370,7 @@ def identified(
         chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
-            "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or declare the sigmas of the rig"
+            "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or give the rig's chucks, spheres and sockets the sigma_mm that you know instead of unknown"
         )
     predicted = None
     if estimate.status == "converged" and not estimate.unusable:

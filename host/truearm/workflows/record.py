@@ -211,6 +211,8 @@ def _work(request: Request) -> RecordingWork:
     out = request.out if before is None else before.out
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
+    if not out.suffix:
+        raise InputError(f"{out}: give a name that ends in {SUFFIX}, by which other commands know a session")
     check_writable(out, request.force and before is None, inputs=read, ours=looks_like_session, suffixes=[SUFFIX])
     if out.exists() and is_held(out):
         raise InputError(f"{out}: is still being written; end that recording first, or give another name")

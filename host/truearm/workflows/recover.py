@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from truearm.errors import SessionError, WriteError
+from truearm.file_names import system_reason
 from truearm.files.disk import check_writable, sha256, working_folder
 from truearm.progress import step
 from truearm.record.recover import Recovered, is_whole
@@ -42,5 +43,7 @@ def _write(path: Path, opened: Session, out: Path, said: dict[str, str]) -> Reco
                 raise SessionError(f"{path}: contains nothing that can be recovered; record again")
             os.replace(partial, out)
     except (OSError, WriteError) as exc:
-        raise WriteError(f"{out}: cannot be written: {exc.strerror}; {path} is unchanged", exc.strerror or "") from exc
+        raise WriteError(
+            f"{out}: cannot be written: {system_reason(exc)}; {path} is unchanged", exc.strerror or ""
+        ) from exc
     return found

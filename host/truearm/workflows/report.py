@@ -88,7 +88,7 @@ def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str,
     held_out = f"{n} held out ({', '.join(by)})" if by else "none held out"
     return (
         ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
-        ("parameters", f"{found.document['n_free']} of the robot identified, rank {e.rank}"),
+        ("parameters", f"{found.document['n_free']} free, {e.rank} independent combinations identified"),
         ("observations", f"{e.n_observations} fitted, {held_out}"),
     )
 

@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -204,10 +205,28 @@ def parse_effect(text: str) -> Effect:
     return Effect(match[1], first - 1, last, endings.get(match[2]))
 
 
-def parse_rows(text: str) -> tuple[int, int]:
-    """Parse rows such as ``120:140``, counted from 0: the first, and the one after the last. Raises InputError."""
-    match = re.fullmatch(r"([0-9]{1,9})(?::([0-9]{1,9}))?", text)
-    first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
-    if not 1 <= first <= last:
-        raise InputError(LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows counted from 1")
-    return first - 1, last
+def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
+    """Parse rows, counted from 0: the first, and the one after the last.
+
+    ``120:140`` counts the rows of all inputs from 1. ``poses.csv row 100`` and ``poses.csv row 100:120`` name rows as
+    messages do (``sources``, (n,)). Raises InputError.
+    """
+    match = re.fullmatch(r"(?:(.+) )?([0-9]{1,9})(?::([0-9]{1,9}))?", text)
+    first, last = (int(match[2]), int(match[3] or match[2])) if match else (0, 0)
+    if match is None or not 1 <= first <= last:
+        raise InputError(
+            LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows counted from 1 over all inputs, or a row as messages name it"
+        )
+    if match[1] is None:
+        return [(first - 1, last)]
+    parts = [source.rpartition(" ") for source in sources.tolist()]
+    found = [
+        i
+        for i, (name, _, row) in enumerate(parts)
+        if match[1] in (name, Path(name).name) and row.isdigit() and first <= int(row) <= last
+    ]
+    if not found:
+        raise InputError(LEAVE_OUT, f" {text!r} names no row of the inputs; the first is {Path(str(sources[0])).name}")
+    if len(files := {parts[i][0] for i in found}) > 1:
+        raise InputError(LEAVE_OUT, f" {text!r} names rows of {len(files)} files of this name; give the path too")
+    return [(row, row + 1) for row in found]

@@ -165,7 +165,9 @@ class Rapid:
             why = "its joint readings come from CalcJointT and are known only at run time; move to the robtarget with MoveJ"
             return (Unknown(why, at),)
         if name in QUIET or name in FUNCTIONS or name in self.harmless:
-            return (Unknown(f"the result of {name} is known only at run time", at),)
+            return (
+                Unknown(f"the result of {name} is known only at run time; correct the target where it is made", at),
+            )
         return None
 
     def _is_asked(self, flow: Flow, parameter: Expression) -> bool:

@@ -107,7 +107,9 @@ class UrScript(NamedTuple):
         if name.startswith("."):
             return (Unknown("the result of a method or remote procedure is known only at run time", at),)
         if name in QUIET or name in self.harmless:
-            return (Unknown(f"the result of {name} is known only at run time", at),)
+            return (
+                Unknown(f"the result of {name} is known only at run time; correct the target where it is made", at),
+            )
         return None
 
     def item(self, of: Value, at: Value | str, place: int) -> Values:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.file_names import no_such_file
+from truearm.file_names import no_such_file, system_reason
 from truearm.record.robots.joint_table import NO_ARRIVAL, AddedReading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
@@ -65,7 +65,7 @@ def bag_files(path: Path) -> list[Path]:
     try:
         names = sorted(path.iterdir(), key=_numbered)
     except OSError as exc:
-        raise InputError(f"{path}: cannot be read: {exc.strerror}") from exc
+        raise InputError(f"{path}: cannot be read: {system_reason(exc)}") from exc
     files = [name for name in names if name.suffix.lower() in SUFFIXES]
     if not files:
         packed = any(name.suffix == ".zstd" for name in names)

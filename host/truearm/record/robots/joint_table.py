@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from truearm.errors import Argument, InputError, TableError
-from truearm.file_names import no_such_file
+from truearm.file_names import no_such_file, system_reason
 from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
@@ -54,7 +54,7 @@ def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedR
         with path.open(encoding="utf-8-sig", newline="") as file:
             yield from _rows(path, file, renames)
     except OSError as exc:
-        raise TableError(f"{path}: cannot be read: {exc.strerror}") from exc
+        raise TableError(f"{path}: cannot be read: {system_reason(exc)}") from exc
     except UnicodeDecodeError as exc:
         raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
 

@@ -1,0 +1,54 @@
+"""What ``truearm identify`` prints about outliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from truearm.text import counted, one_line
+from truearm.units import SUFFIXES, UNITS
+
+Document = Mapping[str, Any]
+OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
+MAX_ROWS = 6
+
+
+def suspects(document: Document) -> list[str]:
+    """Return the outliers."""
+    rows, fitted = document["suspect"], document["n_observations"]
+    if not rows:
+        return []
+    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
+        return [
+            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
+            "wrong, or the sigmas are too small."
+        ]
+    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
+    out, kept = ([row for row in rows if (row["weight"] == 0.0) is gone] for gone in (True, False))
+    if not out:
+        lines = [f"{who} significantly with all others: {_rows(kept)}."]
+    else:
+        lines = [f"{who} significantly with all others; {len(out)} left out of the fit: {_rows(out)}."]
+        if kept:
+            lines.append(
+                f"Not left out, because most rows miss by more than their declared noise: {_rows(kept)}. To leave out a row "
+                f'yourself: --leave-out "{one_line(kept[0]["source"])}".'
+            )
+    every = document["with_outliers"]
+    if every is not None:
+        units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
+        rms = (f"{every[f'rms_after_{u.suffix}']:.{UNITS[u.si].decimals}f} {u.symbol}" for u in units)
+        lines.append(
+            f"{'Geometry alone, fitted' if _has_laws(document) else 'Fitted'} to all rows: RMS {' and '.join(rms)}, χ² per degree of "
+            f"freedom {every['chi2_reduced']:.3g}."
+        )
+    return lines
+
+
+def _rows(rows: Sequence[Mapping[str, Any]]) -> str:
+    more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
+    return ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS]) + more
+
+
+def _has_laws(document: Document) -> bool:
+    return any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))

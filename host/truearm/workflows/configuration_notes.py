@@ -1,0 +1,50 @@
+"""Sentences about the arm's configurations at the targets of a corrected program: what to check before it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.text import counted, listed
+from truearm.types import Floats
+from truearm.units import DEG
+
+MOST_NAMED = 6  # quarter turns
+SEARCHED = (
+    "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
+    "another one, give joints near those of the first target with --home, as q1_deg … in a table, or as qnear in a URScript."
+)
+
+
+def _other_quarters(lines: Sequence[int], q: Floats, quarters: Floats, wrong: NDArray[np.bool_]) -> list[str]:
+    """Return "line 2: cf4 is 0, axis 4 at -95° needs -2" for the first wrong quarter turns (n, j)."""
+    found = np.argwhere(wrong)
+    said = [
+        f"line {lines[i]}: cf{j + 1} is {quarters[i, j]:.0f}, axis {j + 1} at {DEG.of(q[i, j]):.0f}° needs {np.floor(q[i, j] / (0.5 * np.pi)):.0f}"
+        for i, j in found[:MOST_NAMED].tolist()
+    ]
+    return said + [f"and {len(found) - MOST_NAMED} more"] * (len(found) > MOST_NAMED)
+
+
+def configuration_notes(
+    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int], home: bool
+) -> list[str]:
+    """Return the arm configurations to check: those found by a search, and those that contradict the program's own
+    data.
+
+    ``after``: the program shows where the robot comes from. ``home``: the user gave joints near those of the first target.
+    """
+    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
+    wrong = (np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)
+    n = int(wrong.any(axis=1).sum())
+    check = (
+        f"The configuration data of {counted(n, 'robtarget')} {'differs' if n == 1 else 'differ'} from the quarter turns of the axes by this model: "
+        f"{'; '.join(_other_quarters(lines, q, quarters, wrong))}. Correct the data before you run the program, or the controller may stop."
+    )
+    unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
+    chosen = "The arm's configuration there is the one nearest to home." if home else SEARCHED
+    return [
+        f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
+    ] * bool((~told).any()) + [check] * bool(wrong.any())
