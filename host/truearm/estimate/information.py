@@ -83,8 +83,8 @@ def _stacked(lin: Linearised, used: NDArray[np.bool_], rig: NDArray[np.bool_]) -
     width, n, _ = lin.wrenches.shape
     at = int(used.sum())
     out = np.empty((at + int(rig.sum()) + 1, width, n))
-    np.compress(used, np.moveaxis(lin.wrenches, 2, 0), axis=0, out=out[:at])
-    np.compress(rig, np.moveaxis(lin.jac_rig, 2, 0), axis=0, out=out[at:-1])
+    np.compress(used, lin.wrenches.transpose(2, 0, 1), axis=0, out=out[:at])
+    np.compress(rig, lin.jac_rig.transpose(2, 0, 1), axis=0, out=out[at:-1])
     out[-1] = lin.residual.reshape(n, width).T
     return out
 

@@ -49,7 +49,7 @@ def gather(x: Floats, constants: Floats, index: Indices) -> Floats:
 
 def zero_columns(wrenches: Floats, count: int) -> Floats:
     """Return zeros (w, n, count) to go with wrenches (w, n, b), for ``scatter`` to write to."""
-    return np.moveaxis(np.zeros((count, *wrenches.shape[:2]), wrenches.dtype), 0, -1)
+    return np.zeros((count, *wrenches.shape[:2]), wrenches.dtype).transpose(1, 2, 0)
 
 
 def scatter(jac_rig: Floats, index: Indices, values: Floats) -> None:
@@ -59,6 +59,9 @@ def scatter(jac_rig: Floats, index: Indices, values: Floats) -> None:
     """
     unknown = index < jac_rig.shape[2]
     for k in np.flatnonzero(unknown.any(axis=0)):
+        if (index[:, k] == index[0, k]).all():  # usually one device
+            jac_rig[:, :, index[0, k]] += values[:, :, k]
+            continue
         some = np.flatnonzero(unknown[:, k])
         jac_rig[:, some, index[some, k]] += values[:, some, k]
 

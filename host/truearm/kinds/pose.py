@@ -26,7 +26,7 @@ from truearm.kinds.rig_entries import TARGET
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, refuse
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
-from truearm.model.rotation import left_jacobian, rotation, rotation_vector
+from truearm.model.rotation import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
 from truearm.types import Floats
 from truearm.units import SMALLEST
 
@@ -47,8 +47,9 @@ class PoseRows(PositionRows):
         q, params = joints_in_time(self, x), x[:p]
         trace = trace_point(chain, params, q, gather(x, self.constants, self.target))
         device = gather(x, self.constants, self.device)
-        rot = rotation(device[:, 3:]) @ self.reference
-        point = in_device_axes(trace, self, x, device, rot)
+        rot, turns = rotation_and_jacobian(device[:, 3:])
+        rot = rot @ self.reference
+        point = in_device_axes(trace, self, x, device, rot, turns)
         predicted = np.swapaxes(rot, 1, 2) @ forward(chain, params, q)[:, :3, :3]
         rho = rotation_vector(rotation(self.rotation) @ np.swapaxes(predicted, 1, 2))
         # Row k of J_l(ρ)⁻ᵀ R_dᵀ, as a direction in the base frame.
@@ -58,7 +59,7 @@ class PoseRows(PositionRows):
         axes = np.swapaxes(directions, 0, 1)
         derivative = about(trace, axes)
         jac_rig = zero_columns(derivative.wrenches, x.size - p)
-        scatter(jac_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, left_jacobian(device[:, 3:])))
+        scatter(jac_rig, self.device[:, 3:] - p, -np.einsum("wni,nik->wnk", axes, turns))
         by_time = (derivative.jac_joints * self.q_rate).sum(axis=2, keepdims=True)
         scatter(jac_rig, self.time_offset - p, by_time)
         return Linearised(

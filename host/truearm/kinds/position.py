@@ -32,7 +32,7 @@ from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
 from truearm.kinds.unknowns import XYZ, Fault, Layout, RigNumber, Used, or_inf
 from truearm.model.chain import Chain, PointTrace, along, trace_point
-from truearm.model.rotation import left_jacobian, rotation, rotation_vector
+from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
 from truearm.model.transforms import cross
 from truearm.schema import Entries
 from truearm.types import Device, Floats
@@ -63,7 +63,8 @@ class PositionRows(Group):
         device = gather(x, self.constants, self.device)
         if (self.device == self.device[:1]).all():  # usually one device
             device = device[:1]
-        return in_device_axes(trace, self, x, device, rotation(device[:, 3:]) @ self.reference[: len(device)])
+        rot, turns = rotation_and_jacobian(device[:, 3:])
+        return in_device_axes(trace, self, x, device, rot @ self.reference[: len(device)], turns)
 
     def orientations(self) -> Indices:
         """Return the indices (r, 3) of the devices' rotation vectors."""
@@ -75,20 +76,25 @@ def joints_in_time(rows: PositionRows, x: Floats) -> Floats:
     return np.asarray(rows.q + rows.q_rate * gather(x, rows.constants, rows.time_offset))
 
 
-def in_device_axes(trace: PointTrace, rows: PositionRows, x: Floats, device: Floats, rot: Floats) -> Linearised:
-    """Return residual and derivatives for traced targets, devices (n or 1, 6) and their orientations (n or 1, 3, 3)."""
+def in_device_axes(
+    trace: PointTrace, rows: PositionRows, x: Floats, device: Floats, rot: Floats, turns: Floats
+) -> Linearised:
+    """Return residual and derivatives for traced targets and devices (n or 1, 6).
+
+    ``rot`` are the devices' orientations and ``turns`` the left Jacobians of their rotation vectors, (n or 1, 3, 3).
+    """
     p = len(trace.chain.parameters)
     lever = trace.p_base - device[:, :3]  # r
     predicted = np.einsum("nik,ni->nk", rot, lever)
-    axes = np.moveaxis(rot, 2, 0)  # (3, n or 1, 3) the device's, in the base frame
+    axes = rot.transpose(2, 0, 1)  # (3, n or 1, 3) the device's, in the base frame
     derivative = along(trace, axes)
     jac_rig = zero_columns(derivative.wrenches, x.size - p)
     scatter(jac_rig, rows.target - p, derivative.jac_point)
     if (rows.device < x.size).any():
         scatter(jac_rig, rows.device[:, :3] - p, np.broadcast_to(-axes, (3, *lever.shape)))
         # −u·(δφ × r) = (u × r)·δφ
-        moment = np.moveaxis(cross(np.moveaxis(axes, 2, 0), lever.T[:, None]), 0, 2)
-        scatter(jac_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, left_jacobian(device[:, 3:])))
+        moment = cross(axes.transpose(2, 0, 1), lever.T[:, None]).transpose(1, 2, 0)
+        scatter(jac_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, turns))
     if (rows.time_offset < x.size).any():
         by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
         scatter(jac_rig, rows.time_offset - p, by_time)

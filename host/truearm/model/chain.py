@@ -300,7 +300,7 @@ def along(trace: PointTrace, direction: Floats) -> PointDerivatives:
 
     Measured: 0.12 µs per pose for 54 parameters in blocks of 4096, and 0.09 for ``trace_point``.
     """
-    force, point = (np.moveaxis(v, -1, 0) for v in np.broadcast_arrays(direction, trace.p_base))
+    force, point = (v.transpose(-1, *range(v.ndim - 1)) for v in np.broadcast_arrays(direction, trace.p_base))
     return _carried(trace, force, cross(point, force))
 
 

@@ -42,17 +42,24 @@ def left_jacobian(vector: Floats) -> Floats:
     return _series(vector, b, c)
 
 
+def rotation_and_jacobian(vector: Floats) -> tuple[Floats, Floats]:
+    """Return ``rotation`` and ``left_jacobian`` of the same vectors (…, 3)."""
+    a, b, c = _coefficients(vector)
+    return _series(vector, a, b), _series(vector, b, c)
+
+
 def screw(twist: Floats) -> tuple[Floats, Floats]:
     """Return the rotation (3, 3) and shift (3,) [m] of the motion exp(ξ) by a twist ξ = (ω, v) (6,) [rad, m]."""
     omega, v = twist[:3], twist[3:]
-    a, b, c = _coefficients(omega)
-    return _series(omega, a, b), _series(omega, b, c) @ v
+    rot, jacobian = rotation_and_jacobian(omega)
+    return rot, jacobian @ v
 
 
 def turned(vector: Floats, change: Floats) -> Floats:
     """Return rotation vectors (…, 3), |ω| ≤ π, after the small rotations J_l(ω)·change, for changes (…, 3)."""
-    turn = (left_jacobian(vector) @ change[..., None])[..., 0]
-    return rotation_vector(rotation(turn) @ rotation(vector))
+    rot, jacobian = rotation_and_jacobian(vector)
+    turn = (jacobian @ change[..., None])[..., 0]
+    return rotation_vector(rotation(turn) @ rot)
 
 
 def rotation_vector(rot: Floats) -> Floats:
@@ -95,9 +102,14 @@ def _coefficients(vector: Floats) -> tuple[Floats, Floats, Floats]:
     vector = np.asarray(vector)
     t = (vector * vector).sum(axis=-1)
     near = np.abs(t) < SERIES_BELOW
+    if near.all():
+        a, b, c = _taylor(t)
+        return a, b, c
     theta = np.sqrt(np.where(near, 1.0, t))
     sine, half = np.sin(theta), np.sin(theta / 2.0)
     far = (sine / theta, 2.0 * (half / theta) ** 2, (theta - sine) / theta**3)
+    if not near.any():
+        return far
     a, b, c = np.where(near, _taylor(t), far)
     return a, b, c
 
