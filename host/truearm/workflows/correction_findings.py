@@ -165,7 +165,7 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
     if moves.unchecked:
         said.append(
             f"{counted(moves.unchecked, 'straight move was', 'straight moves were')} not checked between the ends, because the program does not "
-            "say at which joints it starts: begin with a joint move or correct with a home position."
+            "say at which joints it starts: begin the program with a joint move."
         )
     return said
 

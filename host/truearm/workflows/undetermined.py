@@ -15,7 +15,18 @@ from truearm.workflows.calibration import Calibration
 
 MOVES = 1e-6  # m of motion by an unseen direction with a largest weight of 1
 SHOWN, TERMS = 3, 3  # combinations, and parameters of each
-PARTS = 3  # of the name of a number of the rig: "sphere.s1.x", with several rigs after the rig's name
+NAMES = 8  # of held parameters
+SMALLEST = 0.005  # weight in a combination that is shown
+# In names of the rig's numbers, such as "sphere.s1.x", and in words.
+ITEMS = {
+    "chuck": "chucks",
+    "socket": "sockets",
+    "tracker": "trackers",
+    "line": "line devices",
+    "plane": "planes",
+    "sphere": "spheres on the end",
+    "target": "targets on the end",
+}
 
 
 def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
@@ -30,19 +41,26 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
         return [one for one in directions if np.abs(jac @ _column(chain, one)).max(initial=0.0) > MOVES]
 
     said = []
-    places = mounting(chain, calibration.nominal)
+    places, defaults = mounting(chain, calibration.nominal), calibration.document.get("defaults") or {}
     own = np.array(chain.parameter_names)
-    base, tool = set(own[places.base].tolist()), set(own[places.tool].tolist())
+    base = set(own[places.base].tolist())
     held = moving(calibration.stored.frames)
-    for what, names, outside in (("pose of the base", base, own_frames), ("mounting of the tool", tool, False)):
+    for what, key, mask, effect, outside in (
+        ("pose of the base", "base", places.base, "moves and turns all targets together, as one body", own_frames),
+        ("mounting of the tool", "tool", places.tool, "is the same offset in the end's frame at every pose", False),
+    ):
+        names = set(defaults.get(key) or own[mask].tolist())
         mine = [one for one in held if names.intersection(one.names)]
         if mine and not outside:
-            said.append(_held(what, mine, set(own.tolist())))
-    if said and not own_frames and any(base.intersection(one.names) for one in held):
-        said.append(
-            "For targets relative to the robot's own base, run truearm correct or truearm map with --own-frames."
-        )
-    if null := moving(calibration.stored.null_space):
+            said.append(_held(what, [name for name in own.tolist() if name in names], mine, effect))
+            if key == "base":
+                said.append(
+                    "For targets relative to the robot's own base, run truearm correct or truearm map with --own-frames."
+                )
+    null = moving(calibration.stored.null_space)
+    if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
+        null = [one for one in null if set(own.tolist()).intersection(one.names) - base]
+    if null:
         these = "; ".join(_terms(one) for one in null[:SHOWN]) + f"; and {len(null) - SHOWN} more" * (len(null) > SHOWN)
         said.append(
             f"Unidentifiable combinations of parameters move the end: {these}. Their nominal values are used. "
@@ -58,21 +76,23 @@ def unseen_by_use(calibration: Calibration, own_frames: bool) -> Floats:
     return unseen[:, (unseen[~base] != 0.0).any(axis=0)] if own_frames else unseen
 
 
-def _held(what: str, directions: Sequence[NullDirection], robot: set[str]) -> str:
+def _held(what: str, names: Sequence[str], directions: Sequence[NullDirection], effect: str) -> str:
     """Return a sentence on a choice of frame; items of the rig, such as "sphere.s1.x", tell why there was one."""
-    mine = dict.fromkeys(name for one in directions for name in one.names if name in robot)
-    rig = [name.split(".") for one in directions for name in one.names if name not in robot]
-    kinds = " and ".join(dict.fromkeys(f"{one_line(parts[-3])}s" for parts in rig if len(parts) >= PARTS))
-    why = f"the positions of the {kinds} are unknown" if kinds else "such observations cannot determine it in any pose"
+    parts = {part for one in directions for name in one.names for part in name.split(".")[:-1]}
+    unknown = " and ".join(words for item, words in ITEMS.items() if item in parts)
+    moved = {name for one in directions for name in one.names}
+    shown = listed([one_line(name) for name in names if name in moved], NAMES)
+    why = (
+        f"the positions of the {unknown} are unknown"
+        if unknown
+        else "such observations cannot determine it in any pose"
+    )
     then = (
-        f"measure the {kinds}, write them into the rig with their standard deviations, and identify again"
-        if kinds
+        f"measure the {unknown}, write them into the rig with their standard deviations, and identify again"
+        if unknown
         else "use another kind of observation"
     )
-    return (
-        f"The {what} ({listed([one_line(name) for name in mine])}) was held at its nominal value, because {why}. "
-        f"An error in it shifts every pose alike. To determine it, {then}."
-    )
+    return f"The {what} ({shown}) was held at its nominal value, because {why}. An error in it {effect}. To determine it, {then}."
 
 
 def _column(chain: Chain, direction: NullDirection) -> Floats:
@@ -81,6 +101,7 @@ def _column(chain: Chain, direction: NullDirection) -> Floats:
 
 
 def _terms(direction: NullDirection) -> str:
-    terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda term: -abs(term[0]))
+    terms = [term for term in zip(direction.weights, direction.names, strict=True) if abs(term[0]) >= SMALLEST]
+    terms = sorted(terms, key=lambda term: -abs(term[0]))
     more = f" and {len(terms) - TERMS} more" * (len(terms) > TERMS)
     return " ".join(f"{weight:+.2f} {one_line(name)}" for weight, name in terms[:TERMS]) + more
