@@ -82,7 +82,10 @@ def _next(state: ProjectState) -> tuple[str, str]:
             )
         case NextStep.CORRECT:
             result = os.path.relpath(state.results[-1].path)
-            return f"truearm correct {result} PROGRAM --out CORRECTED", "the robot is identified"
+            return (
+                f"truearm correct {result} PROGRAM --out CORRECTED",
+                "the robot is identified; if no rows were held out, judge it first with truearm validate",
+            )
         case _:
             assert_never(state.next)
 

@@ -31,7 +31,7 @@ from truearm.report.page_parts import command_block, html_page, picture, picture
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
-from truearm.report.result_words import kind_name, parts_words, pose_error_words
+from truearm.report.result_words import before_words, kind_name, parts_words, pose_error_words
 from truearm.report.usability_words import few_freedom
 from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted
@@ -108,7 +108,7 @@ def _verdict(page: CalibrationPage) -> str:
         _tile(
             "before",
             e.rms_before,
-            f"{counted(e.n_observations, 'observation')}, the nominal robot with base and tool fitted",
+            f"{counted(e.n_observations, 'observation')}, the nominal robot{before_words(e)}",
             "old",
         ),
     ]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import size
+from truearm.report.result_words import before_words
 from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted, outcome
 from truearm.units import DEGC, US
@@ -152,7 +153,7 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
     pairs = []
     for si, after in e.rms_after.items():
         parts = e.parts.get(si)
-        pairs.append(("RMS before, with base and tool fitted", size(e.rms_before[si], si)))
+        pairs.append((f"RMS before{before_words(e, ', ')}", size(e.rms_before[si], si)))
         pairs.append(("RMS after", size(after, si)))
         if parts is not None:
             pairs.append(("part of it that the declared noise does not explain", size(parts.unexplained, si)))

@@ -7,7 +7,7 @@ from typing import Any, assert_never
 
 from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
-from truearm.results import MeanError, PoseError, ResidualParts
+from truearm.results import Estimate, MeanError, PoseError, ResidualParts
 from truearm.text import counted, one_line, with_article
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
@@ -90,7 +90,7 @@ def unexplained_words(
     of = (
         f"{counted(n, 'pose')} held out"
         if held_out
-        else f"{counted(n, 'pose')}, each predicted from the rows of the others"
+        else f"{counted(n, 'pose')} that the rows of the other poses predict"
     )
     because = (
         "The declared noise does not explain the residuals" if systematic is None else "The fit has systematic errors"
@@ -124,6 +124,11 @@ def _by_sigmas(tool: tuple[float, int]) -> str:
 
 def _over_poses(tool: tuple[float, int]) -> str:
     return f"{number(tool[0], 'm')} {symbol('m')} RMS over {counted(tool[1], 'pose')}"
+
+
+def before_words(e: Estimate, lead: str = " ") -> str:
+    """Return what was fitted to the nominal robot for its errors: base and tool, or "" if they were left as described."""
+    return "" if e.rms_before == e.rms_raw else f"{lead}with base and tool fitted"
 
 
 def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str = Loss.LINEAR) -> str:
