@@ -74,7 +74,7 @@ def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> N
     told(process("identify"), "Missing argument")
     told(process("sing"), "sing")
     (tmp_path / "t.csv").write_bytes(b"\x89MCAP0\r\n\0\0")
-    told(process("identify", tmp_path / "t.csv", *good[2:]), "is not UTF-8")
+    told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
 
 
 def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
