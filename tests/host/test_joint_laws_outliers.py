@@ -7,6 +7,7 @@ import pytest
 from test_joint_laws_monte_carlo import DOWN, MIDDLE, NOISE, POINTS, WIDE, rig_of, rms_error, table_of, truth_of
 from ur10_bench import ROBOT
 
+from truearm.cli.outlier_text import suspects
 from truearm.model.chain import joint_frames, point_forward
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
@@ -76,3 +77,17 @@ def test_clean_rows_beside_sag_stay():
 @pytest.mark.parametrize("seed", range(4))
 def test_bad_rows_are_named_beside_gear_errors(seed):
     check(*world(20 + seed, 300, gear=True), "auto", seed, 0.02, 2e-3, 10e-3)
+
+
+@pytest.mark.parametrize(
+    ("laws", "why"), [(True, "they hardly change the fit"), (False, "most rows miss by more than their declared noise")]
+)
+def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
+    rows = [{"weight": weight, "source": "a.csv row 9", "distance": 6.0} for weight in (0.0, 1.0)]
+    document = {
+        "suspect": rows,
+        "n_observations": 200,
+        "with_outliers": None,
+        "joint_laws": {"tried": [{"kept": laws}]},
+    }
+    assert suspects(document)[1].startswith(f"Not left out, because {why}: a.csv row 9 (6.0 σ). ")

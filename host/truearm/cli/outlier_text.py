@@ -30,8 +30,10 @@ def suspects(document: Document) -> list[str]:
     else:
         lines = [f"{who} significantly with all others; {len(out)} left out of the fit: {_rows(out)}."]
         if kept:
+            usual = "most rows miss by more than their declared noise"
+            why = "they hardly change the fit" if _has_laws(document) else usual
             lines.append(
-                f"Not left out, because most rows miss by more than their declared noise: {_rows(kept)}. To leave out a row "
+                f"Not left out, because {why}: {_rows(kept)}. To leave out a row "
                 f'yourself: --leave-out "{one_line(kept[0]["source"])}".'
             )
     every = document["with_outliers"]
