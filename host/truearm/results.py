@@ -328,8 +328,8 @@ class PoseError(NamedTuple):
     n: int  # poses with several rows
 
 
-class WithOutliers(NamedTuple):
-    """The fit of all rows, where ``n`` of them are outliers and the estimate is based on the others."""
+class OtherFit(NamedTuple):
+    """A fit of other rows than the estimate's: with ``n`` outliers that it lacks, or without ``n`` bad rows that it has."""
 
     n: int
     value: Floats  # (p,) of all parameters
@@ -487,7 +487,8 @@ class Estimate:
     unexplained: Mapping[str, MeanError] = field(
         default_factory=dict
     )  # by SI unit, if something is systematic or χ² above its range
-    with_outliers: WithOutliers | None = None  # all rows, if outliers were left out (estimate.outliers)
+    with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
+    without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
     pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested

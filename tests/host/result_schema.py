@@ -55,6 +55,7 @@ OBJECTS = {
     "scale",
     "without_systematic",
     "with_outliers",
+    "without_bad_rows",
     "unexplained",
     "pose_error",
     "held_out",

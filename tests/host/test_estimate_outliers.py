@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from tests.host.puma_bench import CHAIN, FREE, RIG, SIGMA, SPHERES, TRUTH, random_table
 
+import truearm
+from truearm.cli import identify_text
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.model.chain import point_forward
+from truearm.report.suspect_words import bad_row_sentences, suspect_sentences
 
 REJECT = SolverOptions(reject=True)
 N = 360
@@ -101,3 +104,31 @@ def test_under_misfit_clean_rows_stay_and_a_bad_one_goes():
     assert (e.weight == 1.0).all()
     misfit.value[77] += 5e-3
     assert np.flatnonzero(identify(CHAIN, RIG, misfit, free=FREE, options=REJECT).weight == 0.0).tolist() == [77]
+
+
+@pytest.mark.parametrize("loss", ["linear", "cauchy"])
+def test_more_bad_rows_than_are_left_out_are_named(loss):
+    """22 of 360 rows, by 0.8 to 5 mm: the rows are bad, not the model, whichever loss is given."""
+    rng = np.random.default_rng(0)
+    t = random_table(N, rng, SIGMA)
+    bad = np.sort(rng.permutation(N)[:22])
+    t.value[bad] += rng.choice([-1.0, 1.0], 22) * rng.uniform(0.8e-3, 5e-3, 22)
+    of = truearm.identify(
+        truearm.load_robot("puma560"), t, RIG, options=truearm.IdentifyOptions(loss=loss, joint_laws="auto")
+    )
+    assert np.flatnonzero(of.estimate.suspect).tolist() == bad.tolist()
+    assert of.estimate.systematic is None
+    said = bad_row_sentences(of.document, "--{}".format)
+    advised = identify_text.advice(of.document, identify_text.ResultFiles([], None))
+    assert not any("the robot has errors" in line for line in (*advised, *suspect_sentences(of.document)))
+    if loss == "cauchy":
+        assert said == []
+        assert of.estimate.chi2_reduced < of.estimate.chi2_band[1]
+        assert tool_error(of.estimate) < 1.3 * of.predicted.rms
+    else:
+        assert said[0].startswith(
+            "22 of 360 rows are bad: they disagree significantly with all others, which the declared noise explains"
+        )
+        assert said[-1].endswith("or give --loss cauchy.")
+        assert of.estimate.without_bad_rows.chi2_reduced < of.estimate.chi2_band[1]
+        assert (of.estimate.weight == 1.0).all()

@@ -31,6 +31,7 @@ from truearm.report.result_words import (
     time_offset,
     unexplained_words,
 )
+from truearm.report.suspect_words import bad_row_sentences, suspect_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
@@ -63,6 +64,8 @@ def show_result(document: Document, files: ResultFiles) -> None:
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
         console.print(line)
+    for line in bad_row_sentences(document, _option):
+        console.print(line)
     for line in () if hardly_matters(document) else systematic_sentences(document, _option):
         console.print(line)
     for line in (*copy_sentences(document), *dwell_lines(document, files.inputs)):
@@ -81,7 +84,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
     if hardly_matters(document):
         for line in systematic_sentences(document, _option):
             console.print(line)
-    notes = (law_sentences, raw, timing, chi2_notes, suspects, held_out_notes, predicted, seen)
+    notes = (law_sentences, raw, timing, chi2_notes, suspect_sentences, held_out_notes, predicted, seen)
     for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, files):
@@ -413,7 +416,8 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
     solver = SOLVERS[document["solver"]]
     if solver.ends_by_recipe:
         lines.append(f"The solver {one_line(document['message'])}.")
-    if document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL:
+    doubtful = document["chi2_reduced"] is not None and document["chi2_reduced"] > CHI2_DOUBTFUL
+    if doubtful and document["without_bad_rows"] is None:
         factor = math.sqrt(document["chi2_reduced"])
         # Least squares and robust losses read the noise from the residuals.
         read_off = solver.reads_noise or document["loss"] != Loss.LINEAR

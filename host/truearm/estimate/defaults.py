@@ -18,6 +18,7 @@ Null space and hardly identifiable directions are reported from the data alone, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -33,6 +34,7 @@ from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled
 from truearm.estimate.solution import Options
+from truearm.estimate.solvers import Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
@@ -44,6 +46,7 @@ Mask = NDArray[np.bool_]
 
 STILL = 4.0  # weak σ, largest minus smallest reading
 LARGEST_MISFIT = 10.0  # ratio of the observed noise to the declared one
+HEAVY = 2.0  # RMS of the rows over that of the usual one; it is 1 for normal errors
 PRELIMINARY = 20  # iterations
 LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
 MOTION = 0.5  # rad, m: assumed motion of a still joint
@@ -134,7 +137,10 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
     wide = replace(problem, prior_sigma=everywhere)
     _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY)).x)
-    misfit = _usual_misfit(problem, x, columns)
+    misfit, rms = _misfit(problem, x, columns)
+    if rms > HEAVY * misfit:  # many bad rows bend the fit, so that the others err too
+        x = fit(wide, columns, x, Options(PRELIMINARY, Loss.CAUCHY)).x
+        misfit, _ = _misfit(problem, x, columns)
     root = _root(problem, x, free) / misfit
     needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
     return np.where(needed, unit / misfit, np.inf)
@@ -148,14 +154,16 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
     return replace(table.select(rows), q=q)
 
 
-def _usual_misfit(problem: Problem, x: Floats, columns: Mask) -> float:
-    """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; robust to a few outliers."""
-    ratios = [
-        np.linalg.norm(part.residual, axis=1) / np.sqrt(special.chdtri(part.residual.shape[1], 0.5))
-        for part in whitened_blocks(problem, x, columns)
-        if part.row is not None
-    ]
-    return float(np.clip(np.median(np.concatenate(ratios)), 1.0, LARGEST_MISFIT))
+def _misfit(problem: Problem, x: Floats, columns: Mask) -> tuple[float, float]:
+    """Return the ratio of the median row's residual to its expected value, 1 to LARGEST_MISFIT; and that of their RMS."""
+    ratios, squares = [], []
+    for part in whitened_blocks(problem, x, columns):
+        if part.row is not None:
+            length, width = np.linalg.norm(part.residual, axis=1), part.residual.shape[1]
+            ratios.append(length / np.sqrt(special.chdtri(width, 0.5)))
+            squares.append(length**2 / width)
+    usual = float(np.clip(np.median(np.concatenate(ratios)), 1.0, LARGEST_MISFIT))
+    return usual, math.sqrt(float(np.concatenate(squares).mean()))
 
 
 def still_joints(chain: Chain, q: Floats) -> tuple[StillJoint, ...]:

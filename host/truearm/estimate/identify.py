@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from truearm import option_defaults
 from truearm.errors import ProblemError
+from truearm.estimate.bad_rows import MOST as MOST_BAD
+from truearm.estimate.bad_rows import WithoutBad, without_bad_rows
 from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
@@ -28,7 +30,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
-from truearm.estimate.outliers import MOST, gross_rows, weightless, without_outliers
+from truearm.estimate.outliers import gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
@@ -43,7 +45,7 @@ from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain
 from truearm.progress import step
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, WithOutliers
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, OtherFit
 from truearm.types import Floats, ObservationTable, Residuals, not_left_out
 from truearm.units import UNITS
 
@@ -155,9 +157,11 @@ def identify(
     unweighted = goodness(*of_data(problem, columns, found), shares)
     loss = Loss(options.loss)
     distance, beyond = standardised(problem, x, columns, half(parts), found.weight)
-    fit_quality = unweighted
+    fit_quality, bad = unweighted, None
+    if rejects and found is every and found.status == "converged" and not fit_quality.explained:
+        bad = without_bad_rows(problem, columns, found, fit_quality, how_to)
     if loss is not Loss.LINEAR:  # outliers that it tolerates are named, and not a misfit of the others
-        tolerated = only(problem, ~beyond if beyond.mean() <= MOST else np.ones_like(beyond))
+        tolerated = only(problem, ~beyond if beyond.mean() <= MOST_BAD else np.ones_like(beyond))
         fit_quality = goodness(*weighted_chi2(tolerated, x, loss), shares)
     taken = only(problem, found.weight > 0.0)
     still = settled(taken, x)
@@ -188,6 +192,10 @@ def identify(
             )
             wrong = one_constant(made, wrong, state) or wrong
         wrong = replace(wrong, moves=moves(chain, x, x + wrong.shift, table.q[fitted]))
+    if bad is not None and wrong is not None and wrong.chi2_reduced <= fit_quality.band[1]:
+        bad = None  # systematic errors explain all rows
+    if bad is not None:
+        wrong, distance, beyond = None, bad.distance, bad.bad
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
     matrix = np.zeros((x.size, x.size))
@@ -249,17 +257,23 @@ def identify(
         systematic=wrong,
         unexplained=unexplained,
         with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),
+        without_bad_rows=None if bad is None else _without(bad),
         parts=residual_parts(taken, x, columns, half(parts)),
         pose_error=None if shared is None else shared.error,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
 
 
-def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> WithOutliers:
+def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> OtherFit:
     """Return the fit of all rows, to compare with the one without outliers."""
     shares = prior_shares(half(spectrum(every.information.root)), every.prior_sigma)
     chi2 = goodness(*of_data(problem, columns, every), shares).reduced
-    return WithOutliers(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
+    return OtherFit(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
+
+
+def _without(bad: WithoutBad) -> OtherFit:
+    rms = rms_of(bad.solution.information.residual, ~bad.bad)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced)
 
 
 def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:

@@ -140,7 +140,7 @@ def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
     low, high = estimate.chi2_band
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
     too_large = estimate.chi2_reduced < low and of_one
-    explained = estimate.chi2_reduced <= high and not too_large
+    explained = (estimate.chi2_reduced <= high and not too_large) or estimate.without_bad_rows is not None
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
 
 
@@ -154,6 +154,8 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
+    if estimate.without_bad_rows is not None:
+        return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
 
 

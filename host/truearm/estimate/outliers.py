@@ -74,7 +74,7 @@ def _times_the_median(problem: Problem, x: Floats, columns: Mask, gross: Mask) -
 
 def single(bad: Mask) -> bool:
     """Return whether so many of all rows can be outliers."""
-    return bool(bad.sum() <= MOST * bad.size) and _longest_run(bad) <= LONGEST_RUN
+    return bool(bad.sum() <= MOST * bad.size) and longest_run(bad) <= LONGEST_RUN
 
 
 class Rejection(NamedTuple):
@@ -149,7 +149,7 @@ def misfit(square: Floats, width: Indices, used: Mask) -> Floats:
     return times
 
 
-def _longest_run(flags: Mask) -> int:
+def longest_run(flags: Mask) -> int:
     """Return the length of the longest run of set flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))

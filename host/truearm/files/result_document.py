@@ -26,6 +26,7 @@ from truearm.results import (
     Figures,
     HeldOut,
     Observability,
+    OtherFit,
     PoseError,
     PredictedError,
     Relabelling,
@@ -106,7 +107,8 @@ def document_of(
         "scale": None if estimate.scale is None else estimate.scale._asdict(),
         **systematic_entries(estimate.systematic, table),
         "unexplained": _unexplained(estimate),
-        "with_outliers": _with_outliers(estimate, units),
+        "with_outliers": _other_fit(estimate, estimate.with_outliers, units),
+        "without_bad_rows": _other_fit(estimate, estimate.without_bad_rows, units),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
@@ -254,17 +256,16 @@ def _pose_error(error: PoseError | None) -> dict[str, Any] | None:
     return {"sigma_mm": shown_or_null(error.sigma, "m"), "row_variance": number_or_null(error.row), "n": error.n}
 
 
-def _with_outliers(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
-    """Return the fit of all rows, if outliers were left out."""
-    every = estimate.with_outliers
-    if every is None:
+def _other_fit(estimate: Estimate, other: OtherFit | None, units: Sequence[str]) -> dict[str, Any] | None:
+    """Return the fit with outliers that were left out, or without bad rows that were not."""
+    if other is None:
         return None
     return {
-        "n": every.n,
-        **_by_unit("rms_after", every.rms_after, units),
-        "chi2_reduced": number_or_null(every.chi2_reduced),
+        "n": other.n,
+        **_by_unit("rms_after", other.rms_after, units),
+        "chi2_reduced": number_or_null(other.chi2_reduced),
         "names": list(estimate.parameter_names),
-        "value": numbers_or_null(every.value),
+        "value": numbers_or_null(other.value),
     }
 
 

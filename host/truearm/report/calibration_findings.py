@@ -59,6 +59,8 @@ def chi2_words(e: Estimate) -> str:
     if not math.isfinite(low + high):
         return text + "."
     text += f"; if the declared σ and the model are right, it is between {figures(low)} and {figures(high)} (95 %). "
+    if e.without_bad_rows is not None:
+        return text + f"It is above this range: {counted(e.without_bad_rows.n, 'row')} are bad."
     if e.chi2_reduced > high:
         return (
             text

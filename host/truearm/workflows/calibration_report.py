@@ -43,6 +43,7 @@ def write_page(
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.result_words import copy_sentences
+    from truearm.report.suspect_words import bad_row_sentences
     from truearm.report.systematic_words import hardly_matters, systematic_sentences
     from truearm.report.usability_words import usability_sentences
 
@@ -50,6 +51,7 @@ def write_page(
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
     systematic = (
         *copy_sentences(found.document),
+        *bad_row_sentences(found.document),
         *systematic_sentences(found.document, str),
     )
     little = hardly_matters(found.document)

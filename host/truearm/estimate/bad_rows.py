@@ -1,0 +1,86 @@
+"""Bad rows that are too many to be left out, but without which the declared noise explains all others.
+
+``outliers`` leaves out at most 5 % of the rows. More of them bend a least-squares fit so far that it cannot tell them from
+the others. The Cauchy loss can: it weights rows by their distance and ends near the fit of the good ones. Rows beyond the
+gate from there are then left out of a least-squares fit, rows back within the gate return, and this repeats until
+nothing changes.
+
+The rows are bad if χ² of all others is then in its range, if at most MOST of all rows are bad, and if they follow each
+other no more than chance has it. A robot whose model is wrong, or whose noise is larger than declared, fails the first.
+Something that moved for some time fails the last.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.estimate.fit import fit
+from truearm.estimate.information import half, spectrum
+from truearm.estimate.outliers import LONGEST_RUN, longest_run, misfit
+from truearm.estimate.problem import Problem
+from truearm.estimate.solution import Options, Solution, of_data
+from truearm.estimate.solvers import Loss
+from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
+from truearm.estimate.whitened_rows import gate, only, squared_distances
+from truearm.types import Floats
+
+MOST = 0.25  # of the rows
+ROUNDS = 10
+HEAVY = 3.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
+CHANCE = 0.01  # probability of a longer run of bad rows in random order
+
+Mask = NDArray[np.bool_]
+
+
+class WithoutBad(NamedTuple):
+    """The fit without the bad rows: which they are, each row's distance [σ] from its prediction by it (n_rows,), χ²."""
+
+    bad: Mask
+    distance: Floats
+    solution: Solution
+    quality: Goodness
+
+
+def without_bad_rows(
+    problem: Problem, columns: Mask, found: Solution, quality: Goodness, options: Options
+) -> WithoutBad | None:
+    """Return the fit without the bad rows; None if there are none, or if they do not explain χ².
+
+    ``found`` is the least-squares fit of all rows over x[columns], with the ``quality`` that is out of its range.
+    """
+    square, width = _distances(problem, found, columns, np.ones(problem.n_rows))
+    usual = float(np.nanmax(misfit(square, width, np.isfinite(square)), initial=1.0))
+    if not quality.reduced > HEAVY * usual:
+        return None
+    options = options._replace(on_step=None)
+    here = fit(problem, columns, found.x, options._replace(loss=Loss.CAUCHY))
+    used, weight = np.zeros(problem.n_rows, dtype=bool), here.weight
+    for _ in range(ROUNDS):
+        square, width = _distances(problem, here, columns, weight)
+        chosen = ~(square > gate(width))
+        if np.array_equal(chosen, used):
+            break
+        used, weight = chosen, chosen.astype(float)
+        if (~used).mean() > MOST:
+            return None
+        here = fit(only(problem, used), columns, here.x, options)
+    else:
+        return None
+    if used.all() or here.status != "converged" or longest_run(~used) > _longest_by_chance(~used):
+        return None
+    shares = prior_shares(half(spectrum(here.information.root)), here.prior_sigma)
+    left = goodness(*of_data(problem, columns, here), shares)
+    return WithoutBad(~used, np.sqrt(square), here, left) if left.explained else None
+
+
+def _distances(problem: Problem, found: Solution, columns: Mask, weight: Floats) -> tuple[Floats, NDArray[np.intp]]:
+    return squared_distances(problem, found.x, columns, half(spectrum(found.information.root)), weight)
+
+
+def _longest_by_chance(bad: Mask) -> float:
+    """Return the longest run of the bad rows that is not beyond chance if they are in random order."""
+    return max(LONGEST_RUN, math.log(CHANCE / bad.size) / math.log(bad.mean()))

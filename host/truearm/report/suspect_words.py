@@ -1,0 +1,68 @@
+"""What is said about rows that disagree with all others, from the content of result.json."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from truearm.estimate.solvers import Loss
+from truearm.text import counted, one_line
+from truearm.units import SUFFIXES, UNITS
+
+MAX_ROWS = 6
+OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
+
+
+def bad_row_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
+    """Return which rows are bad, if they are too many to be left out but explain χ²; empty if there are none.
+
+    ``argument`` is the format of the arguments of an identification.
+    """
+    others = document["without_bad_rows"]
+    if others is None:
+        return []
+    n, fitted = others["n"], document["n_observations"]
+    return [
+        f"{n} of {counted(fitted, 'row')} are bad: they disagree significantly with all others, which the declared noise "
+        f"explains (without the bad rows: RMS {_rms(document, others)}, χ² per degree of freedom {others['chi2_reduced']:.3g}).",
+        f"Bad rows: {_named(document['suspect'])}.",
+        f"They are more than {OUTLIERS:.0%} of the rows, so they are still in the fit, and everything below is for all rows. "
+        f"Find their cause, then leave them out, or give {argument('loss')} {Loss.CAUCHY}.",
+    ]
+
+
+def suspect_sentences(document: Mapping[str, Any]) -> list[str]:
+    """Return the outliers."""
+    rows, fitted = document["suspect"], document["n_observations"]
+    if not rows or document["without_bad_rows"] is not None:
+        return []
+    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
+        return [
+            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
+            "wrong, or the sigmas are too small."
+        ]
+    out = sum(row["weight"] == 0.0 for row in rows)
+    end = f"; {out} left out of the fit" if out else ""
+    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
+    lines = [f"{who} significantly with all others{end}: {_named(rows)}."]
+    every = document["with_outliers"]
+    if every is not None:
+        lines.append(
+            f"The parameters are fitted without {'it' if every['n'] == 1 else 'them'}. Fitted to all rows: RMS {_rms(document, every)}, "
+            f"χ² per degree of freedom {every['chi2_reduced']:.3g}."
+        )
+    return lines
+
+
+def _named(rows: list[Mapping[str, Any]]) -> str:
+    named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
+    return named + (f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else "")
+
+
+def _rms(document: Mapping[str, Any], fit: Mapping[str, Any]) -> str:
+    """Return the RMS of another fit in each unit."""
+    parts = []
+    for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
+        value = fit[f"rms_after_{unit.suffix}"]
+        parts.append("-" if value is None else f"{value:.{UNITS[unit.si].decimals}f} {unit.symbol}")
+    return " and ".join(parts)
