@@ -124,6 +124,9 @@ class WrongInput(StrEnum):
 
     UNITS = "units"
     ROBOT = "robot"
+    ROTATIONS = "rotations"
+    AXES = "axes"  # left-handed
+    SHIFTED = "shifted rows"
     JOINTS = "joints"
     LABELS = "labels"
     SET_UP = "set-up"
@@ -484,9 +487,8 @@ class Estimate:
     outlying: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) by estimate.outliers
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
-    unexplained: Mapping[str, MeanError] = field(
-        default_factory=dict
-    )  # by SI unit, if something is systematic or χ² above its range
+    # by SI unit, if something is systematic or χ² above its range
+    unexplained: Mapping[str, MeanError] = field(default_factory=dict)
     with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
     without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out

@@ -34,7 +34,7 @@ def readings_are_right(monkeypatch):
 
     test_wrong_inputs.py and test_cli_identify.py try them all before wrong labels.
     """
-    monkeypatch.setattr(wrong_inputs, "other_readings", lambda *_: ())
+    monkeypatch.setattr(wrong_inputs, "_every_reading", lambda *_: ())
 
 
 def identify(chain, rig, table, **how):

@@ -10,6 +10,7 @@ import fault_worlds as worlds
 import numpy as np
 import pytest
 from puma_bench import SIGMA
+from scipy.spatial.transform import Rotation
 from ur10_bench import POSITION_SIGMA, tracked
 from ur10_bench import RIG as UR10_RIG
 from ur10_bench import ROBOT as UR10
@@ -92,6 +93,21 @@ MISTAKES = {
         WrongInput.JOINTS,
         "the sign of joint3 is reversed",
     ),
+    "the list of joints lost its first line": (
+        lambda: replace(session(), q=np.roll(session().q, -1, axis=0)),
+        WrongInput.SHIFTED,
+        "the joint readings in each row belong to the row after it",
+    ),
+    "lengths in inches under a title in millimetres": (
+        lambda: replace(session(), value=session().value / 25.4),
+        WrongInput.UNITS,
+        "the readings of length are in inches, not in millimetres",
+    ),
+    "one joint in radians under a title in degrees": (
+        lambda: replace(session(), q=session().q * [1, np.pi / 180, 1, 1, 1, 1]),
+        WrongInput.JOINTS,
+        "the readings of joint2 are in radians, not in degrees",
+    ),
     "the fixture stood elsewhere for the first 60 rows": (
         lambda: other_set_up(slice(60)),
         WrongInput.SET_UP,
@@ -127,6 +143,7 @@ MISTAKES = {
 
 ALWAYS = (
     "degrees that",
+    "the list of",
     "shoulder",
     "the fixture stood",
     "the encoder of joint 4",
@@ -241,7 +258,7 @@ def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels
 
     Units, robots and joints are tried before such a mistake in MISTAKES.
     """
-    monkeypatch.setattr(wrong_inputs, "other_readings", lambda *_: ())
+    monkeypatch.setattr(wrong_inputs, "_every_reading", lambda *_: ())
     rng, rig, plan = np.random.default_rng(52), worlds.RIG, worlds.plan()
     uneven = {
         column: {
@@ -264,6 +281,18 @@ def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels
         assert estimate.unusable in (Unusable.WRONG_INPUTS, Unusable.NOT_CONVERGED)
         assert [one.what for one in estimate.explanations] == [WrongInput.LABELS]
         assert "the names of the chucks are permuted in all rows" in estimate.explanations[0].text
+
+
+@pytest.mark.parametrize(
+    "convention", ["roll, pitch and yaw", pytest.param("of the device in", marks=pytest.mark.soak)]
+)
+def test_rotations_of_another_convention_are_named(convention):
+    poses = tracked("a", "pose", 40)
+    angles = Rotation.from_rotvec(poses.rotation).as_euler("xyz")
+    wrong = replace(poses, rotation=angles if convention.startswith("roll") else -poses.rotation)
+    estimate = found(wrong, UR10, UR10_RIG)
+    assert (estimate.explanations[0].what, estimate.unusable is None) == (WrongInput.ROTATIONS, False)
+    assert f"the rotations are {convention}" in estimate.explanations[0].text
 
 
 def test_a_step_of_a_joint_by_a_degree_is_rows_that_do_not_fit():

@@ -17,10 +17,10 @@ from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
-from truearm.results import WrongInput
 from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import DEG, MM, UNITS
 
+INCH = 0.0254  # m
 FEW_ROWS = 60  # enough to rank arrangements of joints
 MOST_FITTED = 4  # of the orders and signs of joints, those with the smallest residuals before the robot is fitted
 
@@ -44,15 +44,6 @@ class Interpretation(NamedTuple):
     free: Mask
 
 
-def other_readings(
-    chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, robots: Mapping[str, Candidate]
-) -> Iterator[tuple[WrongInput, list[Interpretation]]]:
-    """Return the interpretations of each type, the most common mistake first; each type is made when it is asked for."""
-    yield WrongInput.UNITS, list(_in_other_units(chain, rig, table, free))
-    yield WrongInput.ROBOT, list(of_other_robots(chain, rig, table, robots))
-    yield WrongInput.JOINTS, list(_of_other_joints(chain, rig, table, free))
-
-
 def of_other_robots(
     chain: Chain, rig: Rigs, table: ObservationTable, robots: Mapping[str, Candidate]
 ) -> Iterator[Interpretation]:
@@ -63,7 +54,7 @@ def of_other_robots(
             yield Interpretation(text, other.chain, rig, table, other.free)
 
 
-def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
+def in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
     """Return columns and points in the other unit."""
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
@@ -86,7 +77,8 @@ def _in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
             continue
         scale = MM.scale if quantity.unit == "m" else DEG.scale
         names = ("millimetres", "metres") if quantity.unit == "m" else ("degrees", "radians")
-        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+        inches = ((INCH / MM.scale, ("inches", "millimetres")),) if quantity.unit == "m" else ()
+        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1]), *inches):
             text = f"the readings of {quantity.words} are in {are}, not in {called}"
             yield Interpretation(text, chain, rig, _with_column(table, quantity.field, factor), free)
     for column, entry in points().items():
@@ -124,7 +116,7 @@ def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
     return replace(rig, **moved)
 
 
-def _of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
+def of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
     """Return the orders and signs of joints with the smallest residuals before the robot is fitted."""
     names = [joint.name for joint in chain.joints]
     few = table.select(thinned(len(table), FEW_ROWS))

@@ -5,7 +5,9 @@ not converge, the cause is rarely the robot. (If a trial fit, which runs longer,
 iteration was stopped early.) The usual mistakes in a lab are tried:
 
 - units: joints in degrees labelled as radians or the reverse; a measured column or the rig's points in millimetres
-  labelled as metres or the reverse (``other_readings``, as the next two);
+  labelled as metres or the reverse; readings in inches (``other_readings``, as robot and joints);
+- rotations in another convention, left-handed axes, joint readings one row late or early, one joint in another unit
+  (``misread_columns``);
 - joints: two exchanged, their order reversed or shifted, wrong signs of any of them;
 - robot: the other built-in robots with the same number of joints;
 - labels: names exchanged, renamed in a cycle, or wrong in some groups of rows (``label_search``);
@@ -36,7 +38,15 @@ from scipy import special
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_sentences import label_sentences
-from truearm.estimate.other_readings import Candidate, Interpretation, Mask, of_other_robots, other_readings
+from truearm.estimate.misread_columns import joint_in_other_unit, mirrored, other_rotations, shifted_rows
+from truearm.estimate.other_readings import (
+    Candidate,
+    Interpretation,
+    Mask,
+    in_other_units,
+    of_other_joints,
+    of_other_robots,
+)
 from truearm.estimate.problem import Rigs
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
@@ -124,9 +134,9 @@ def explanations_of(
     constants = list(wrong_constants(chain, rig, given, free, before, allowed))
     if any(of.fit.moved < NEAR for of in constants):
         return _ranked(constants), labels
-    for what, readings in other_readings(chain, rig, given, free, robots):
+    for what, readings in _every_reading(chain, rig, table, rows, given, free, robots):
         found += _explaining(what, readings, before)
-        if found:
+        if found and what is not WrongInput.AXES:  # a mirrored arm may also have other signs of joints
             break
     if not found:
         found += stuck_joint(chain, rig, table, np.flatnonzero(rows), free, before)
@@ -136,6 +146,25 @@ def explanations_of(
         found += _by_labels(labels, table, n)
     found += constants
     return _ranked(found), labels
+
+
+def _every_reading(
+    chain: Chain,
+    rig: Rigs,
+    table: ObservationTable,
+    rows: Mask,
+    given: ObservationTable,
+    free: Mask,
+    robots: Mapping[str, Candidate],
+) -> Iterator[tuple[WrongInput, list[Interpretation]]]:
+    """Return interpretations of each type, the most common mistake first; ``given`` are some of the ``rows`` (n,)."""
+    some = np.flatnonzero(rows)[thinned(int(rows.sum()))]
+    yield WrongInput.UNITS, list(in_other_units(chain, rig, given, free))
+    yield WrongInput.ROTATIONS, list(other_rotations(chain, rig, given, free))
+    yield WrongInput.SHIFTED, list(shifted_rows(chain, rig, table, some, free))
+    yield WrongInput.ROBOT, list(of_other_robots(chain, rig, given, robots))
+    yield WrongInput.AXES, list(mirrored(chain, rig, given, free))
+    yield WrongInput.JOINTS, [*of_other_joints(chain, rig, given, free), *joint_in_other_unit(chain, rig, given, free)]
 
 
 def _finished(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask) -> Trial | None:
@@ -187,9 +216,12 @@ def _apart(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: M
     if before is None or before.freedom < 1.0:
         return ()
     found = other_set_up(chain, rig, table, np.flatnonzero(rows), free, before, TENFOLD)
-    return _ranked(
-        [of for of in found if of.fit.reduced <= special.chdtri(of.fit.freedom, NOISE_LEVEL) / of.fit.freedom]
-    )
+    return _ranked([of for of in found if of.fit.reduced <= _largest_by_noise(of.fit)])
+
+
+def _largest_by_noise(fit: Trial) -> float:
+    """Return the largest χ²/ν that declared noise alone leaves, but for a probability of NOISE_LEVEL."""
+    return float(special.chdtri(fit.freedom, NOISE_LEVEL) / fit.freedom)
 
 
 def absurd(estimate: Estimate) -> bool:
