@@ -48,6 +48,7 @@ LISTS = {
     "all_held_out",
     "copies",
     "explanations",
+    "displaced",
 }
 OBJECTS = {
     "robot",

@@ -30,7 +30,7 @@ from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 from truearm.model.chain import point_forward
 from truearm.types import Device, ObservationTable, Point, Rig
-from truearm.workflows.identify import _check_rows
+from truearm.workflows.informative_rows import check_rows
 
 UNITS = ("rad",) * 6
 
@@ -250,7 +250,7 @@ def test_a_coordinate_that_never_changes(tmp_path, capsys):
     turned = np.zeros((60, 6))
     turned[:, 0] = q[:, 0]
     flat = replace(rows, q=turned, xyz=np.where(np.arange(3) == 2, 0.25, xyz))
-    _check_rows(CHAIN, flat, np.ones(60, dtype=bool))
+    check_rows(CHAIN, flat, np.ones(60, dtype=bool))
 
 
 def test_an_empty_column(tmp_path, capsys):

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from truearm.cli.outlier_text import suspects
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
+from truearm.report.displacement_words import displacement_sentences
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
@@ -84,7 +85,17 @@ def show_result(document: Document, files: ResultFiles) -> None:
     if hardly_matters(document):
         for line in systematic_sentences(document, _option):
             console.print(line)
-    notes = (law_sentences, raw, timing, chi2_notes, suspect_sentences, held_out_notes, predicted, seen)
+    notes = (
+        law_sentences,
+        raw,
+        timing,
+        chi2_notes,
+        suspect_sentences,
+        held_out_notes,
+        predicted,
+        displacement_sentences,
+        seen,
+    )
     for line in (line for words in notes for line in words(document)):
         console.print(line)
     for line in advice(document, files):

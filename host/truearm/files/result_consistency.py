@@ -41,11 +41,19 @@ WORDS: Mapping[str, Collection[str | bool | None]] = {
 }
 
 
+SINGLE: Mapping[str, type | tuple[type, ...]] = {  # fields of the whole result that are neither lists nor objects
+    **dict.fromkeys(("n_observations", "iterations", "n_free", "rank"), int),
+    **dict.fromkeys(("rank_gap", "chi2_reduced", "chi2_freedom"), (int, float, type(None))),
+    **dict.fromkeys(("message", "relabelling_search"), str),
+}
+
+
 def check_consistent(document: Mapping[str, Any]) -> None:
     """Raise SchemaError for a field of a result that contradicts itself or another."""
     for where, key, value in _fields({k: v for k, v in document.items() if k not in ("parameters", "covariance")}, ""):
         _check_number(where, key, value)
     _check_words(document)
+    _check_single(document)
     names = [parameter["name"] for parameter in document["parameters"]]
     free = [parameter["name"] for parameter in document["parameters"] if parameter["free"]]
     for parameter in document["parameters"]:
@@ -125,6 +133,18 @@ def _check_words(document: Mapping[str, Any]) -> None:
             raise SchemaError(f"explanations: item {i}: what: {quoted(one['what'])} is not known, {WHOLE}")
     if "usable" in document and document["usable"] != (document.get("unusable_because") is None):
         raise SchemaError(f"usable: contradicts unusable_because, {WHOLE}")
+
+
+def _check_single(document: Mapping[str, Any]) -> None:
+    """Raise SchemaError for a field of another type, and for a rank that is larger than the number of free parameters."""
+    for key, kind in SINGLE.items():
+        value = document.get(key)
+        if key in document and (not isinstance(value, kind) or isinstance(value, bool)):
+            raise SchemaError(f"{key}: {quoted(value)} is of another type, {WHOLE}")
+    if (document.get("rank_gap") or 0.0) < 0.0:
+        raise SchemaError(f"rank_gap: is negative, {WHOLE}")
+    if "rank" in document and "n_free" in document and document["rank"] > document["n_free"]:
+        raise SchemaError(f"rank: is larger than n_free, {WHOLE}")
 
 
 def _check_number(where: str, key: str, value: Any) -> None:

@@ -20,6 +20,7 @@ UNIT_RATIOS = {
     100.0: "a hundred (metres and centimetres)",
 }
 SAME_RATIO = 0.02  # relative
+SHARED = "This is what the rows measure; errors that all of them share are not in it."
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
@@ -103,14 +104,14 @@ def unexplained_words(
         ]
         return lines if tool is None else [*lines, _by_sigmas(tool)]
     if tool is None:
-        return [f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}."]
+        return [f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}. {SHARED}"]
     if "m" in errors and tool[0] > measured:
         return [
             f"{because}. Expect tool errors of {_over_poses(tool)}, as the sigmas predict: the rows show only part of the tool's error.",
             f"The error that the rows show: {' and '.join(parts)}, the mean of {of}.",
         ]
     return [
-        f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}.",
+        f"{because}. Expect errors of {' and '.join(parts)}, the mean of {of}. {SHARED}",
         _by_sigmas(tool),
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, assert_never
 
 from truearm.results import DriftWith, ErrorForm
@@ -45,6 +45,7 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     given = [item for entry in found for item in entry["apply"].items()]
     apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
     little = " This is less than a tenth of the error to expect." if hardly_matters(document) else ""
+    lines += _undetermined(found)
     return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
 
 
@@ -106,4 +107,36 @@ def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
         return "an amount that cannot be determined"
+    if any(hardly_determined(of) for of in entry["off_by"]):
+        return ", ".join(_number(of) for of in entry["off_by"])
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"
+
+
+def hardly_determined(off_by: Mapping[str, Any]) -> bool:
+    """Return whether the rows determine a number of an item less accurately than a drawing does."""
+    return off_by["sigma"] is None or bool(off_by["sigma"] > UNITS[off_by["unit"]].weak_sigma)
+
+
+def _number(off_by: Mapping[str, Any]) -> str:
+    """Return the name, size and σ of a number that is off; a size within its large σ would say nothing."""
+    name, value, sigma = one_line(off_by["name"]).rpartition(".")[2], off_by["value"], off_by["sigma"]
+    scale = UNITS[off_by["unit"]].scale
+    if value is None or sigma is None:
+        return f"{name} not determined"
+    if hardly_determined(off_by) and abs(value) < 2.0 * sigma:
+        return f"{name} not determined (σ {scale.text(sigma, '.2g')})"
+    return f"{name} {scale.text(value, '.3g')} (σ {scale.text(sigma, '.1g')})"
+
+
+def _undetermined(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what follows for the tool from items that are off in all rows by a hardly determined amount."""
+    of = [
+        one for one in found if one["apply"].get("allow") == one["what"] and any(map(hardly_determined, one["off_by"]))
+    ]
+    if not of:
+        return []
+    names = [str(number["name"]) for one in of for number in one["off_by"] if hardly_determined(number)]
+    return [
+        f"These rows hardly determine {', '.join(map(one_line, names))}, and the position of the tool depends on it. Measure "
+        "it, and correct the rig."
+    ]

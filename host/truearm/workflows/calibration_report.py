@@ -40,6 +40,7 @@ def write_page(
     """
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.certificate import facts_of
+    from truearm.report.displacement_words import displacement_sentences
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
     from truearm.report.result_words import copy_sentences
@@ -75,7 +76,12 @@ def write_page(
         certificate=certificate,
         systematic=() if little else systematic,
         usability=tuple(usability_sentences(found.document)),
-        notes=(*_timing(estimate), *_error_elsewhere(found), *(systematic if little else ())),
+        notes=(
+            *_timing(estimate),
+            *_error_elsewhere(found),
+            *displacement_sentences(found.document),
+            *(systematic if little else ()),
+        ),
     )
     write_atomic(path, render(page))
 

@@ -16,6 +16,7 @@ from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
+from truearm.estimate.displaced_mounts import Displaced, displaced_mounts
 from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
@@ -26,32 +27,30 @@ from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import Rigs
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
+from truearm.estimate.undetermined import tool_undetermined
 from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_document import copies_of, document_of
 from truearm.files.result_file import Input, RobotFrames, looks_like_result, with_checksum, write_result
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.stored_result import stored_result
-from truearm.kinds.quantities import POINT, Quantity
-from truearm.kinds.registry import kinds
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import Chain, forward
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.results import Effect, Estimate, PredictedError
-from truearm.types import Floats, ObservationTable
+from truearm.types import ObservationTable
+from truearm.units import shown
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
+from truearm.workflows.informative_rows import check_rows
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.selection import default_free, free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Mask = NDArray[np.bool_]
-IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
-LEAST_ROWS = 5  # of a kind, which must not all be equal
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -230,39 +229,11 @@ def _held_out_facts(table: ObservationTable, held: Mask | None) -> dict[str, Any
     }
 
 
-def _check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
-    """Raise ProblemError for ``rows`` (n,) without information: a single row, or readings that never change though the
-    robot moves.
-
-    A single coordinate of a point may stay the same while the end moves in a plane, but not while it moves in space.
-    """
-    if rows.sum() == 1:
-        more = "measure more poses" if len(table) == 1 else f"hold out or leave out fewer of the {len(table)}"
-        raise ProblemError(f"{table.source[int(np.argmax(rows))]}: 1 row cannot identify a robot; {more}")
-    for name, kind in kinds().items():
-        mine = table.select(rows & (table.kind == name))
-        if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
-            continue
-        for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
-            values = mine.column(quantity.field, np.nan).reshape(len(mine), -1)
-            if not np.ptp(values, axis=0).any():
-                are = "are" if " and " in quantity.words else "is"
-                text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"
-                raise ProblemError(f"{mine.source[0]}: {text}; check that the sensor was read")
-            same = [one for one, span in zip(quantity.columns, np.ptp(values, axis=0), strict=False) if not span]
-            if quantity == POINT and same and _moves_in_space(chain, mine.q):
-                are = "are" if len(same) > 1 else "is"
-                text = f"{' and '.join(same)} {are} the same in all {len(mine)} {name} rows though the joints move the end in space"
-                column = f"column{'s' if len(same) > 1 else ''} of {' and '.join(same)}"
-                raise ProblemError(f"{mine.source[0]}: {text}; check what the device wrote to the {column}")
-
-
-def _moves_in_space(chain: Chain, q: Floats) -> bool:
-    """Return whether the nominal end moves in all three directions, at readings q (n, j)."""
-    if q.shape[1] != len(chain.joints) or not np.isfinite(q).all():
-        return False  # ``build_problem`` names these errors
-    points = forward(chain, chain.params_nominal, q)[:, :3, 3]
-    return bool(np.sqrt(np.linalg.eigvalsh(np.cov(points.T))[0]) > IN_SPACE)
+def _displaced(found: Sequence[Displaced]) -> list[dict[str, Any]]:
+    """Return base and tool if they are not where they are described, as in result.json."""
+    return [
+        {"frame": of.frame, "distance_mm": shown(of.distance, "m"), "turn_deg": shown(of.turn, "rad")} for of in found
+    ]
 
 
 def _other_robots() -> dict[str, Candidate]:
@@ -317,7 +288,7 @@ def identified(
         unused |= selection.held_out
     if unused.all():
         raise ProblemError("no observations are left to fit; hold out or leave out fewer")
-    _check_rows(chain, table, ~unused)
+    check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects = tuple(map(parse_effect, options.allow))
     allowed = [one.select(~unused) for one in modelled_of(chain, rig, table, effects)]
@@ -375,13 +346,14 @@ def identified(
     predicted = None
     if estimate.status == "converged" and not estimate.unusable:
         predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
-        if predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained):
+        exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
+        if exceeded or tool_undetermined(estimate.systematic):
             predicted = None
     frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
     document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
     document |= {"sessions": [count._asdict() for count in counts], "copies": copies_of(copied, table)}
-    document |= {"made_with": made_with}
+    document |= {"made_with": made_with, "displaced": _displaced(displaced_mounts(chain, estimate))}
     document = with_checksum({**document, **_held_out_facts(table, selection.held_out)})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

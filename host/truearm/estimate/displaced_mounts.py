@@ -1,0 +1,58 @@
+"""How far base and tool stand, after a fit, from where robot file and rig describe them.
+
+Chucks, spheres and sockets that are all wrong by one motion leave no residual: base or tool move with them, and the tool
+errs by that motion. So does a single wrong item along directions that no row sees. A base or tool beyond a drawing's
+tolerance is therefore reported. Usually nobody measured its place, and then it means nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from truearm.estimate.frame_choice import mounting
+from truearm.model.chain import Chain, forward
+from truearm.model.poses import inverted
+from truearm.model.rotation import rotation_vector
+from truearm.results import Estimate
+from truearm.types import Floats
+from truearm.units import UNITS
+
+SURELY = 6.0  # standard deviations
+
+
+class Displaced(NamedTuple):
+    """A frame, "base" or "tool", and how far its origin [m] and its axes [rad] are from where they are described."""
+
+    frame: str
+    distance: float
+    turn: float
+
+
+def displaced_mounts(chain: Chain, estimate: Estimate) -> tuple[Displaced, ...]:
+    """Return base and tool if they are farther from their described poses than a drawing tolerates, beyond doubt.
+
+    ``chain`` is the robot of the estimate. Empty for a fit that did not converge or is not usable.
+    """
+    if estimate.unusable or estimate.status != "converged":
+        return ()
+    nominal, value = (of[: estimate.n_robot_parameters] for of in (estimate.nominal, estimate.value))
+    mounted = mounting(chain, nominal)
+    sure = np.abs(value - nominal) > SURELY * np.nan_to_num(estimate.sigma[: value.size], nan=np.inf)
+    q = np.zeros((1, len(chain.joints)))
+    before = forward(chain, nominal, q)[0]
+    found = []
+    for name, mine in (("base", mounted.base), ("tool", mounted.tool & ~mounted.base)):
+        if not (sure & mine).any():
+            continue
+        after = forward(chain, np.where(mine, value, nominal), q)[0]
+        motion = after @ inverted(before) if name == "base" else inverted(before) @ after
+        one = _motion(name, motion)
+        if one.distance > UNITS["m"].weak_sigma or one.turn > UNITS["rad"].weak_sigma:
+            found.append(one)
+    return tuple(found)
+
+
+def _motion(name: str, pose: Floats) -> Displaced:
+    return Displaced(name, float(np.linalg.norm(pose[:3, 3])), float(np.linalg.norm(rotation_vector(pose[:3, :3]))))
