@@ -487,8 +487,7 @@ class Estimate:
     outlying: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (n,) by estimate.outliers
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
-    # by SI unit, if something is systematic or χ² above its range
-    unexplained: Mapping[str, MeanError] = field(default_factory=dict)
+    unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by unit, if systematic or χ² above its range
     with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
     without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out

@@ -8,10 +8,11 @@ from tests.host.puma_bench import CHAIN, FREE, RIG, SIGMA, SPHERES, TRUTH, rando
 
 import truearm
 from truearm.cli import identify_text
+from truearm.cli.outlier_text import suspects
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.model.chain import point_forward
-from truearm.report.suspect_words import bad_row_sentences, suspect_sentences
+from truearm.report.suspect_words import bad_row_sentences
 
 REJECT = SolverOptions(reject=True)
 N = 360
@@ -120,7 +121,7 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
     assert of.estimate.systematic is None
     said = bad_row_sentences(of.document, "--{}".format)
     advised = identify_text.advice(of.document, identify_text.ResultFiles([], None))
-    assert not any("the robot has errors" in line for line in (*advised, *suspect_sentences(of.document)))
+    assert not any("the robot has errors" in line for line in (*advised, *suspects(of.document)))
     if loss == "cauchy":
         assert said == []
         assert of.estimate.chi2_reduced < of.estimate.chi2_band[1]

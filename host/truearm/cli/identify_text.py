@@ -32,7 +32,7 @@ from truearm.report.result_words import (
     time_offset,
     unexplained_words,
 )
-from truearm.report.suspect_words import bad_row_sentences, suspect_sentences
+from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, usability_sentences
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
@@ -90,7 +90,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
         raw,
         timing,
         chi2_notes,
-        suspect_sentences,
+        suspects,
         held_out_notes,
         predicted,
         displacement_sentences,

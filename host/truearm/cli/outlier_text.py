@@ -16,7 +16,7 @@ MAX_ROWS = 6
 def suspects(document: Document) -> list[str]:
     """Return the outliers."""
     rows, fitted = document["suspect"], document["n_observations"]
-    if not rows:
+    if not rows or document["without_bad_rows"] is not None:
         return []
     if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
         return [

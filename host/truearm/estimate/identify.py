@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
-from truearm.estimate.bad_rows import WithoutBad, without_bad_rows
+from truearm.estimate.bad_rows import without_bad_rows
 from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
@@ -30,6 +30,7 @@ from truearm.estimate.identifiability import (
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
+from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
@@ -45,7 +46,7 @@ from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain
 from truearm.progress import step
-from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection, OtherFit
+from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
 from truearm.types import Floats, ObservationTable, Residuals, not_left_out
 from truearm.units import UNITS
 
@@ -256,24 +257,12 @@ def identify(
         additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
         systematic=wrong,
         unexplained=unexplained,
-        with_outliers=None if found is every else _with_all_rows(problem, columns, every, found),
-        without_bad_rows=None if bad is None else _without(bad),
+        with_outliers=None if found is every else with_all_rows(problem, columns, every, found),
+        without_bad_rows=None if bad is None else without_bad(bad),
         parts=residual_parts(taken, x, columns, half(parts)),
         pose_error=None if shared is None else shared.error,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
-
-
-def _with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> OtherFit:
-    """Return the fit of all rows, to compare with the one without outliers."""
-    shares = prior_shares(half(spectrum(every.information.root)), every.prior_sigma)
-    chi2 = goodness(*of_data(problem, columns, every), shares).reduced
-    return OtherFit(int((found.weight == 0.0).sum()), every.x, rms_of(every.information.residual), chi2)
-
-
-def _without(bad: WithoutBad) -> OtherFit:
-    rms = rms_of(bad.solution.information.residual, ~bad.bad)
-    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced)
 
 
 def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]:

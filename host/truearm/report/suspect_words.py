@@ -1,4 +1,4 @@
-"""What is said about rows that disagree with all others, from the content of result.json."""
+"""What is said about bad rows that are too many to be left out, from the content of result.json."""
 
 from __future__ import annotations
 
@@ -29,29 +29,6 @@ def bad_row_sentences(document: Mapping[str, Any], argument: Callable[[str], str
         f"They are more than {OUTLIERS:.0%} of the rows, so they are still in the fit, and everything below is for all rows. "
         f"Find their cause, then leave them out, or give {argument('loss')} {Loss.CAUCHY}.",
     ]
-
-
-def suspect_sentences(document: Mapping[str, Any]) -> list[str]:
-    """Return the outliers."""
-    rows, fitted = document["suspect"], document["n_observations"]
-    if not rows or document["without_bad_rows"] is not None:
-        return []
-    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
-        return [
-            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
-            "wrong, or the sigmas are too small."
-        ]
-    out = sum(row["weight"] == 0.0 for row in rows)
-    end = f"; {out} left out of the fit" if out else ""
-    who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
-    lines = [f"{who} significantly with all others{end}: {_named(rows)}."]
-    every = document["with_outliers"]
-    if every is not None:
-        lines.append(
-            f"The parameters are fitted without {'it' if every['n'] == 1 else 'them'}. Fitted to all rows: RMS {_rms(document, every)}, "
-            f"χ² per degree of freedom {every['chi2_reduced']:.3g}."
-        )
-    return lines
 
 
 def _named(rows: list[Mapping[str, Any]]) -> str:

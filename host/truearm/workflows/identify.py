@@ -35,6 +35,7 @@ from truearm.files.result_file import Input, RobotFrames, looks_like_result, wit
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.stored_result import stored_result
 from truearm.model.builtin import builtin_names
+from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
