@@ -107,8 +107,8 @@ def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
         return "an amount that cannot be determined"
-    if any(hardly_determined(of) for of in entry["off_by"]):
-        return ", ".join(_number(of) for of in entry["off_by"])
+    if any(hardly_determined(of) for of in entry.get("off_by", ())):
+        return ", ".join(_number(of) for of in entry.get("off_by", ()))
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"
 
 
@@ -131,7 +131,9 @@ def _number(off_by: Mapping[str, Any]) -> str:
 def _undetermined(found: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what follows for the tool from items that are off in all rows by a hardly determined amount."""
     of = [
-        one for one in found if one["apply"].get("allow") == one["what"] and any(map(hardly_determined, one["off_by"]))
+        one
+        for one in found
+        if one["apply"].get("allow") == one["what"] and any(map(hardly_determined, one.get("off_by", ())))
     ]
     if not of:
         return []
