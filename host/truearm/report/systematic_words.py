@@ -45,7 +45,10 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     given = [item for entry in found for item in entry["apply"].items()]
     apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
     little = " This is less than a tenth of the error to expect." if hardly_matters(document) else ""
-    lines += _undetermined(found)
+    unknown = _undetermined(found)
+    if unknown:  # a motion to first order says nothing about how far such numbers take the tool
+        moved, little = ", but the tool is then as uncertain as they are", ""
+    lines += unknown
     return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
 
 
