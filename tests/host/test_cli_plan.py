@@ -155,7 +155,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--minutes", "5"], "give one budget, either"),
         (["--spread-mm", "nan"], "--spread-mm"),
         (["--dwell-s", "inf"], "--dwell-s"),
-        (["--model", "bare.toml"], "give LOW:HIGH,… in degrees as --branch"),
+        (["--model", "bare.toml"], "give LOW:HIGH of its 6 joints in degrees, with commas between them, as --branch"),
         (["--region", "1:2"], "--region '1:2'"),
         (["--region", "5000:5001,0:1,0:1"], "cannot reach the region"),
         (["--bar", "nope"], "--bar 'nope': is not in the rig; use one of bar25, bar32"),

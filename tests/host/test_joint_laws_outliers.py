@@ -88,6 +88,7 @@ def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
         "suspect": rows,
         "n_observations": 200,
         "with_outliers": None,
+        "without_bad_rows": None,
         "joint_laws": {"tried": [{"kept": laws}]},
     }
     assert suspects(document)[1].startswith(f"Not left out, because {why}: a.csv row 9 (6.0 σ). ")

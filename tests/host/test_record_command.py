@@ -181,11 +181,12 @@ class TestRefused:
 
     def test_no_file_to_write(self, tmp_path, capsys):
         """A failed recording removes its file: /dev/null must not be taken for one."""
-        (tmp_path / "null").symlink_to(os.devnull)
-        for name in ("null", "."):
+        (tmp_path / "null.mcap").symlink_to(os.devnull)
+        (tmp_path / "folder.mcap").mkdir()
+        for name in ("null.mcap", "folder.mcap"):
             assert main(["record", "--box", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
             assert "give the name of a file to write" in capsys.readouterr().err
-        assert (tmp_path / "null").is_symlink()
+        assert (tmp_path / "null.mcap").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):
         (tmp_path / "s.mcap").write_bytes(EARLIER)

@@ -29,6 +29,7 @@ from truearm.estimate.whitened_rows import gate, only, squared_distances
 from truearm.types import Floats
 
 MOST = 0.25  # of the rows
+LEAST_LEFT = 10.0  # degrees of freedom of the other rows: with fewer, leaving out rows explains anything
 ROUNDS = 10
 HEAVY = 3.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
 CHANCE = 0.01  # probability of a longer run of bad rows in random order
@@ -74,7 +75,8 @@ def without_bad_rows(
         return None
     shares = prior_shares(half(spectrum(here.information.root)), here.prior_sigma)
     left = goodness(*of_data(problem, columns, here), shares)
-    return WithoutBad(~used, np.sqrt(square), here, left) if left.explained else None
+    explained = left.explained and left.freedom >= LEAST_LEFT
+    return WithoutBad(~used, np.sqrt(square), here, left) if explained else None
 
 
 def _distances(problem: Problem, found: Solution, columns: Mask, weight: Floats) -> tuple[Floats, NDArray[np.intp]]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.estimate.frame_choice import mounting
-from truearm.model.chain import Chain, forward
+from truearm.model.chain import Chain, forward, joint_frames
 from truearm.model.poses import inverted
 from truearm.model.rotation import rotation_vector
 from truearm.results import Estimate
@@ -23,7 +23,10 @@ SURELY = 6.0  # standard deviations
 
 
 class Displaced(NamedTuple):
-    """A frame, "base" or "tool", and how far its origin [m] and its axes [rad] are from where they are described."""
+    """A frame, "base" or "tool", and how far its origin [m] and its axes [rad] are from where they are described.
+
+    The origin of the base is that of the first joint.
+    """
 
     frame: str
     distance: float
@@ -46,13 +49,18 @@ def displaced_mounts(chain: Chain, estimate: Estimate) -> tuple[Displaced, ...]:
     for name, mine in (("base", mounted.base), ("tool", mounted.tool & ~mounted.base)):
         if not (sure & mine).any():
             continue
-        after = forward(chain, np.where(mine, value, nominal), q)[0]
-        motion = after @ inverted(before) if name == "base" else inverted(before) @ after
-        one = _motion(name, motion)
+        params = np.where(mine, value, nominal)
+        after = forward(chain, params, q)[0]
+        if name == "base":  # at the first joint: a turn alone leaves it where it is
+            stood, stands = (joint_frames(chain, of, q)[0, 0, :3, 3] for of in (nominal, params))
+            one = Displaced(name, float(np.linalg.norm(stands - stood)), _turn(after @ inverted(before)))
+        else:
+            motion = inverted(before) @ after
+            one = Displaced(name, float(np.linalg.norm(motion[:3, 3])), _turn(motion))
         if one.distance > UNITS["m"].weak_sigma or one.turn > UNITS["rad"].weak_sigma:
             found.append(one)
     return tuple(found)
 
 
-def _motion(name: str, pose: Floats) -> Displaced:
-    return Displaced(name, float(np.linalg.norm(pose[:3, 3])), float(np.linalg.norm(rotation_vector(pose[:3, :3]))))
+def _turn(pose: Floats) -> float:
+    return float(np.linalg.norm(rotation_vector(pose[:3, :3])))
