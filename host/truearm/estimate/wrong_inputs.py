@@ -142,6 +142,8 @@ def explanations_of(
         found += stuck_joint(chain, rig, table, np.flatnonzero(rows), free, before)
     if not found:
         found += other_set_up(chain, rig, table, np.flatnonzero(rows), free, before)
+    if all(of.explanation.what in (WrongInput.AXES, WrongInput.SET_UP) for of in found):
+        # Two points exchanged that lie alike on either side of a plane are the mirror images of each other.
         labels = relabellings(chain, rig, table, rows, free, [of.fit for of in found])
         found += _by_labels(labels, table, n)
     found += constants
@@ -177,18 +179,23 @@ def _finished(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free
 def _as_described(
     chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, robots: Mapping[str, Candidate]
 ) -> tuple[tuple[Explanation, ...], Search]:
-    """Return labels that place base and tool where they were described, and robots whose links are as described.
+    """Return labels that place base and tool where they were described, and robots and units with links as described.
 
-    The fit has no other sign of error: another robot of the same arrangement of axes fits as well, with other links.
+    The fit has no other sign of error: another robot of the same arrangement of axes fits as well, with other links, and a
+    joint in another unit with another gain.
     """
     given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
     before = tried(chain, rig, given, free)
     found: list[Found] = []
     if before is not None and before.shifted > FAR:
-        for one in of_other_robots(chain, rig, given, robots):
-            after = tried(one.chain, one.rig, one.table, one.free)
-            if after is not None and after.shifted < NEAR and after.reduced <= AS_WELL * before.reduced:
-                found.append(found_in(WrongInput.ROBOT, one.text, len(given), before, after, 1))
+        for what, readings in (
+            (WrongInput.ROBOT, of_other_robots(chain, rig, given, robots)),
+            (WrongInput.JOINTS, joint_in_other_unit(chain, rig, given, free)),
+        ):
+            for one in readings:
+                after = tried(one.chain, one.rig, one.table, one.free)
+                if after is not None and after.shifted < NEAR and after.reduced <= AS_WELL * before.reduced:
+                    found.append(found_in(what, one.text, len(given), before, after, 1))
     labels = Search((), "not needed")
     if before is None or before.moved > FAR:  # else only a parameter that the rows hardly see is far off
         labels = relabellings(chain, rig, table, rows, free)
