@@ -173,6 +173,21 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     assert "identify from more varied poses" in words
     assert "identify from these rows too" not in words  # they were
     assert "unknowns of the rig were estimated" in said
+    # Sockets at unknown places determine neither base nor tool, so neither was fitted.
+    assert '"Without" is the nominal robot, with base and tool as described.' in said
+    assert "No rig" not in said
+    said = run("validate", tmp_path / "r.json", rows, "--model", urdf)[1]
+    assert said.startswith("No rig was given, but the identification used one (rig.toml).")
+    for way in ("export", "correct"):
+        targets = tmp_path / "targets.csv"
+        targets.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n400,0,300,180,0,0\n")
+        more = ("--format", "urdf") if way == "export" else (targets,)
+        out = ("--out", tmp_path / ("o.urdf" if way == "export" else "o.csv"))
+        code, _, err = run(way, tmp_path / "r.json", *more, "--model", urdf, "--tip", "panda_link8", *out)
+        assert code == 2
+        assert "--model, with --base panda_link0 and --tip ball_link" in err
+    code, _, err = run("report", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--out", tmp_path / "r.html")
+    assert code == 0, err  # base and tip are those of the result
 
 
 def test_bad_input_is_one_line(folder, tmp_path, run):

@@ -155,7 +155,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Number of times that each pairing is mounted; with 2, drift and slip show.",
+            help="Number of rounds over all pairings; with 2, drift and slip show.",
             **bounded(VISITS),
         ),
     ] = option_defaults.VISITS,

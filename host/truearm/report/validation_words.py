@@ -19,6 +19,8 @@ def verdict(document: Mapping[str, Any]) -> str:
     helped = [suffix for suffix, better in document["better"].items() if better]
     told = [_Told.of(document["expected"], unit) for unit in units if _Told.known(document["expected"], unit)]
     remedy = "identify from more varied poses" if document["identified_from"] else "identify from these rows too"
+    if document["without_rig"]:
+        remedy = "give the rig first"
     if document["consistent"] and told:
         explained = " and ".join(of.text(of.rms) for of in told)
         words = f"The calibration holds: the errors are consistent with declared noise and the calibration's uncertainty ({explained})."
@@ -91,7 +93,13 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
-    lines = [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
+    lines = []
+    if document["without_rig"]:
+        lines.append(
+            f"No rig was given, but the identification used one ({one_line(document['without_rig'])}). What it says of the fixtures and of the points on "
+            "the end is not used here; give the rig of these measurements."
+        )
+    lines += [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     lines.append('"Expected" is the error that declared noise and the calibration\'s uncertainty explain.')
     if document["placed"]:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]

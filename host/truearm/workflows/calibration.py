@@ -219,10 +219,14 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
         if frames.name not in builtin_names():
             raise InputError(f"{result}: belongs to robot {frames.name[:60]!r}; give its file as ", Argument("robot"))
         name = frames.name
-    if is_urdf(name):
-        base, tip = base or frames.base_frame, tip or frames.end_frame
+    base, tip = frames_of(name, base, tip, stored)
     called = name if choice.robot else f"{name} (built-in, taken because the result names no other file)"
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
+
+
+def frames_of(robot: str, base: str | None, tip: str | None, stored: StoredResult) -> tuple[str | None, str | None]:
+    """Return the first and the last link of a URDF: those given, or else those of the result."""
+    return (base or stored.robot.base_frame, tip or stored.robot.end_frame) if is_urdf(robot) else (base, tip)
 
 
 def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:
@@ -233,9 +237,13 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
     chain, mine = robot.chain, stored.of_robot
     names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
+        first, last = stored.robot.base_frame, stored.robot.end_frame
+        other = robot.is_urdf and (first, last) != (chain.base_frame, chain.end_frame)
+        links = ", with ", Argument("base"), f" {first[:60]} and ", Argument("tip"), f" {last[:60]}"
         raise InputError(
             f"{result}: its parameters differ from those of robot {called}; give the robot it was identified with as ",
             Argument("robot"),
+            *(links if other else ()),
         )
     nominal, identified = stored.nominal[mine], stored.value[mine]
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):

@@ -20,6 +20,7 @@ from truearm.files.stored_result import read_result
 from truearm.progress import step
 from truearm.report.certificate import Certificate, Recording
 from truearm.report.page_parts import looks_like_page
+from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
@@ -60,7 +61,8 @@ def report_files(files: ReportFiles) -> Identification:
     check_files(sources, choice, [(files.out, looks_like_page, ".html")], files.made_from.force)
     inputs = hashed_inputs(sources, choice)
     _check_inputs(files.result, stored.document, {one.sha256 for one in inputs})
-    robot = load_robot(choice.robot or stored.robot.name, choice.base, choice.tip)
+    name = choice.robot or stored.robot.name
+    robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)

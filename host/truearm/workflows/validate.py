@@ -36,7 +36,7 @@ from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.validation_words import validation_lines, verdict
 from truearm.results import Effect, Figures
-from truearm.types import Floats, ObservationTable, rms
+from truearm.types import Floats, ObservationTable, Rig, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
@@ -46,6 +46,7 @@ from truearm.workflows.session_parts import with_parts
 Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 5  # in a region: fewer are not meaningful
+NOTHING = 1e-7  # m, rad: less than the last digit that is printed
 BETTER = 3.0  # standard errors by which a mean square must differ from another to count as different
 
 
@@ -188,6 +189,7 @@ def validated(
         "left_out": int((~judging).sum()),
         "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
         "copies": copies_of(copied, every),
+        "without_rig": _missing_rig(inputs_then, rig),
         "settled": n_settled,
         "kept": n_kept,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
@@ -211,6 +213,14 @@ def validated(
     words = verdict(document)
     counts = int(judging.sum()), int((~judging).sum()), n_settled, n_unseen
     return Validation(words, *counts, *figures, due_rms, regions, document | {"verdict": words})
+
+
+def _missing_rig(inputs_then: Any, rig: Rigs) -> str | None:
+    """Return the name of the rig file that the identification used, if these rows come without any rig."""
+    if rig != Rig() or not isinstance(inputs_then, list):
+        return None
+    entries = [entry for entry in inputs_then if isinstance(entry, dict) and entry.get("role") == "rig"]
+    return str(entries[0].get("name")) if entries else None
 
 
 def _identified_rig(calibration: Calibration) -> dict[str, float]:
@@ -241,14 +251,19 @@ def _placed(
 ) -> Judgement:
     """Return the robot as described, with base and tool fitted to the rows.
 
-    It is left unchanged if too few rows could judge afterwards.
+    It is left unchanged if too few rows could judge afterwards, or if the rows determine neither pose.
     """
     chain, stored = calibration.chain, calibration.stored
     place = mounting(chain, calibration.nominal).either & stored.free[stored.of_robot]
     if not place.any():
         return raw
     found = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
-    return raw if (raw.judging & ~found.judging).any() else found
+    if (raw.judging & ~found.judging).any():
+        return raw
+    same = (
+        np.allclose(raw.error[si], error, rtol=0.0, atol=NOTHING, equal_nan=True) for si, error in found.error.items()
+    )
+    return raw if all(same) else found
 
 
 class RegionErrors(NamedTuple):
