@@ -324,10 +324,10 @@ are those of rows that were not fitted. `make benchmark` writes this page and it
 
 Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for MUKCa they are the distance of the ball from its
 socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so its "before" is smaller.) All data sets are fitted with the same options: `truearm identify` with
-`--joint-laws none`, then with its defaults. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. pybotics fits 25 geometric parameters, as its example does. figaroh is not
+`--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. pybotics fits 25 geometric parameters, as its example does. figaroh is not
 run, because its calibration needs a URDF and a configuration file for each arm; [Benchmarks](benchmarks.md) compares its geometry on simulated data.
 
-| data | split | fitted | judged | published | before | geometry | with joint laws | to reach | pybotics | laws kept | s |
+| data | split | rows to fit | rows judged | published | before | geometry | with joint laws | to reach | pybotics | laws kept | s |
 |---|---|---|---|---|---|---|---|---|---|---|---|
 {rows}
 

@@ -93,7 +93,7 @@ def test_inspect_shows_it(session):
     path, *_ = session
     said = truearm("inspect", path).stdout
     assert f"trigger on input {INPUT} (inverted, in use)" in said
-    assert "edges used" in said
+    assert "edges agree" in said
 
 
 @pytest.mark.soak

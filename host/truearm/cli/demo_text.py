@@ -45,7 +45,7 @@ def ball_bar_lines(found: BallBarCalibration) -> list[str]:
     subject = found.subject
     expected = MM.of(subject.fitted.sigma * (1.0 - estimate.rank / n_fitted) ** 0.5)
     lines = [
-        f"parameters      rank {found.all_free.rank} of {len(estimate.free)}; {n_free} free, "
+        f"parameters      rank {estimate.rank} of {n_free} free (rank {found.all_free.rank} if all {len(estimate.free)} were free), "
         f"{outcome(estimate.status, estimate.iterations)}",
         f"{shells(subject.fitted):<16}{MM.text(estimate.rms_before['m'], '.3f')} RMS before, {MM.text(estimate.rms_after['m'], '.4f')} after "
         f"({n_fitted} dwells; noise alone would leave {expected:.4f})",

@@ -43,6 +43,7 @@ from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
 Document = Mapping[str, Any]
 
 MAX_DIRECTIONS = 6
+WEIGHTS = "; weights in m, rad and 1:"  # of directions
 MAX_TERMS = 4
 SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_NAMES = 12
@@ -139,8 +140,9 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
     for count in document.get("sessions", ()):
         rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
+        stops = count["mountings"]
+        line += f" (numbered 1 to {count['dwells'] + stops} with {counted(stops, 'stop')} for mounting)" * bool(stops)
         line += f"; rejected: {rejected}" * bool(rejected)
-        line += f"; {counted(count['mountings'], 'stop')} for mounting, numbered like dwells" * bool(count["mountings"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_DECISION)
         if unsettled:
             session = one_line(given.get(count["session"], count["session"]))
@@ -157,8 +159,8 @@ def headline(document: Document) -> str:
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} fitted" + (f", {held} held out" if held else "")
-    end = f"{outcome(document['status'], document['iterations'])}"
-    return f"{one_line(document['robot']['name'])}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
+    robot, end = one_line(document["robot"]["name"]), outcome(document["status"], document["iterations"])
+    return f"{robot}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
 
 def how(document: Document) -> str:
@@ -236,13 +238,12 @@ def unseen(document: Document) -> list[str]:
     if directions:
         what = counted(len(directions), "combination")
         are, them = ("is", "it") if len(directions) == 1 else ("are", "them")
-        lines.append(f"{what} of parameters {are} unidentifiable; predictions do not depend on {them}:")
+        lines.append(f"{what} of parameters {are} unidentifiable; predictions do not depend on {them}{WEIGHTS}")
         lines += _directions(directions, "null_space")
     if weak:
-        what = counted(len(weak), "combination")
         lines.append(
-            f"{what} of parameters {'is' if len(weak) == 1 else 'are'} weakly identifiable: these observations determine "
-            f"{'it' if len(weak) == 1 else 'them'} less accurately than a drawing does ({drawing()}):"
+            f"{counted(len(weak), 'combination')} of parameters {'is' if len(weak) == 1 else 'are'} weakly identifiable: these observations determine "
+            f"{'it' if len(weak) == 1 else 'them'} less accurately than a drawing does ({drawing(bool(timing(document)))}){WEIGHTS}"
         )
         lines += _directions(weak, "hardly_seen")
     return lines
@@ -260,8 +261,7 @@ def direction_text(direction: Mapping[str, Any]) -> str:
     terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
     shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
     words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
-    more = f" and {len(terms) - len(shown)} smaller" if len(terms) > len(shown) else ""
-    return " ".join(words).removeprefix("+ ") + more
+    return " ".join(words).removeprefix("+ ") + f" and {len(terms) - len(shown)} smaller" * (len(terms) > len(shown))
 
 
 def _error_table(document: Document, suffix: str) -> Table:

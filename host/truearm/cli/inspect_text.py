@@ -207,11 +207,11 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
         )
         if edges[key]
     ]
-    counts = "; ".join([f"{edges['used']} of {edges['edges']} edges used", *wrong])
+    counts = "; ".join([f"{edges['used']} of {edges['edges']} edges agree", *wrong])
     if not edges["used"]:
         yield f"  trigger: no input follows the box's output ({counted(edges['edges'], 'edge')}); is it wired, and are the readings' inputs recorded?"
         return
-    use = "in use" if edges["in_use"] else "not in use, arrivals are more accurate"
+    use = "in use" if edges["in_use"] else "not applied, because arrivals are more accurate"
     inverted = "inverted, " if edges["inverted"] else ""
     yield (
         f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, not counting a filter of the "

@@ -38,7 +38,8 @@ def status(as_json: JsonOption = False) -> None:
 
 def _lines(state: ProjectState) -> Iterator[str]:
     project = state.project
-    yield f"project   {project.name or state.home.name}, {os.path.relpath(state.home)}"
+    where = os.path.relpath(state.home)
+    yield f"project   {project.name or state.home.name}, {'this folder' if where == os.curdir else where}"
     yield f"robot     {project.model}{f', serial {project.serial}' * bool(project.serial)}, {project.address or 'no address'}"
     yield f"rig       {os.path.relpath(state.rig) if state.rig else 'none'}"
     plan = f"{os.path.relpath(state.plan)}, {counted(state.poses, 'pose')}" if state.plan else "none"

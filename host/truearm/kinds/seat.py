@@ -123,7 +123,7 @@ def check(table: ObservationTable, rig: Rig) -> None:
             sockets = ", ".join(sorted({socket for _, socket in used})[:12])
             raise TableError(
                 f"the rig's socket distance {' to '.join(distance.sockets)} is unused: "
-                f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has both; correct its names, measure both sockets at one place, or remove it (then its length no longer sets the scale)"
+                f"seats are in socket{'s' * (',' in sockets)} {sockets}, and no place has seats in both {' and '.join(distance.sockets)}; correct its names, measure both sockets at one place, or remove it (then its length no longer sets the scale)"
             )
 
 

@@ -68,22 +68,24 @@ def visibility(estimate: Estimate) -> str:
         words.append(f"{counted(held, 'parameter is', 'parameters are')} held fixed at the nominal value.")
     if not estimate.null_space:
         words.append("The observations alone identify all free parameters.")
-        return f"<p>{' '.join(words)}</p>" + _hardly(estimate.hardly_seen)
+        return f"<p>{' '.join(words)}</p>" + _hardly(estimate)
     words.append(
         "The changes listed here (in m, rad and 1) do not change any prediction. The values of their parameters are one choice "
         "of many with the same predictions, and are meaningful only together."
     )
-    return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate.hardly_seen)
+    return f"<p>{' '.join(words)}</p>" + _directions(estimate.null_space) + _hardly(estimate)
 
 
-def _hardly(directions: Sequence[NullDirection]) -> str:
+def _hardly(estimate: Estimate) -> str:
     """Return what is determined less well than by a drawing; "" if there is nothing of this kind."""
+    directions = estimate.hardly_seen
     if not directions:
         return ""
     one = len(directions) == 1
+    timed = any(unit == "s" and free for unit, free in zip(estimate.units, estimate.free, strict=True))
     words = (
         f"{counted(len(directions), 'combination')} of parameters {'is' if one else 'are'} weakly identifiable: the observations "
-        f"alone determine {'it' if one else 'them'} less accurately than a manufacturer's drawing ({drawing()})."
+        f"alone determine {'it' if one else 'them'} less accurately than a manufacturer's drawing ({drawing(timed)})."
     )
     return f"<p>{words}</p>" + _directions(directions, "alone")
 

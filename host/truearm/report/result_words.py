@@ -179,9 +179,13 @@ def all_identifiable(prior: str, believed: Sequence[str]) -> str:
             assert_never(never)
 
 
-def drawing() -> str:
-    """Return the tolerances of a manufacturer's drawing: the steps that define hardly identifiable parameters."""
-    return f"{', '.join(tolerances('weak'))}; {MS.text(UNITS['s'].weak_sigma)}"
+def drawing(timed: bool) -> str:
+    """Return the tolerances of a manufacturer's drawing: the steps that define hardly identifiable parameters.
+
+    ``timed``: also that of a delay of the joint readings, which no drawing has.
+    """
+    delay = f"; a delay of the joint readings: {MS.text(UNITS['s'].weak_sigma)}" * timed
+    return ", ".join(tolerances("weak")) + delay
 
 
 def gain_words(n: int, full_rank: bool) -> str:

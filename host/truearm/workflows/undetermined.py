@@ -63,7 +63,7 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     if null:
         these = "; ".join(_terms(one) for one in null[:SHOWN]) + f"; and {len(null) - SHOWN} more" * (len(null) > SHOWN)
         said.append(
-            f"Unidentifiable combinations of parameters move the end: {these}. Their nominal values are used. "
+            f"Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {these}. Their nominal values are used. "
             "Measure what the lines “Next:” of truearm identify propose."
         )
     return said
