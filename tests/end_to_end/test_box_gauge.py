@@ -111,6 +111,10 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         table.write_text("reference_mm\n-20\n-10\n0\n10\n999\n")
         assert box("gauge", "lvdt", "--box", device, "--references", table, "--force") == 2
         assert "steps.csv: 999.0000 mm and -20.0000 mm are 1019.0000 mm apart" in capsys.readouterr().err
+        table.write_text("reference_mm\n20\n0\n-20\n0\n20\n")  # and none of the kept places
+        monkeypatch.setattr(sys, "stdin", Operator(world, ["no"]))
+        assert box("gauge", "lvdt", "--box", device, "--references", table, "--force") == 2
+        assert "steps.csv: 3 different references; a calibration needs 5 or more" in capsys.readouterr().err
         table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n")
         lines = ["no", (-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
@@ -231,7 +235,7 @@ class AtTheBox:
         return self.shown + rest.decode(), errors.decode(), self.process.returncode
 
 
-QUESTION = "(empty: done, undo): "
+QUESTION = "(empty line: done; undo: drop the last place): "
 
 
 def at_places(run, world, positions):

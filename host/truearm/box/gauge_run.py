@@ -14,6 +14,14 @@ import numpy as np
 from truearm.box.configuration import change_lines, checked_config
 from truearm.box.conversation import conversation, ident_of, streaming
 from truearm.box.gauge_places import GaugeRun, KeptPlaces, kept_path, read_kept
+from truearm.box.gauge_references import (
+    MAX_REFERENCES,
+    UNITS,
+    beyond,
+    check_references,
+    parse_reference,
+    read_references,
+)
 from truearm.box.gauge_result import (
     HEAD,
     MAG,
@@ -25,10 +33,10 @@ from truearm.box.gauge_result import (
     words,
     write_page,
 )
-from truearm.errors import Argument, InputError, LinkError, TableError, TruearmError
+from truearm.errors import Argument, InputError, LinkError, TruearmError
 from truearm.progress import Advance, step
 from truearm.text import counted, one_line
-from truearm.units import MM, NS, suffixes
+from truearm.units import MM, NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,12 +44,8 @@ if TYPE_CHECKING:
     from truearm.box.control import BoxControl
     from truearm.session.box_ident import Channel, Ident, Stream
 
-UNITS = suffixes("m", ("mm", "um", "in"))
 SETTLE_S = 0.2  # for the converter's filter to fill and the operator's hand to leave the stage
 PATIENCE_S = 5.0
-MAX_REFERENCES = 1000
-MAX_BYTES = 1 << 18
-MAX_METRES = 10.0
 STROKE = 0.1  # m, of a displacement transducer; the ball-bar's LVDT has 75 mm
 SOUND = 2850.0  # m/s, highest velocity in the rod of a magnetostrictive sensor
 STILL_MOVES = 6.0  # standard deviations of the mean of one part
@@ -192,34 +196,6 @@ def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) 
     )
 
 
-def read_references(path: Path) -> list[float]:
-    """Return the references [m] in a CSV file. Raises TableError."""
-    from truearm.files.csv_cells import numbers, read_cells
-    from truearm.files.disk import read_text
-    from truearm.files.observation_columns import Column
-
-    header, rows = read_cells(read_text(path, MAX_BYTES, TableError), str(path))
-    columns = [
-        Column(name, at, unit) for at, name in enumerate(header) for unit in UNITS if name == f"reference_{unit}"
-    ]
-    if len(columns) != 1:
-        raise TableError(f"{path}: needs one column named reference_mm, reference_um or reference_in")
-    if not 1 <= len(rows) <= MAX_REFERENCES:
-        raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
-    return [float(value) for value in numbers(rows, columns[0], str(path), MAX_METRES, required=True)]
-
-
-def parse_reference(text: str, scale: float) -> float:
-    """Return a typed reference [m]. Raises InputError."""
-    try:
-        value = float(text.strip().replace(",", ".")) * scale
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= MAX_METRES:
-        raise InputError(f"{text.strip()[:40]!r} is not a reading of a reference")
-    return value
-
-
 def _find(ident: Ident, name: str) -> tuple[Stream, int]:
     from truearm.session.box_ident import find_channel
 
@@ -249,8 +225,8 @@ def _measure_places(
     """Ask for references and sample at each, until the operator ends."""
     stream, index = found
     stroke = _stroke(stream) if options.stroke is None else options.stroke
-    if listed is not None and max(listed) - min(listed) > stroke:
-        raise InputError(f"{options.references}: {_beyond(max(listed), min(listed), stroke)}")
+    if listed is not None:
+        check_references(listed, [place.reference for place in run.places], stroke, f"{options.references}")
     given = _typed(run, options.unit, stroke, operator) if listed is None else _listed(listed, run, operator)
     for reference in given:
         counts = sample(box, stream, options.seconds)
@@ -296,7 +272,7 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> 
     """Yield references as they are typed. A single empty line ends them only if the places are enough."""
     asked_again = False
     while len(run.places) < MAX_REFERENCES:
-        line = operator.ask(f"reference [{unit}] (empty: done, undo): ")
+        line = operator.ask(f"reference [{unit}] (empty line: done; undo: drop the last place): ")
         if line is None or (not line and (asked_again or _are_enough(run.places, "empty", operator))):
             return
         asked_again = not line
@@ -315,7 +291,7 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> 
         measured = (place.reference for place in run.places)
         far = max(measured, key=lambda other: abs(other - reference), default=reference)
         if abs(far - reference) > stroke:
-            operator.say(f"  {_beyond(reference, far, stroke)}; undo drops the last place")
+            operator.say(f"  {beyond(reference, far, stroke)}; undo drops the last place")
         else:
             yield reference
 
@@ -331,13 +307,6 @@ def _are_enough(places: Sequence[Place], end: str, operator: GaugeOperator) -> b
 def _stroke(stream: Stream) -> float:
     """Return the greatest distance [m] of two references of a usual sensor: the pulse of a rod returns in one period."""
     return SOUND * NS.to_si(stream.period_ns) if stream.name == MAG else STROKE
-
-
-def _beyond(reference: float, other: float, stroke: float) -> str:
-    apart = (
-        f"{MM.text(reference, '.4f')} and {MM.text(other, '.4f')} are {MM.text(abs(reference - other), '.4f')} apart"
-    )
-    return f"{apart}, more than the sensor's stroke of {MM.text(stroke, '.0f')}; check reading and unit"
 
 
 def _agreed(operator: GaugeOperator) -> bool:

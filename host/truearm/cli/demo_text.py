@@ -64,7 +64,7 @@ def line_lines(found: LineCalibration) -> list[str]:
     estimate, other, table = found.estimate, found.other, found.table
     text = [
         f"robot's delay   {delay_words(estimate)}",
-        f"parameters      {int(estimate.free.sum())} free (rig included), rank {estimate.rank}, {outcome(estimate.status)}",
+        f"parameters      rank {estimate.rank} of {int(estimate.free.sum())} free (rig included), {outcome(estimate.status)}",
     ]
     is_line, fitted = table.kind == "line", estimate.fitted
     sensors = MM.of(float(np.linalg.norm(found.rig.line_sigma)))
@@ -75,7 +75,8 @@ def line_lines(found: LineCalibration) -> list[str]:
     text += _group("validation line", found, is_line & ~fitted, ", not fitted")
     if not found.with_bar:
         steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
-        text.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines")
+        text.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines, beginning with the rig as described")
+        text.append("before          the nominal robot with the rig fitted to it")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]

@@ -439,7 +439,7 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
             + " The sigmas above follow from the declared noise alone."
             * (not read_off and document["pose_error"] is None)
         )
-    wrong = document["unusable_because"] in (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
+    wrong = document["unusable_because"] not in (None, Unusable.NO_FREEDOM)
     if wrong:
         lines.append("Next: correct what the first lines name, then identify again.")
     else:

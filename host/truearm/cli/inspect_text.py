@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -104,7 +105,7 @@ def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
     box = losses["box"]
     counts = [(losses[key], text) for key, text in LOSSES]
     counts += [(box[key], BOX_WORDS.get(key, f"{key} by the box's count")) for key in COUNTERS if key != "sent"]
-    wrong = [f"  {count:>6} {text}" for count, text in counts if count]
+    wrong = [f"  {count:>6} {_singular(text) if count == 1 else text}" for count, text in counts if count]
     wrong += [f"  the box was silent from {gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
     if losses["samples_missing"]:
         wrong.append(
@@ -115,6 +116,11 @@ def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
         worst = ((key, box[key]) for _, key in EXTREMES.values() if box[key] is not None)
         worst_words = ", ".join(EXTREME_WORDS.get(key, key + " {}").format(value) for key, value in worst)
         yield f"  {box['heartbeats']} heartbeats: {worst_words}"
+
+
+def _singular(text: str) -> str:
+    """Return a text with its first plural in the singular: "frame lost on the link"."""
+    return re.sub(r"\b([a-z]{2,})s\b", r"\1", text, count=1)
 
 
 def _console(document: Mapping[str, Any]) -> Iterator[str]:

@@ -33,7 +33,7 @@ from truearm.cli.options import EARLIER_WORDS
 from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import ProjectCommand, defaults
-from truearm.cli.record import record
+from truearm.cli.record import RecordCommand, record
 from truearm.cli.recover import recover
 from truearm.cli.relabel import relabel
 from truearm.cli.report import report
@@ -85,6 +85,7 @@ _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-comp
 
 COMMAND_OF = {command.__name__.strip("_").replace("_", "-"): command for command in COMMANDS}
 GROUP_OF = {"box": box, "plan": plan}
+CLASS_OF = {"simulate": SimulateCommand, "record": RecordCommand}
 
 
 def _print_version(wanted: bool) -> None:
@@ -117,7 +118,7 @@ def command_tree(only: str | None = None) -> Any:
     app.callback(invoke_without_command=True)(_root)
     for name, command in COMMAND_OF.items():
         if only in (None, name):
-            app.command(name, cls=SimulateCommand if command is simulate else ProjectCommand)(command)
+            app.command(name, cls=CLASS_OF.get(name, ProjectCommand))(command)
     for name, group in GROUP_OF.items():
         if only in (None, name):
             app.add_typer(group, name=name)

@@ -28,7 +28,7 @@ from truearm.cli.options import (
     spans_of,
 )
 from truearm.cli.output import command_group, print_json, print_lines
-from truearm.cli.project import ProjectCommand
+from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import InputError
 from truearm.plan.criteria import Criterion, criterion_summary
 from truearm.plan.route_program import dialects_help
@@ -121,6 +121,7 @@ def _region_of(text: str | None) -> Region | None:
 
 @app.command("ballbar", cls=ProjectCommand)
 def ballbar(
+    context: typer.Context,
     robot: RobotOption,
     rig: RigOption,
     base: BaseOption = None,
@@ -163,7 +164,8 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Poses of the first pairing to measure again half-way and at the end; not with --visits 2.",
+            help="Poses of the first pairing to measure again half-way and at the end: at most one per 36 poses, none below "
+            "108 poses or with --visits 2.",
             **bounded(CHECK_POSES),
         ),
     ] = option_defaults.CHECK_POSES,
@@ -218,7 +220,8 @@ def ballbar(
         check_poses=check_poses,
         joint_laws=joint_laws,
     )
-    _print(plan_ball_bar_files(files, Budget(poses, minutes), options), forecast_lines, as_json)
+    document = plan_ball_bar_files(files, Budget(poses, minutes), options)
+    _print(document, lambda found: forecast_lines(found, typed(context, "check_poses")), as_json)
 
 
 @app.command("line", cls=ProjectCommand)

@@ -11,10 +11,14 @@ from truearm.types import BAR_MOUNTED
 from truearm.units import UNITS
 
 
-def forecast_lines(document: Mapping[str, Any]) -> list[str]:
-    """Return what ``plan ballbar`` and ``plan line`` planned, the predicted sigmas, and the expected error."""
+def forecast_lines(document: Mapping[str, Any], check_poses: int | None = None) -> list[str]:
+    """Return what ``plan ballbar`` and ``plan line`` planned, the predicted sigmas, and the expected error.
+
+    ``check_poses``: how many were asked for.
+    """
     return [
         *visit_lines(document),
+        *_fewer_checks(document, check_poses),
         *_known_after(document),
         *_region(document),
         *_curves(document),
@@ -102,6 +106,17 @@ def _against_drift(document: Mapping[str, Any]) -> list[str]:
             f"{document['check_poses']} check poses of the first mount, visited again half-way and at the end, to reveal drift"
         ]
     return []
+
+
+def _fewer_checks(document: Mapping[str, Any], asked: int | None) -> list[str]:
+    """Return why there are fewer check poses than were asked for."""
+    if asked is None or document["check_poses"] >= asked:
+        return []
+    if document["visits"] > 1:
+        return [f"--check-poses {asked} is not used: with several visits of every mount there are no check poses"]
+    return [
+        f"--check-poses {asked}: {document['check_poses'] or 'none'} planned, at most one per 36 poses and at least 3 or none"
+    ]
 
 
 def _known_after(document: Mapping[str, Any]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,7 +20,7 @@ from truearm.cli.options import (
     out_file,
 )
 from truearm.cli.output import print_json, print_lines
-from truearm.cli.project import typed
+from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
 from truearm.record.robots.sources import sources_help
@@ -28,8 +28,17 @@ from truearm.record.robots.sources import sources_help
 _PATIENCE_S = 600.0
 
 
+class RecordCommand(ProjectCommand):
+    """Takes plan, rig and robot from the session that it resumes, not from the project."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        if ctx.params.get("resume") is not None:
+            ctx.params.update({name: typed(ctx, name) for name in ("out", "plan", "rig", "address")})
+        return super().invoke(ctx)
+
+
 def record(
-    context: typer.Context,
     device: OptionalBoxOption = None,
     out: Annotated[Path | None, out_file("a session (.mcap); not with --resume")] = None,
     resume: Annotated[
@@ -87,8 +96,6 @@ def record(
     from truearm.cli.record_text import document, lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
-    if resume is not None:  # the session's own, not the project's
-        out, plan, rig, address = (typed(context, name) for name in ("out", "plan", "rig", "address"))
     osr = None if rate is None else nearest_osr(rate)
     if duration is not None and not 0 < duration < math.inf:
         raise InputError(f"--duration {duration:g} is not a duration; give seconds above 0")

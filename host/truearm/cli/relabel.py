@@ -92,7 +92,7 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
         ]
     text = [
         f"{sessions}: {counted(document['dwells'], 'dwell')}, {document['with_reading']} with a reading within the stroke: "
-        f"{document['usable']} labelled; {document['otherwise_than_planned']} labels differ from the plan"
+        f"{document['usable']} labelled; {counted(document['otherwise_than_planned'], 'label differs', 'labels differ')} from the plan"
     ]
     if document["unanswered"]:
         unanswered = counted(document["unanswered"], "dwell is", "dwells are")

@@ -14,7 +14,7 @@ from truearm.files.project_folder import FILE, find_project
 from truearm.text import counted, outcome, page
 
 if TYPE_CHECKING:
-    from truearm.workflows.project import ProjectState
+    from truearm.workflows.project import ProjectState, ResultState
 
 
 def status(as_json: JsonOption = False) -> None:
@@ -53,9 +53,14 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
         held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
-        yield f"          {os.path.relpath(result.path)}, {outcome(result.status)}{held}"
+        yield f"          {os.path.relpath(result.path)}, {outcome(result.status)}{_unusable(result)}{held}"
     command, why = _next(state)
     yield f"next      {command} ({why})"
+
+
+def _unusable(result: ResultState) -> str:
+    """Return why a fit that converged is not usable, "" if it is."""
+    return "" if result.unusable is None or result.status != "converged" else f", not usable ({result.unusable})"
 
 
 def _next(state: ProjectState) -> tuple[str, str]:
@@ -79,7 +84,7 @@ def _next(state: ProjectState) -> tuple[str, str]:
         case NextStep.INSPECT:
             return (
                 f"truearm inspect {os.path.relpath(state.sessions[-1].path)}",
-                "the last fit did not converge",
+                f"the last fit {'is not usable' if state.results[-1].status == 'converged' else 'did not converge'}",
             )
         case NextStep.CORRECT:
             result = os.path.relpath(state.results[-1].path)

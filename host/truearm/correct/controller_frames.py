@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from truearm.text import one_line
 from truearm.types import Floats
 
 
@@ -22,6 +23,10 @@ class Frame(NamedTuple):
 
     pose: Floats
     words: str
+
+    def called(self, name: str) -> str:
+        """Return what this frame is; ``name`` is that of the calibration's frame."""
+        return f"the calibration's frame {one_line(name[:60])}" if self is SAME else self.words
 
 
 def _turn(words: str, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Frame:
@@ -35,17 +40,17 @@ SAME = _turn("the same frame")
 BASES = {
     "urscript": {
         "base": SAME,
-        "base_link": _turn("base, half a turn about z from base_link", yaw=_HALF),
-        "base_link_inertia": _turn("base, the same frame as base_link_inertia"),
+        "base_link": _turn("base (half a turn about z from base_link)", yaw=_HALF),
+        "base_link_inertia": _turn("base (the same frame as base_link_inertia)"),
     },
-    "rapid": {"base": SAME, "base_link": _turn("base, the same frame as base_link")},
+    "rapid": {"base": SAME, "base_link": _turn("base (the same frame as base_link)")},
 }
 FLANGES = {
     "urscript": {
         "tool0": SAME,
-        "flange": _turn("tool0, z out of the flange", roll=_QUARTER, yaw=_QUARTER),
+        "flange": _turn("tool0 (z out of the flange)", roll=_QUARTER, yaw=_QUARTER),
     },
-    "rapid": {"tool0": SAME, "flange": _turn("tool0, z out of the flange", pitch=_QUARTER)},
+    "rapid": {"tool0": SAME, "flange": _turn("tool0 (z out of the flange)", pitch=_QUARTER)},
 }
 
 OUT = {"tool0": 2, "flange": 0}  # which of a frame's axes points out of the flange

@@ -108,7 +108,7 @@ def _verdict(page: CalibrationPage) -> str:
         _tile(
             "before",
             e.rms_before,
-            f"{counted(e.n_observations, 'observation')}, the nominal robot{before_words(e)}",
+            f"{counted(int(e.used.sum()), 'fitted observation')}, the nominal robot{before_words(e)}",
             "old",
         ),
     ]

@@ -140,7 +140,9 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
     """
     more = {si: of for si, of in parts.items() if of.unexplained > 0.0}
     less = " and ".join(f"{number(of.declared, si)} {symbol(si)}" for si, of in parts.items() if si not in more)
-    said = [f"Declared noise alone would leave {less} RMS, no less than there is."] if less else []
+    units = " and ".join(symbol(si) for si in parts if si not in more)
+    nothing = f"nothing in {units}" if more else "nothing"
+    said = [f"Declared noise alone would leave {less} RMS: {nothing} is unexplained."] if less else []
     if more:
         declared, left = (
             " and ".join(f"{number(getattr(of, name), si)} {symbol(si)}" for si, of in more.items())

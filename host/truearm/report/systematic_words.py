@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, assert_never
@@ -68,8 +69,25 @@ def _sentence(entry: Mapping[str, Any]) -> str:
         case form:
             assert_never(form)
     if entry["rivals"]:
-        line += f" Other possible explanations: {', '.join(map(one_line, entry['rivals']))}."
+        line += f" Other possible explanations: {', '.join(map(_rival, entry['rivals']))}."
     return line
+
+
+def _rival(name: str) -> str:
+    """Return another explanation in words, with the name that ``allow`` takes if it has one."""
+    text = one_line(name)
+    if text.startswith("a gradual change of "):
+        return text
+    if re.fullmatch(r"rows \d+ to \d+", text):
+        return f"bad {text}"
+    what, _, rows = text.partition("@")
+    first, _, last = rows.partition(":")
+    where = f" in rows {first} to {last}" if last else f" from row {first} on" if first else " in all rows"
+    for drift in DriftWith:
+        if what.endswith(drift.ending):
+            of, by = what.removesuffix(drift.ending), "the temperature" if drift is DriftWith.TEMPERATURE else "time"
+            return f"a drift of {of} linear in {by}{where} ({text})"
+    return f"a constant error of {what}{where}" + f" ({text})" * bool(rows)
 
 
 def _rows(entry: Mapping[str, Any]) -> str:

@@ -217,7 +217,7 @@ def correct_program(
         _straight_moves(how.pair, program, targets, of_pose, of_joints, corrected),
         tuple(refused),
         (
-            f"The controller's base: {base.words}. Its flange: {flange.words}.",
+            f"The controller's base is {base.called(names.base)}. Its flange is {flange.called(names.end)}.",
             *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
             *configuration_notes(
                 correction.q[: len(kept)],
@@ -305,7 +305,7 @@ def _placed(
 
 
 def _described(names: CalibrationFrames) -> Frame | None:
-    return None if names.tool0 is None else Frame(names.tool0, "tool0, as in the URDF")
+    return None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
 
 
 def _given(six: Six | None) -> Frame | None:

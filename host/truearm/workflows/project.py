@@ -116,11 +116,12 @@ class SessionState:
 
 @dataclass(frozen=True)
 class ResultState:
-    """A result: file, held-out error [mm] if rows were held out, and how the fit ended."""
+    """A result: file, held-out error [mm] if rows were held out, how the fit ended, and why it is not usable if so."""
 
     path: Path
     held_out_mm: float | None
     status: str
+    unusable: str | None = None
 
 
 @dataclass(frozen=True)
@@ -313,7 +314,8 @@ def _next(state: ProjectState) -> NextStep:
         return NextStep.RECORD if any(one.written for one in state.sessions) else NextStep.RECOVER
     if not state.results or state.results[-1].path.stat().st_mtime < state.sessions[-1].path.stat().st_mtime:
         return NextStep.IDENTIFY
-    return NextStep.CORRECT if state.results[-1].status == "converged" else NextStep.INSPECT
+    last = state.results[-1]
+    return NextStep.CORRECT if last.status == "converged" and last.unusable is None else NextStep.INSPECT
 
 
 def _poses(plan: Path | None) -> int:
@@ -341,4 +343,4 @@ def _result(path: Path) -> ResultState:
     except (TruearmError, ValueError, OSError) as exc:
         return ResultState(path, None, f"cannot be read: {exc}")
     held_out = document.get("held_out") or {}
-    return ResultState(path, held_out.get("rms_mm"), str(document["status"]))
+    return ResultState(path, held_out.get("rms_mm"), str(document["status"]), document.get("unusable_because"))

@@ -120,7 +120,9 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
     rows, at = list[dict[str, Any]](), 0
     for part, labels in zip(parts, before, strict=True):
         settled = [
-            _label(part, k, chosen[at + k], found, at + k, at + k in settled_by.unanswered)
+            _label(
+                part, k, chosen[at + k], found, at + k, _why_left_out(options.trust, at + k in settled_by.unanswered)
+            )
             for k in range(len(part.good))
         ]
         trust = "asked" if options.trust is None else options.trust.value
@@ -295,17 +297,30 @@ def _asked(
     return Chosen(chosen, frozenset(i for i, run in runs.items() if run not in answers))
 
 
+def _why_left_out(trust: Trust | None, unanswered: bool) -> str:
+    match trust:
+        case Trust.PLAN:
+            return "the plan has no single pairing for it"
+        case Trust.TYPED:
+            return "nothing was confirmed for it"
+        case Trust.EVIDENCE | None:
+            return "not answered" if unanswered else "by your answer" if trust is None else ""
+        case _:
+            assert_never(trust)
+
+
 def _label(
-    part: RelabelledPart, k: int, pairing: Pairing | None, found: MountingChances | None, at: int, unanswered: bool
+    part: RelabelledPart, k: int, pairing: Pairing | None, found: MountingChances | None, at: int, why: str
 ) -> DwellLabel:
-    detail = "not answered" if unanswered else "left out"
+    """Return the label of a dwell. ``why``: it is left out if there is no pairing; "" if too little evidence is the cause."""
+    detail = why
     p = float("nan")
     if found is not None:
         best = int(found.probability[at].argmax())
-        if pairing is None:
+        if pairing is None and why in ("", "not answered"):
             what = " ".join(found.pairings[best]) if best < len(found.pairings) else "nothing that the rig has"
             detail = (
-                f"{detail}: " * unanswered + f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
+                f"{detail}: " * bool(detail) + f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
             )
         elif pairing in found.pairings:
             p = float(found.probability[at, found.pairings.index(pairing)])
