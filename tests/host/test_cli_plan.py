@@ -202,6 +202,11 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
     assert "exists; choose another name or give --force" in capsys.readouterr().err
 
 
+def test_check_poses_that_are_not_planned_are_named(folder, capsys):
+    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "5"]) == 0
+    assert "--check-poses 5: none planned, at most one per 36 poses" in capsys.readouterr().out
+
+
 def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
     few = [text.replace("36", "12") for text in COMMON]
     assert main(["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]) == 0

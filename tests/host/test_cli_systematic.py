@@ -143,6 +143,24 @@ def test_a_finding_that_hardly_moves_the_tool_says_so(moves_mm, little):
     assert ("less than a tenth of the error to expect" in apply) is little
 
 
+def test_other_explanations_are_said_in_words():
+    names = [
+        "a gradual change of bar.b46.zero",
+        "rows 196 to 200",
+        "base@181",
+        "bar.b46.zero.drift",
+        "chuck.c2@1:9",
+        "chuck.c1",
+    ]
+    finding, _ = systematic_sentences(document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names}), str)
+    assert finding.endswith(
+        "Other possible explanations: a gradual change of bar.b46.zero, bad rows 196 to 200, "
+        "a constant error of base from row 181 on (base@181), "
+        "a drift of bar.b46.zero linear in time in all rows (bar.b46.zero.drift), "
+        "a constant error of chuck.c2 in rows 1 to 9 (chuck.c2@1:9), a constant error of chuck.c1 in all rows."
+    )
+
+
 def test_a_finding_whose_last_row_may_be_anywhere_is_not_located():
     finding, _ = systematic_sentences(document(0.2, entry([1, 232], [1, 1], [90, 744])), str)
     assert "in some of rows 1 to 744 (it cannot be located; rows 1 to 232 fit best)" in finding

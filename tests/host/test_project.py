@@ -262,6 +262,17 @@ def test_status_says_what_comes_next(project, run):
     ]
 
 
+def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run):
+    """As many unknowns as rows: the operator is not told to correct programs by it."""
+    recorded(project / "sessions" / "2026-01-01.mcap")
+    few = files / "few.csv"
+    few.write_text("".join((files / "poses.csv").read_text().splitlines(keepends=True)[:7]))
+    assert run("identify", few, "--rig", files / "rig.toml").code == 3
+    said = run("status").out
+    assert "converged, not usable (no degrees of freedom)" in said
+    assert "truearm correct" not in said
+
+
 def test_status_of_a_recording_that_was_cut_off(project, run):
     """It is recovered, and from then on the recovered one counts."""
     (project / "sessions").mkdir(exist_ok=True)
@@ -310,6 +321,12 @@ def test_record_takes_address_and_rig(project, run):
     assert code in (1, 2)
     assert err.startswith("truearm.toml: --box /dev/none --out sessions/")
     assert "--address nonsense://x --rig rig.toml" in err
+
+
+def test_a_recording_that_is_resumed_takes_no_plan_or_file_from_the_project(project, run):
+    (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
+    err = run("record", "--resume", project / "gone.mcap").err
+    assert err.splitlines()[0] == "truearm.toml: --box /dev/none"
 
 
 def test_a_rehearsal_needs_no_options(project, run):

@@ -123,6 +123,13 @@ def test_a_hundred_forgetful_operators(tmp_path, plan, types, capsys):
     assert account.usable >= 0.9 * account.read
 
 
+def test_a_dwell_before_the_first_confirmation_is_left_out_with_the_reason(tmp_path, plan, capsys):
+    visits = [replace(visit, typed=()) if row < 1 else visit for row, visit in enumerate(right(plan))]
+    recorded(tmp_path / "s.mcap", plan, visits)
+    assert main(["relabel", str(tmp_path / "s.mcap"), "--trust", "typed"]) == 0
+    assert "  dwell 1 left out: nothing was confirmed for it" in capsys.readouterr().out
+
+
 class TestOneMissedEnter:
     """All is mounted as planned; one change is not confirmed, and nothing after it."""
 

@@ -76,7 +76,7 @@ def line_lines(found: LineCalibration) -> list[str]:
     if not found.with_bar:
         steps_of = " → ".join(f"{MM.of(rms):.3f}" for rms in estimate.rms_history["m"][:4])
         text.append(f"by iteration    {steps_of} mm RMS on the {N_LINES} lines, beginning with the rig as described")
-        text.append("before          the nominal robot with the rig fitted to it")
+        text.append("before          the nominal robot with rig, base and tool fitted to it")
         robot = slice(estimate.n_robot_parameters)
         seen = estimate.sigma[robot] > 0.0
         apart = np.abs(other.value[robot] - estimate.value[robot])[seen] / estimate.sigma[robot][seen]

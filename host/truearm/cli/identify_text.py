@@ -34,7 +34,7 @@ from truearm.report.result_words import (
 )
 from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
-from truearm.report.usability_words import few_freedom, usability_sentences
+from truearm.report.usability_words import few_freedom, usability_sentences, wrong_first
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line, outcome
@@ -439,7 +439,7 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
             + " The sigmas above follow from the declared noise alone."
             * (not read_off and document["pose_error"] is None)
         )
-    wrong = document["unusable_because"] not in (None, Unusable.NO_FREEDOM)
+    wrong = wrong_first(document)
     if wrong:
         lines.append("Next: correct what the first lines name, then identify again.")
     else:

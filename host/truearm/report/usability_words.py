@@ -19,6 +19,17 @@ def few_freedom(freedom: float | None, rank: int) -> bool:
     return freedom is not None and freedom < rank
 
 
+def wrong_first(document: Document) -> bool:
+    """Return whether inputs are to be corrected before more is measured.
+
+    A fit that did not converge is one of these if labels were searched: with right inputs it only needs more iterations.
+    """
+    because = document["unusable_because"]
+    searched = document["relabelling_search"] != "not needed"
+    wrong = (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
+    return because in wrong or (because == Unusable.NOT_CONVERGED and searched)
+
+
 def usability_sentences(document: Document, argument: Callable[[str], str] = str) -> list[str]:
     """Return why the fit is not usable, then each explanation; empty for a usable fit that needs none.
 
