@@ -85,10 +85,15 @@ def _rows(columns: Columns) -> bytes:
 
 def _numbers(column: NDArray[Any]) -> Iterable[Any]:
     """Return the numbers for the JSON encoder; text that is ready where all are the same, as a segment's are."""
-    if (column == column[:1]).all() and len(column):
+    if len(column) and (column == column[:1]).all() and (column[0] or _of_one_sign(column)):
         return repeat(msgspec.Raw(_encoder.encode(column[0].item())), len(column))
     values: list[Any] = column.tolist()
     return values
+
+
+def _of_one_sign(zeros: NDArray[Any]) -> bool:
+    """Return whether no zero among zeros has another sign: they compare equal."""
+    return zeros.dtype.kind != "f" or bool((np.signbit(zeros) == np.signbit(zeros[0])).all())
 
 
 def _cells(column: NDArray[Any]) -> list[Any]:
