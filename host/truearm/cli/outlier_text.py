@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
+from truearm.estimate.outliers import MOST
+from truearm.report.suspect_words import named_rows
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS
 
 Document = Mapping[str, Any]
-OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
-MAX_ROWS = 6
 
 
 def suspects(document: Document) -> list[str]:
@@ -18,7 +18,7 @@ def suspects(document: Document) -> list[str]:
     rows, fitted = document["suspect"], document["n_observations"]
     if not rows or document["without_bad_rows"] is not None:
         return []
-    if len(rows) > OUTLIERS * fitted and all(row["weight"] == 1.0 for row in rows):
+    if len(rows) > MOST * fitted and all(row["weight"] == 1.0 for row in rows):
         return [
             f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
             "wrong, or the sigmas are too small."
@@ -26,14 +26,14 @@ def suspects(document: Document) -> list[str]:
     who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
     out, kept = ([row for row in rows if (row["weight"] == 0.0) is gone] for gone in (True, False))
     if not out:
-        lines = [f"{who} significantly with all others: {_rows(kept)}."]
+        lines = [f"{who} significantly with all others: {named_rows(kept)}."]
     else:
-        lines = [f"{who} significantly with all others; {len(out)} left out of the fit: {_rows(out)}."]
+        lines = [f"{who} significantly with all others; {len(out)} left out of the fit: {named_rows(out)}."]
         if kept:
             usual = "most rows miss by more than their declared noise"
             why = "they hardly change the fit" if _has_laws(document) else usual
             lines.append(
-                f"Not left out, because {why}: {_rows(kept)}. To leave out a row "
+                f"Not left out, because {why}: {named_rows(kept)}. To leave out a row "
                 f'yourself: --leave-out "{one_line(kept[0]["source"])}".'
             )
     every = document["with_outliers"]
@@ -45,11 +45,6 @@ def suspects(document: Document) -> list[str]:
             f"freedom {every['chi2_reduced']:.3g}."
         )
     return lines
-
-
-def _rows(rows: Sequence[Mapping[str, Any]]) -> str:
-    more = f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else ""
-    return ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS]) + more
 
 
 def _has_laws(document: Document) -> bool:

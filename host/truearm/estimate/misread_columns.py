@@ -135,14 +135,14 @@ def _flipped(rig: Rigs, entry: str, axis: int, only: str = "") -> Rigs | None:
 
 def shifted_rows(chain: Chain, rig: Rigs, table: ObservationTable, rows: Rows, free: Mask) -> Iterator[Interpretation]:
     """Return some ``rows`` of a table with the joint readings of the row before each, or after it."""
-    for by, text in ((1, "before"), (-1, "after")):
+    for by, belong_to in ((1, "after"), (-1, "before")):
         other = rows - by
         inside = (other >= 0) & (other < len(table))
         some, of = rows[inside], other[inside]
         if some.size:
             changed = replace(table.select(some), q=table.q[of], q_rate=table.q_rate[of])
-            what = f"the joint readings in each row belong to the row {'after' if text == 'before' else 'before'} it"
-            yield Interpretation(what, chain, rig, changed, free)
+            text = f"the joint readings in each row belong to the row {belong_to} it"
+            yield Interpretation(text, chain, rig, changed, free)
 
 
 def joint_in_other_unit(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:

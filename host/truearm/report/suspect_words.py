@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import Loss
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS
 
 MAX_ROWS = 6
-OUTLIERS = 0.05  # of the rows: more are not outliers (estimate.outliers)
 
 
 def bad_row_sentences(document: Mapping[str, Any], argument: Callable[[str], str] = str) -> list[str]:
@@ -25,13 +25,14 @@ def bad_row_sentences(document: Mapping[str, Any], argument: Callable[[str], str
     return [
         f"{n} of {counted(fitted, 'row')} are bad: they disagree significantly with all others, which the declared noise "
         f"explains (without the bad rows: RMS {_rms(document, others)}, χ² per degree of freedom {others['chi2_reduced']:.3g}).",
-        f"Bad rows: {_named(document['suspect'])}.",
-        f"They are more than {OUTLIERS:.0%} of the rows, so they are still in the fit, and everything below is for all rows. "
+        f"Bad rows: {named_rows(document['suspect'])}.",
+        f"They are more than {MOST:.0%} of the rows, so they are still in the fit, and everything below is for all rows. "
         f"Find their cause, then leave them out, or give {argument('loss')} {Loss.CAUCHY}.",
     ]
 
 
-def _named(rows: list[Mapping[str, Any]]) -> str:
+def named_rows(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the first MAX_ROWS rows with their distances, and how many more there are."""
     named = ", ".join(f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows[:MAX_ROWS])
     return named + (f" and {len(rows) - MAX_ROWS} more (suspect in the JSON result)" if len(rows) > MAX_ROWS else "")
 
