@@ -57,9 +57,9 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     assert "To apply it: --allow chuck." in outcome.out
     # The largest comes first: the slip displaces base and tool, and lengths from the slipped chuck agree with that.
     # Then the error of poses that were not fitted. The covariance knows nothing of the slip.
-    expect = r"The fit has systematic errors\. Expect tool errors of at least (0\.\d+) mm RMS: by so much the tool moves if they are "
+    expect = r"The fit has systematic errors\. Expect tool errors of at least (0\.\d+) mm RMS: the tool moves by that "
     measured = r"The error that the rows show: (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
-    without = r"These sigmas predict a tool error of (0\.\d+) mm RMS over "
+    without = r"The sigmas predict a tool error of (0\.\d+) mm RMS over "
     for text in (outcome.out, page.read_text()):
         assert "Tool error predicted from these sigmas" not in text
         assert "of the tool, predicted" not in text

@@ -80,7 +80,8 @@ def test_bad_rows_are_named_beside_gear_errors(seed):
 
 
 @pytest.mark.parametrize(
-    ("laws", "why"), [(True, "they hardly change the fit"), (False, "most rows miss by more than their declared noise")]
+    ("laws", "why"),
+    [(True, "they hardly change the fit"), (False, "the residuals of most rows exceed their declared noise")],
 )
 def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
     rows = [{"weight": weight, "source": "a.csv row 9", "distance": 6.0} for weight in (0.0, 1.0)]

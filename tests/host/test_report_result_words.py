@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from truearm.report.displacement_words import displacement_sentences
 from truearm.report.result_words import unexplained_words
 from truearm.results import MeanError
 
@@ -18,11 +19,45 @@ HELD_OUT = {"m": MeanError(mean=0.9e-4, low=0.7e-4, high=1.1e-4, n=36, held_out=
         (math.nan, (5e-5, 50), "The fit has systematic errors. Expect errors of 0.0900 mm (95 %: "),
         (8e-5, (5e-5, 50), "The fit has systematic errors. Expect errors of 0.0900 mm (95 %: "),
         (1e-4, (2e-4, 50), "The fit has systematic errors. Expect tool errors of 0.2000 mm RMS over 50 poses"),
-        (5.5e-3, (2e-4, 50), "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: by so much"),
-        (5.5e-3, None, "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: by so much"),
+        (
+            5.5e-3,
+            (2e-4, 50),
+            "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: the tool moves by that much",
+        ),
+        (
+            5.5e-3,
+            None,
+            "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: the tool moves by that much",
+        ),
     ],
 )
 def test_the_largest_comes_first(systematic, tool, first):
     lines = unexplained_words(HELD_OUT, systematic, tool)
     assert lines[0].startswith(first)
     assert "0.0900 mm (95 %: 0.0700 to 0.1100), the mean of 36 poses held out." in " ".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("n", "said"),
+    [
+        (1, "the mean of 1 pose (predicted from the other poses)."),
+        (2, "the mean of 2 poses (each predicted from the other poses)."),
+    ],
+)
+def test_poses_left_out_in_turn_are_said_to_be_predicted_from_the_others(n, said):
+    (line,) = unexplained_words({"m": MeanError(mean=1e-4, low=0.9e-4, high=1.1e-4, n=n, held_out=False)}, None, None)
+    assert said in line
+
+
+@pytest.mark.parametrize(
+    ("frames", "said"),
+    [
+        (("base",), "The fit places the base 12 mm from where it is described. If it was not moved there, "),
+        (("base", "tool"), "and the tool 12 mm from where it is described. If they were not moved there, "),
+    ],
+)
+def test_a_base_or_tool_elsewhere_may_be_wrong_positions_in_the_rig(frames, said):
+    displaced = [{"frame": frame, "distance_mm": 12.0, "turn_deg": 0.1} for frame in frames]
+    (line,) = displacement_sentences({"displaced": displaced})
+    assert said in line
+    assert line.endswith("check the positions in the rig.")

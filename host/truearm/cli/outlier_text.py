@@ -30,7 +30,7 @@ def suspects(document: Document) -> list[str]:
     else:
         lines = [f"{who} significantly with all others; {len(out)} left out of the fit: {named_rows(out)}."]
         if kept:
-            usual = "most rows miss by more than their declared noise"
+            usual = "the residuals of most rows exceed their declared noise"
             why = "they hardly change the fit" if _has_laws(document) else usual
             lines.append(
                 f"Not left out, because {why}: {named_rows(kept)}. To leave out a row "

@@ -20,9 +20,10 @@ def displacement_sentences(document: Mapping[str, Any]) -> list[str]:
             size = from_shown(one[name], unit)
             if size > UNITS[unit].weak_sigma:
                 sizes.append(scale.text(size, digits))
-        each.append(f"the {one['frame']} stands {' and '.join(sizes)} from where it is described")
+        each.append(f"the {one['frame']} {' and '.join(sizes)} from where it is described")
     text = " and ".join(each)
-    did = "it does not" if len(each) == 1 else "they do not"
+    it, was = ("it", "was") if len(each) == 1 else ("they", "were")
     return [
-        f"{text[0].upper()}{text[1:]}. If {did}, the rig has wrong places: no residual shows those, and the tool errs by as much."
+        f"The fit places {text}. If {it} {was} not moved there, positions in the rig are wrong by as much, and so is the tool. No "
+        "residual shows this: check the positions in the rig."
     ]

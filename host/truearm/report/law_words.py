@@ -30,7 +30,9 @@ def law_sentences(document: Document) -> list[str]:
         return [*lines, f"No joint law is supported by the evidence ({tried} tried): the geometry alone is used."]
     lines += [_kept(law) for law in kept]
     if dropped:
-        names = ", ".join(f"{one_line(law['joint'])} {law['term']} {law['nats']:.1f}" for law in dropped)
+        names = ", ".join(
+            f"{one_line(law['joint'])} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped
+        )
         lines.append(f"Tried and dropped, with their evidence in nats (6 are needed): {names}.")
     if any(law["term"] == "sag" for law in kept) and not found["gravity_known"]:
         lines.append(
@@ -43,7 +45,7 @@ def law_sentences(document: Document) -> list[str]:
     if noise["shared_mm"]:
         parts.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
     if noise["joint_mrad"]:
-        parts.append(f"{noise['joint_mrad']:.2g} mrad of every joint")
+        parts.append(f"{noise['joint_mrad']:.2g} mrad in every joint")
     lines.append(f"Noise learned from the residuals: {', '.join(parts)}.")
     return lines
 

@@ -20,7 +20,7 @@ UNIT_RATIOS = {
     100.0: "a hundred (metres and centimetres)",
 }
 SAME_RATIO = 0.02  # relative
-SHARED = "This is what the rows measure; errors that all of them share are not in it."
+SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
@@ -56,7 +56,7 @@ def copy_sentences(document: Mapping[str, Any]) -> list[str]:
     are, them = ("is a copy", "It is") if len(copies) == 1 else ("are copies", "They are")
     return [
         f"{counted(len(copies), 'row')} {are} of earlier rows, with the same joints, readings and names to the last digit: "
-        f"{named}{more}. {them} left out, because a copy is no measurement."
+        f"{named}{more}. {them} left out, because a copy is not a new measurement."
     ]
 
 
@@ -67,9 +67,9 @@ def scale_sentence(scale: Mapping[str, Any]) -> str:
     named = f" A ratio of {units[0]} suggests a wrong unit." if units else ""
     return (
         f"The robot is {scale['factor']:.4f} times as large as described (σ {scale['sigma']:.2g}, {scale['n']} lengths; by chance "
-        f"with a probability of {scale['chance']:.0e}). No residual shows a scale: the lengths in the rig and the readings "
-        f"determine it, and every position errs in that ratio.{named} Check them (bars, distances of sockets, places of "
-        "chucks, units) and the robot's model."
+        f"with a probability of {scale['chance']:.0e}). The lengths in the rig and the readings determine "
+        f"the scale. If they are wrong by this ratio, so is every position, and no residual shows it.{named} Check them (bars, "
+        "distances of sockets, positions of chucks, units) and the robot's model."
     )
 
 
@@ -88,18 +88,15 @@ def unexplained_words(
         low, high = (number(value, si) for value in (error.low, error.high))
         parts.append(f"{number(error.mean, si)} {symbol(si)} (95 %: {low} to {high})")
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
-    of = (
-        f"{counted(n, 'pose')} held out"
-        if held_out
-        else f"{counted(n, 'pose')} that the rows of the other poses predict"
-    )
+    each = "predicted" if n == 1 else "each predicted"
+    of = f"{counted(n, 'pose')} " + ("held out" if held_out else f"({each} from the other poses)")
     because = (
         "The declared noise does not explain the residuals" if systematic is None else "The fit has systematic errors"
     )
     measured = errors["m"].mean if "m" in errors else 0.0
     if systematic is not None and systematic > max(measured, tool[0] if tool else 0.0):
         lines = [
-            f"{because}. Expect tool errors of at least {number(systematic, 'm')} {symbol('m')} RMS: by so much the tool moves if they are estimated, and the estimate errs too.",
+            f"{because}. Expect tool errors of at least {number(systematic, 'm')} {symbol('m')} RMS: the tool moves by that much if these errors are estimated, and their estimates are uncertain too.",
             f"The error that the rows show: {' and '.join(parts)}, the mean of {of}.",
         ]
         return lines if tool is None else [*lines, _by_sigmas(tool)]
@@ -118,8 +115,8 @@ def unexplained_words(
 
 def _by_sigmas(tool: tuple[float, int]) -> str:
     return (
-        f"These sigmas predict a tool error of {_over_poses(tool)}, but only for residuals that the declared noise explains; "
-        "those of a fit that estimates more errors are larger."
+        f"The sigmas predict a tool error of {_over_poses(tool)}. They hold only if the declared noise explains the residuals, "
+        "and they grow if the fit estimates more errors."
     )
 
 

@@ -48,7 +48,7 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     little = " This is less than a tenth of the error to expect." if hardly_matters(document) else ""
     unknown = _undetermined(found)
     if unknown:  # a motion to first order says nothing about how far such numbers take the tool
-        moved, little = ", but the tool is then as uncertain as they are", ""
+        moved, little = ", but the tool is then as uncertain as these estimates", ""
     lines += unknown
     return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
 
@@ -159,7 +159,8 @@ def _undetermined(found: Sequence[Mapping[str, Any]]) -> list[str]:
     if not of:
         return []
     names = [str(number["name"]) for one in of for number in one["off_by"] if hardly_determined(number)]
+    them = "it" if len(names) == 1 else "them"
     return [
-        f"These rows hardly determine {', '.join(map(one_line, names))}, and the position of the tool depends on it. Measure "
-        "it, and correct the rig."
+        f"These rows hardly determine {', '.join(map(one_line, names))}, and the position of the tool depends on {them}. Measure "
+        f"{them}, and correct the rig."
     ]

@@ -53,7 +53,7 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
         now, given = (_sizes(one, name) for name in ("rms", "rms_given"))
         fits = f"in a quick fit: RMS {now} with this change, {given} as given"
         if now == given:
-            fits = f"RMS {now} in a quick fit either way; what was compared is each residual relative to its declared noise"
+            fits = f"RMS {now} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change"
         apply = "".join(
             f"; {argument(name)} {one_line(value)}{NUMBERED if name == 'leave_out' else ''}"
             for name, value in (one["apply"] or {}).items()

@@ -38,7 +38,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     elif not helped:
         words = "The calibration does not help here: identify again, from measurements of this place and tool."
     elif document["consistent"] is None or not told:
-        words = "The calibration helps, but these rows cannot show how far it holds."
+        words = "The calibration helps, but these rows cannot show how accurate it is."
     else:
         explained = " and ".join(of.text(of.rms) for of in told)
         left = " and ".join(of.text(document[f"unexplained_{of.unit.suffix}"]) for of in told)
