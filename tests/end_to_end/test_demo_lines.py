@@ -69,4 +69,5 @@ def test_both_solvers_agree_and_nothing_is_lost(demo):
     assert {"line"} <= {kind["kind"] for kind in result["observations"]}
     page = (out / "report.html").read_text()
     assert "delay of the robot" in page
+    assert f"truearm demo --experiment {kind} --out {out} --poses 90 --rate 500" in page
     assert np.isfinite([p["value"] for p in result["parameters"]]).all()

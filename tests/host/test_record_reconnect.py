@@ -189,7 +189,7 @@ class TestBox:
         assert all(other.box.commands == [] for other in held)  # nobody asked the others
         for other in held:
             other.unplug()
-        assert "link lost 1 times" in capsys.readouterr().out
+        assert "link lost 1 time" in capsys.readouterr().out
 
 
 def wait_for(true):

@@ -7,6 +7,7 @@ the session file, the clocks. What is found is judged by rows that were not fitt
 from __future__ import annotations
 
 import json
+import shlex
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -69,6 +70,7 @@ def what_is_planned(experiment: Experiment, poses: int) -> str:
 
 
 def demo(
+    context: typer.Context,
     out: Annotated[Path, out_folder("session, tables, result and report")] = Path("out/demo"),
     poses: Annotated[
         int,
@@ -133,6 +135,7 @@ def demo(
     from truearm_sim.world import World, standard_plan
 
     say = partial(typer.echo, err=as_json)
+    command = shlex.join(["truearm", *(context.obj or [])])
     osr = nearest_osr(rate)
     truth = truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed)
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
@@ -174,13 +177,13 @@ def demo(
             with steps.step("identify, validate"):
                 found = demo_ball_bar.calibrate(out, result.table, subject)
             with steps.step("report"):
-                page = demo_ball_bar.write_page(out, found, result, clock, steps)
+                page = demo_ball_bar.write_page(out, found, result, clock, steps, command)
             found_lines, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
         case Experiment.line | Experiment.both:
             with steps.step("identify, validate"):
                 lines = demo_lines.calibrate(experiment is Experiment.both, out, result.table, subject)
             with steps.step("report"):
-                page = demo_lines.write_page(out, lines, result, clock, steps)
+                page = demo_lines.write_page(out, lines, result, clock, steps, command)
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(experiment)

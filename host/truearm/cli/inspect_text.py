@@ -36,6 +36,11 @@ BOX_WORDS = {  # of the box's counters; others are called by their names
     "converter_resets": "resets of the box's converter by itself",
     "missing_stops": "magnetostrictive interrogations without a stop pulse",
 }
+EDGE_WORDS = (  # of trigger edges that are not used
+    ("unseen", "not visible in any reading"),
+    ("unclear", "with several possible matches"),
+    ("rejected", "contradicting the others"),
+)
 EXTREME_WORDS = {
     "loop_max_us": "longest loop {} µs",
     "gc_max_us": "longest garbage collection {} µs",
@@ -183,8 +188,8 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
         return
     yield (
         f"robot: {counted(robot['readings'], 'reading')} of {robot['joints']} joints at {_number(robot['rate_hz'], '.2f')} Hz; "
-        f"{'an unknown number' if robot['lost'] is None else robot['lost']} lost, {robot['gaps']} gaps, {robot['late']} late, {robot['duplicated']} duplicated, "
-        f"{robot['malformed']} malformed, {robot['restarts']} restarts"
+        f"{'an unknown number' if robot['lost'] is None else robot['lost']} lost, {counted(robot['gaps'], 'gap')}, {robot['late']} late, {robot['duplicated']} duplicated, "
+        f"{robot['malformed']} malformed, {counted(robot['restarts'], 'restart')}"
     )
     if added:
         when = added.get("time", "?")
@@ -203,16 +208,9 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
 def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     if edges is None:
         return
-    wrong = [
-        f"{edges[key]} {text}"
-        for key, text in (
-            ("unseen", "not visible in any reading"),
-            ("unclear", "not distinguished"),
-            ("rejected", "rejected by the others"),
-            ("stray", "changes of the input without an edge"),
-        )
-        if edges[key]
-    ]
+    wrong = [f"{edges[key]} {text}" for key, text in EDGE_WORDS if edges[key]]
+    if edges["stray"]:
+        wrong.append(f"{counted(edges['stray'], 'change', 'changes')} of the input without an edge")
     counts = "; ".join([f"{edges['used']} of {edges['edges']} edges agree", *wrong])
     if not edges["used"]:
         yield f"  trigger: no input follows the box's output ({counted(edges['edges'], 'edge')}); is it wired, and are the readings' inputs recorded?"

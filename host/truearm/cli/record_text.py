@@ -30,21 +30,21 @@ def _totals(summary: RecordSummary) -> str:
         f"{counted(counters.lost_frames, 'frame')} lost",
     ]
     if counters.robot_lines or counters.robot_console_bytes:
-        parts.append(f"{counters.robot_lines} robot messages")
+        parts.append(counted(counters.robot_lines, "robot message"))
     if counters.robot_other_joints:
         parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
     if counters.restarts:
-        parts.append(f"{counters.restarts} box restarts")
+        parts.append(counted(counters.restarts, "box restart"))
     if counters.link_losses:
-        parts.append(f"link lost {counters.link_losses} times")
+        parts.append(f"link lost {counted(counters.link_losses, 'time')}")
     if counters.robot_losses:
-        parts.append(f"robot lost {counters.robot_losses} times")
+        parts.append(f"robot lost {counted(counters.robot_losses, 'time')}")
     if counters.robot_missing or counters.robot_dropped or counters.robot_unstored:
         parts.append("the robot sent more than could be stored")
     elif counters.robot_held_up:
-        parts.append(f"the robot's readings came up to {S.text(counters.robot_late_s, '.1f')} late, none is missing")
+        parts.append(f"the robot's readings came up to {S.text(counters.robot_late_s, '.1f')} late; none is missing")
     if counters.held_up:
-        parts.append(f"storing fell behind {counters.held_up} times")
+        parts.append(f"storing fell behind {counted(counters.held_up, 'time')}")
     return ", ".join(parts)
 
 

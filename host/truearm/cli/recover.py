@@ -57,7 +57,7 @@ def lines(found: Recovered) -> list[str]:
 
     messages = sum(account.saved for account in found.topics.values())
     text = [
-        f"saved  {counted(messages, 'message')} of {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"
+        f"saved  {counted(messages, 'message')} over {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"
     ]
     width = max((len(topic) for topic in found.topics), default=0)
     for topic, account in found.topics.items():
@@ -70,7 +70,7 @@ def lines(found: Recovered) -> list[str]:
         text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
     if found.cut_off:
         text.append("lost   the end of the file: its length is unknown (at most a second if the recorder was killed)")
-    text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} in no intact record")
+    text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} outside intact records")
     return text
 
 

@@ -250,7 +250,10 @@ def _unusable(counts: NDArray[Any], stretched: Floats, bar: BallBar) -> tuple[st
     if at_rail:
         return "rail", f"{at_rail} of {counts.size} samples"
     if np.any(out_of_travel(stretched, bar)):
-        return "out of travel", f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.of(0.5 * bar.travel):.1f}"
+        return (
+            "out of travel",
+            f"{MM.text(float(np.max(np.abs(stretched))), '.1f')} of ±{MM.text(0.5 * bar.travel, '.1f')}",
+        )
     return "", ""
 
 
@@ -259,8 +262,10 @@ def _unsettled(found: Settled | None, last: int) -> tuple[str, str]:
     if found is None:
         return "gap", ""
     off = float(np.max(np.abs(found.deviation[-last:])))
-    return "ringing" if rings(found) else "drift", f"{UM.text(off, '.0f')} off, {UM.of(found.bound):.0f} allowed"
+    return "ringing" if rings(
+        found
+    ) else "drift", f"{UM.text(off, '.0f')} off, {UM.text(float(found.bound), '.0f')} allowed"
 
 
 def _noise_words(noise: float, limit: float) -> str:
-    return f"{UM.text(noise, '.1f')}, {UM.of(limit):.1f} allowed"
+    return f"{UM.text(noise, '.1f')}, {UM.text(limit, '.1f')} allowed"

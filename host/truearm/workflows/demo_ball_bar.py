@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, recording_facts, robot_title
+from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, recording_facts, robot_title
 
 if TYPE_CHECKING:
     from truearm.results import Estimate, PredictedError
@@ -57,7 +57,9 @@ def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCa
     return BallBarCalibration(subject, rig, estimate, all_free, longitudes(chain, rig, table, estimate), predicted)
 
 
-def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
+def write_page(
+    out: Path, found: BallBarCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, command: str
+) -> Path:
     """Write report.html with pictures and tables, everything inline."""
     from truearm.report.calibration_page import CalibrationPage, render
 
@@ -73,7 +75,7 @@ def write_page(out: Path, found: BallBarCalibration, result: SyncResult, truth: 
             (f"rank with all {len(found.all_free.free)} parameters free", f"{found.all_free.rank}"),
         ),
         steps=tuple(steps.done),
-        command=of_model(found.subject, f"truearm demo --out {out}"),
+        command=command,
         validation=found.estimate.held_out,
         predicted=found.predicted,
     )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from truearm.estimate.solvers import Prior
 from truearm.units import MS, NS
-from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, of_model, recording_facts, robot_title
+from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, recording_facts, robot_title
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
@@ -156,8 +156,10 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     return found
 
 
-def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps) -> Path:
-    """Write report.html with pictures and tables, everything inline."""
+def write_page(
+    out: Path, found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, command: str
+) -> Path:
+    """Write report.html with pictures and tables, everything inline; ``command`` is the one that was typed."""
     from truearm.report.calibration_page import CalibrationPage, render
 
     with_bar = " and ball-bar" * found.with_bar
@@ -169,7 +171,7 @@ def write_page(out: Path, found: LineCalibration, result: SyncResult, truth: Clo
         longitude=found.longitude,
         facts=(*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate))),
         steps=tuple(steps.done),
-        command=of_model(found.subject, f"truearm demo --rig {'both' if found.with_bar else 'line'} --out {out}"),
+        command=command,
         prior=found.prior,
         predicted=found.predicted,
     )

@@ -95,12 +95,6 @@ def robot_title(subject: Subject) -> str:
     return "PUMA 560" if name == "puma560" else name
 
 
-def of_model(subject: Subject, command: str) -> str:
-    """Return a demo's command with the option for its robot, without it for the default robot."""
-    name = subject.choice.robot
-    return command if name == "puma560" else command.replace("truearm demo", f"truearm demo --model {name}", 1)
-
-
 def write_setup(out: Path, world: World) -> None:
     """Write plan.csv and rig.toml, as a user would have them."""
     from truearm.files.plan_file import write_plan
