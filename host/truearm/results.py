@@ -338,6 +338,7 @@ class OtherFit(NamedTuple):
     value: Floats  # (p,) of all parameters
     rms_after: Mapping[str, float]  # by SI unit
     chi2_reduced: float
+    moves: float = math.nan  # m, RMS distance of the end from where the estimate has it, over the fitted poses
 
 
 class Period(NamedTuple):

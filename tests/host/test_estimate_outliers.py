@@ -133,3 +133,7 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
         assert said[-1].endswith("or give --loss cauchy.")
         assert of.estimate.without_bad_rows.chi2_reduced < of.estimate.chi2_band[1]
         assert (of.estimate.weight == 1.0).all()
+        expect = of.estimate.without_bad_rows.moves
+        assert tool_error(of.estimate) == pytest.approx(expect, rel=0.2)  # the fit without them errs too
+        first, _ = identify_text.predicted(of.document)
+        assert first.startswith(f"Bad rows are in the fit. Expect tool errors of {1e3 * expect:.4f} mm RMS: by so much")

@@ -311,7 +311,9 @@ def predicted(document: Document) -> list[str]:
             if would_be["tool_moves_mm"] is None
             else MM.to_si(would_be["tool_moves_mm"])
         )
-        return unexplained_words(_unexplained(document["unexplained"]), moves, tool)
+        bad = document["without_bad_rows"]
+        without_bad = None if bad is None else MM.to_si(bad["tool_moves_mm"])
+        return unexplained_words(_unexplained(document["unexplained"]), moves, tool, without_bad)
     if error is None:
         return [
             "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."

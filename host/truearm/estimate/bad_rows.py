@@ -31,7 +31,7 @@ from truearm.types import Floats
 MOST = 0.25  # of the rows
 LEAST_LEFT = 10.0  # degrees of freedom of the other rows: with fewer, leaving out rows explains anything
 ROUNDS = 10
-HEAVY = 3.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
+HEAVY = 2.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
 CHANCE = 0.01  # probability of a longer run of bad rows in random order
 
 Mask = NDArray[np.bool_]

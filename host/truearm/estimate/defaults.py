@@ -46,7 +46,7 @@ Mask = NDArray[np.bool_]
 
 STILL = 4.0  # weak σ, largest minus smallest reading
 LARGEST_MISFIT = 10.0  # ratio of the observed noise to the declared one
-HEAVY = 2.0  # RMS of the rows over that of the usual one; it is 1 for normal errors
+HEAVY = 1.4  # RMS of the rows over that of the usual one; it is 1 for normal errors
 PRELIMINARY = 20  # iterations
 LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
 MOTION = 0.5  # rad, m: assumed motion of a still joint
@@ -139,7 +139,7 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY)).x)
     misfit, rms = _misfit(problem, x, columns)
     if rms > HEAVY * misfit:  # many bad rows bend the fit, so that the others err too
-        x = fit(wide, columns, x, Options(PRELIMINARY, Loss.CAUCHY)).x
+        x = fit(wide, columns, x, Options(loss=Loss.CAUCHY)).x
         misfit, _ = _misfit(problem, x, columns)
     root = _root(problem, x, free) / misfit
     needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted

@@ -258,7 +258,7 @@ def identify(
         systematic=wrong,
         unexplained=unexplained,
         with_outliers=None if found is every else with_all_rows(problem, columns, every, found),
-        without_bad_rows=None if bad is None else without_bad(bad),
+        without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
         parts=residual_parts(taken, x, columns, half(parts)),
         pose_error=None if shared is None else shared.error,
     )

@@ -9,8 +9,11 @@ from truearm.estimate.bad_rows import WithoutBad
 from truearm.estimate.information import half, spectrum
 from truearm.estimate.problem import Problem
 from truearm.estimate.solution import Solution, of_data
+from truearm.estimate.systematic import moves
 from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.model.chain import Chain
 from truearm.results import Figures, OtherFit
+from truearm.types import Floats
 
 
 def with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution, found: Solution) -> OtherFit:
@@ -21,7 +24,8 @@ def with_all_rows(problem: Problem, columns: NDArray[np.bool_], every: Solution,
     return OtherFit(int((found.weight == 0.0).sum()), every.x, rms, chi2)
 
 
-def without_bad(bad: WithoutBad) -> OtherFit:
-    """Return the fit without the bad rows."""
+def without_bad(bad: WithoutBad, chain: Chain, x: Floats, q: Floats) -> OtherFit:
+    """Return the fit without the bad rows; x (P,) is the fit with them, and q (n, j) are the poses."""
     rms = {unit: of.rms for unit, of in Figures.by_unit(bad.solution.information.residual, ~bad.bad).items()}
-    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced)
+    apart = moves(chain, x, bad.solution.x, q)
+    return OtherFit(int(bad.bad.sum()), bad.solution.x, rms, bad.quality.reduced, apart)

@@ -108,7 +108,7 @@ def document_of(
         **systematic_entries(estimate.systematic, table),
         "unexplained": _unexplained(estimate),
         "with_outliers": _other_fit(estimate, estimate.with_outliers, units),
-        "without_bad_rows": _other_fit(estimate, estimate.without_bad_rows, units),
+        "without_bad_rows": _without_bad_rows(estimate, units),
         "held_out_by": list(held_out_by),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
@@ -267,6 +267,13 @@ def _other_fit(estimate: Estimate, other: OtherFit | None, units: Sequence[str])
         "names": list(estimate.parameter_names),
         "value": numbers_or_null(other.value),
     }
+
+
+def _without_bad_rows(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
+    """Return the fit without bad rows that were not left out, and how far the tool is from the estimate's with it."""
+    other = estimate.without_bad_rows
+    fit = _other_fit(estimate, other, units)
+    return None if other is None or fit is None else {**fit, "tool_moves_mm": shown_or_null(other.moves, "m")}
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:

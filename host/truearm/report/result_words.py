@@ -74,14 +74,18 @@ def scale_sentence(scale: Mapping[str, Any]) -> str:
 
 
 def unexplained_words(
-    errors: Mapping[str, MeanError], systematic: float | None, tool: tuple[float, int] | None
+    errors: Mapping[str, MeanError],
+    systematic: float | None,
+    tool: tuple[float, int] | None,
+    without_bad: float | None = None,
 ) -> list[str]:
     """Return the error to expect if the declared noise does not explain the residuals, from poses that were not fitted.
 
     ``errors`` are their mean errors by SI unit. ``systematic`` is how far the tool moves if the systematic errors that
     were found are estimated [m], NaN if that is not known; None without such errors. ``tool`` is the error of the tool
     that the covariance predicts [m], over a number of poses. The largest of the three is the one to expect: a displaced
-    fixture turns the base with it, and rows held out at the same fixture do not show that.
+    fixture turns the base with it, and rows held out at the same fixture do not show that. If bad rows are in the fit,
+    the error to expect is how far the tool moves without them, ``without_bad`` [m].
     """
     parts = []
     for si, error in errors.items():
@@ -90,6 +94,11 @@ def unexplained_words(
     n, held_out = max(error.n for error in errors.values()), any(error.held_out for error in errors.values())
     each = "predicted" if n == 1 else "each predicted"
     of = f"{counted(n, 'pose')} " + ("held out" if held_out else f"({each} from the other poses)")
+    if without_bad is not None:
+        return [
+            f"Bad rows are in the fit. Expect tool errors of {number(without_bad, 'm')} {symbol('m')} RMS: by so much the tool moves if they are left out.",
+            f"The error that the rows show includes that of the bad rows themselves: {' and '.join(parts)}, the mean of {of}.",
+        ]
     because = (
         "The declared noise does not explain the residuals" if systematic is None else "The fit has systematic errors"
     )

@@ -105,12 +105,15 @@ def _error_elsewhere(found: Identification) -> list[str]:
     if estimate.unexplained:
         tool = (predicted.rms, predicted.n) if predicted else None
         moves = estimate.systematic.moves if estimate.systematic else None
-        return unexplained_words(estimate.unexplained, moves, tool)
+        bad = None if estimate.without_bad_rows is None else estimate.without_bad_rows.moves
+        return unexplained_words(estimate.unexplained, moves, tool, bad)
     return [] if found.predicted else [UNPREDICTED]
 
 
 def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
     """Return whether the covariance says which error of the tool to expect."""
+    if estimate.without_bad_rows is not None:
+        return False
     moved = estimate.systematic.moves if estimate.systematic else 0.0
     return not moved > predicted.rms and (not estimate.unexplained or predicted.exceeds(estimate.unexplained))
 

@@ -123,15 +123,19 @@ def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
 
     result.json has the mean of the error's norm. For a normal error along one axis the RMS is √(π/2) times that, for
     one along three axes only 1.09 times. If it has an error of each pose (``pose_error``), with one standard deviation
-    for all three axes, the larger of the two is used.
+    for all three axes, the larger of the two is used. Neither includes how far the tool moves without bad rows and
+    systematic errors that are in the fit, so that counts if it is larger than both.
     """
-    left = document.get("unexplained")
-    means = [left.get(name) if isinstance(left, dict) else None for name in ("mean_mm", "mean_deg")]
-    mm, deg = (float(mean) if isinstance(mean, int | float) else 0.0 for mean in means)
-    of_poses = document.get("pose_error")
-    sigma = of_poses.get("sigma_mm") if isinstance(of_poses, dict) else None
-    norm = math.sqrt(3.0) * float(sigma) if isinstance(sigma, int | float) else 0.0
-    return MM.to_si(max(RMS_OF_MEAN * mm, norm)), RMS_OF_MEAN * DEG.to_si(deg)
+    mm, deg = (_number(document.get("unexplained"), name) for name in ("mean_mm", "mean_deg"))
+    norm = math.sqrt(3.0) * _number(document.get("pose_error"), "sigma_mm")
+    moved = [_number(document.get(name), "tool_moves_mm") for name in ("without_bad_rows", "without_systematic")]
+    return MM.to_si(max(RMS_OF_MEAN * mm, norm, *moved)), RMS_OF_MEAN * DEG.to_si(deg)
+
+
+def _number(entry: Any, name: str) -> float:
+    """Return a number of an entry of result.json, 0 if it is not there."""
+    value = entry.get(name) if isinstance(entry, dict) else None
+    return float(value) if isinstance(value, int | float) else 0.0
 
 
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
