@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 
 
@@ -17,6 +18,11 @@ def one_line(text: str) -> str:
 def page(title: str) -> str:
     """Return a reference to a page of the documentation, by title, because an installed truearm has no docs folder."""
     return f'see "{title}" in the documentation'
+
+
+def box_command(words: str, device: str) -> str:
+    """Return a command of ``truearm box`` for the box at a port, as it is typed."""
+    return f"truearm box {words} --box {shlex.quote(one_line(device))}"
 
 
 def counted(count: int, one: str, many: str = "") -> str:

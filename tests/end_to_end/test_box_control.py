@@ -323,3 +323,10 @@ def test_findings_pass_warn_and_fail():
 def test_results_that_are_none_are_failures_or_not_measured(junk):
     (found,) = [f for f in findings({"rail_5v": junk}) if f.name == "rail_5v"]
     assert found.verdict == (WARN if junk is None else FAIL)
+
+
+def test_advice_names_commands_for_this_box():
+    few, none = {"ok": 0, "value": 0, "unit": ""}, {"ok": 0, "value": 1, "unit": ""}
+    found = {f.name: f.advice for f in findings({"stops": few, "thermometers_missing": none}, "/dev/ttyACM1")}
+    assert "run truearm box config set magnetostrictive.period_us=0 --box /dev/ttyACM1" in found["stops"]
+    assert "truearm box config get --box /dev/ttyACM1 prints" in found["thermometers_missing"]

@@ -44,7 +44,7 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         assert box("gauge", "lvdt", "--box", device, "--seconds", "0.3", "--serial", "LV-1", *by) == 0
         said = capsys.readouterr().out
         assert "dropped place 13" in said
-        assert "'seven' is not a reading of a reference; type a number of mm" in said
+        assert "'seven' is not a reading; type the reading of the reference in mm, such as 12.5" in said
         assert "order 2:" in said.split("← chosen")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored; the box uses it from now on"

@@ -140,17 +140,21 @@ class TestCheck:
     @pytest.mark.parametrize(
         ("lvdt", "says"),
         [
-            ({"name": "lvtd"}, "has no channel lvdt (it has lvtd, c1, c2, c3)"),
+            (
+                {"name": "lvtd"},
+                "has no channel lvdt (it has lvtd, c1, c2, c3); to rename one, save what truearm box config get "
+                "--box /dev/ttyACM1 prints as box.toml, edit it, and run truearm box config set box.toml --box /dev/ttyACM1",
+            ),
             (
                 {"calibration": {}},
-                "channel lvdt is not calibrated to a length; calibrate it with truearm box gauge lvdt",
+                "channel lvdt is not calibrated to a length; calibrate it with truearm box gauge lvdt --box /dev/ttyACM1",
             ),
             ({"calibration": {"unit": "V", "poly": [[1, 0]]}}, "is not calibrated to a length"),
             ({"scale": [1]}, "channel lvdt cannot be used: scale must be"),
         ],
     )
     def test_refused_for_a_ball_bar(self, lvdt, says):
-        verdict = check_box(box(**lvdt), Purpose(ball_bar=True), TODAY)
+        verdict = check_box(box(**lvdt), Purpose(ball_bar=True, device="/dev/ttyACM1"), TODAY)
         assert says in verdict.refused[0]
         assert not check_box(box(**lvdt), Purpose(), TODAY).refused
 

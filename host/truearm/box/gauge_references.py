@@ -41,7 +41,7 @@ def parse_reference(text: str, scale: float) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= MAX_METRES:
-        raise InputError(f"{text.strip()[:40]!r} is not a reading of a reference")
+        raise InputError(f"{text.strip()[:40]!r} is not a reading")
     return value
 
 

@@ -35,7 +35,7 @@ from truearm.box.gauge_result import (
 )
 from truearm.errors import Argument, InputError, LinkError, TruearmError
 from truearm.progress import Advance, step
-from truearm.text import counted, one_line
+from truearm.text import box_command, counted, one_line
 from truearm.units import MM, NS
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
         suffixes=[".html"],
     )
     with conversation(device, stop=stop) as box:
-        stream, index = _find(ident_of(box), channel)
+        stream, index = _find(ident_of(box), channel, device)
         config = checked_config(box)
         run = GaugeRun(kept, _continued(kept, ident_of(box), stream.channels[index], operator), say)
         with _told_if_kept(run, say):
@@ -196,17 +196,19 @@ def _circumstances(box: BoxControl, options: GaugeOptions, new: dict[str, Any]) 
     )
 
 
-def _find(ident: Ident, name: str) -> tuple[Stream, int]:
+def _find(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     from truearm.session.box_ident import find_channel
 
     found = find_channel(ident, name)
     if found is None:
         names = ", ".join(c.name for stream in ident.streams.values() for c in stream.channels)
-        off = "; its stream is off (truearm box config set magnetostrictive.period_us=983.04)" if name == HEAD else ""
+        on = box_command("config set magnetostrictive.period_us=983.04", device)
+        off = f"; its stream is off (switch it on with {on})" if name == HEAD else ""
         raise InputError(f"the box has no channel {name[:40]!r}{off}; it has {names}")
     if found[0].channels[found[1]].fault:
         raise InputError(
-            f"channel {name} cannot be used: {found[0].channels[found[1]].fault}; correct it with truearm box config set"
+            f"channel {name} cannot be used: {found[0].channels[found[1]].fault}; correct it with "
+            f"{box_command('config set', device)}"
         )
     return found
 
@@ -286,7 +288,7 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> 
         try:
             reference = parse_reference(line, UNITS[unit])
         except InputError as exc:
-            operator.say(f"  {exc}; type a number of {unit}")
+            operator.say(f"  {exc}; type the reading of the reference in {unit}, such as 12.5")
             continue
         measured = (place.reference for place in run.places)
         far = max(measured, key=lambda other: abs(other - reference), default=reference)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import date
 from typing import TYPE_CHECKING, Any
 
-from truearm.text import one_line
+from truearm.text import box_command, one_line
 from truearm.units import DEGC, MM
 
 if TYPE_CHECKING:
@@ -25,11 +25,14 @@ USUAL_BAR, USUAL_TRAVEL = 0.5, 0.075  # m, if the rig does not specify them
 
 @dataclass(frozen=True)
 class Purpose:
-    """What is to be measured; ``osr`` is the requested one, None: as set in the box."""
+    """What is to be measured; ``osr`` is the requested one, None: as set in the box; ``device`` is the box's port, for
+    the commands in messages.
+    """
 
     ball_bar: bool = False
     line: bool = False
     osr: int | None = None
+    device: str = "DEVICE"
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,10 @@ def check_box(ident: Ident, purpose: Purpose, today: date) -> Verdict:
     warned: list[str] = []
     names = ((LVDT,) if purpose.ball_bar else ()) + (LINE_CHANNELS if purpose.line else ())
     for name in names:
-        wrong, old = _channel(ident, name, today)
+        wrong, old = _channel(ident, name, today, purpose.device)
         refused += wrong
         warned += old
-    if not names and (text := _uncalibrated(ident)):
+    if not names and (text := _uncalibrated(ident, purpose.device)):
         warned.append(text)
     for stream in ident.streams.values():
         if purpose.osr is not None and stream.osr not in (0, purpose.osr):
@@ -84,24 +87,29 @@ def far_from_calibration(ident: Ident, channel: str, degc: float) -> str:
     )
 
 
-def _channel(ident: Ident, name: str, today: date) -> tuple[list[str], list[str]]:
+def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[str], list[str]]:
     from truearm.session.box_ident import find_channel
 
     found = find_channel(ident, name)
     if found is None:
         known = ", ".join(one_line(c.name) for s in ident.streams.values() for c in s.channels)
         advice = (
-            "switch it on with truearm box config set magnetostrictive.period_us=983.04"
+            f"switch it on with {box_command('config set magnetostrictive.period_us=983.04', device)}"
             if name == LINE_CHANNELS[0]
-            else "name it with truearm box config set"
+            else f"to rename one, save what {box_command('config get', device)} prints as box.toml, edit it, and run "
+            f"{box_command('config set box.toml', device)}"
         )
         return [f"the box has no channel {name} (it has {known}); {advice}"], []
     stream, index = found
     channel = stream.channels[index]
     if channel.fault:
-        return [f"channel {name} cannot be used: {channel.fault}; correct it with truearm box config set"], []
+        return [
+            f"channel {name} cannot be used: {channel.fault}; correct it with {box_command('config set', device)}"
+        ], []
     if channel.length_unit is None:
-        return [f"channel {name} is not calibrated to a length; calibrate it with truearm box gauge {name}"], []
+        return [
+            f"channel {name} is not calibrated to a length; calibrate it with {box_command(f'gauge {name}', device)}"
+        ], []
     return [], _old(name, _described(ident, stream, index), today)
 
 
@@ -122,8 +130,11 @@ def _described(ident: Ident, stream: Stream, index: int) -> Mapping[str, Any]:
     return entry if isinstance(entry, dict) else {}
 
 
-def _uncalibrated(ident: Ident) -> str:
+def _uncalibrated(ident: Ident, device: str) -> str:
     channels = [c for s in ident.streams.values() for c in s.channels]
     if any(c.length_unit is not None for c in channels):
         return ""
-    return "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with truearm box gauge"
+    return (
+        "no channel of the box is calibrated to a length, so truearm identify cannot use this session; calibrate one with "
+        f"{box_command('gauge CHANNEL', device)}"
+    )

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from truearm.text import page
+from truearm.text import box_command, page
 
 PASS, WARN, FAIL = "pass", "warn", "fail"
 MAX_RESULTS = 64
@@ -29,7 +29,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class _Item:
-    """``inner``: a value in this range passes without a warning; the displayed unit is the wire's times 1 / ``per``."""
+    """``inner``: a value in this range passes without a warning; the displayed unit is the wire's times 1 / ``per``.
+
+    ``advice`` may contain the commands {off}, which switches the head off, and {get}, which prints the configuration.
+    """
 
     what: str
     advice: str
@@ -61,7 +64,7 @@ _ITEMS = {
     "stops": _Item(
         "stop pulses of 16 interrogations of the magnetostrictive head",
         "check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking and time-out; "
-        "without such a head, run truearm box config set magnetostrictive.period_us=0",
+        "without such a head, run {off}",
         (16, 16),
     ),
     "rail_5v": _Item(
@@ -71,30 +74,34 @@ _ITEMS = {
     "temperature": _Item("temperature of the chip", "cool or warm the box", (-10_000, 60_000), "°C", 1000, ".1f"),
     "thermometers_missing": _Item(
         "thermometers of the configuration that do not answer",
-        "check the wires at J1 and the addresses: truearm box config get prints those of the configuration",
+        "check the wires at J1 and the addresses: {get} prints those of the configuration",
         (0, 0),
     ),
 }  # fmt: skip
 ALWAYS = ("converter_id", "noise_0", "noise_1", "noise_2", "noise_3", "rail_5v", "temperature")
 
 
-def findings(results: Mapping[str, Any]) -> list[Finding]:
+def findings(results: Mapping[str, Any], device: str = "DEVICE") -> list[Finding]:
     """Return the findings in the order of the signal path; unknown names come last, as judged by the box.
 
-    A result that cannot be read is a failure; a missing one of ``ALWAYS`` is a warning.
+    A result that cannot be read is a failure; a missing one of ``ALWAYS`` is a warning. ``device`` is the box's port, for
+    the commands in the advice.
     """
     names = [name for name in _ITEMS if name in results or name in ALWAYS]
     names += sorted(set(results) - set(_ITEMS))[:MAX_RESULTS]
-    return [_finding(name, results.get(name)) for name in names]
+    return [_finding(name, results.get(name), device) for name in names]
 
 
-def _finding(name: str, result: Any) -> Finding:
+def _finding(name: str, result: Any, device: str) -> Finding:
     item = _ITEMS.get(
         name, _Item(name[:40], "the box's firmware is newer than this truearm; update it", (-(2.0**63), 2.0**63))
     )
     what = item.what.format(name[-1])
+    advice = item.advice.format(
+        off=box_command("config set magnetostrictive.period_us=0", device), get=box_command("config get", device)
+    )
     if result is None:
-        return Finding(name, WARN, what, "", f"the box did not measure it; {item.advice}")
+        return Finding(name, WARN, what, "", f"the box did not measure it; {advice}")
     value = result.get("value") if isinstance(result, dict) else None
     if type(value) is not int or abs(value) >= 2**63 or result.get("ok") not in (0, 1):
         return Finding(name, FAIL, what, "", "the box's answer cannot be read; update its firmware")
@@ -105,9 +112,9 @@ def _finding(name: str, result: Any) -> Finding:
             _scaled(v, item) for v in (result.get("low"), result.get("high")) if type(v) is int and abs(v) < 2**63
         ]
         between = f" (allowed: {' to '.join(limits)} {unit}".rstrip() + ")" if len(limits) == 2 else ""
-        return Finding(name, FAIL, what, shown + between, item.advice)
+        return Finding(name, FAIL, what, shown + between, advice)
     near = not item.inner[0] <= value <= item.inner[1]
-    return Finding(name, WARN if near else PASS, what, shown, f"near its limit; {item.advice}" if near else "")
+    return Finding(name, WARN if near else PASS, what, shown, f"near its limit; {advice}" if near else "")
 
 
 def _scaled(value: int, item: _Item) -> str:

@@ -102,7 +102,7 @@ def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption =
     with conversation(device, stop=stop) as box:
         results = box.self_test()
         ident = box.identify()  # its faults are those of this test
-    found = findings(results)
+    found = findings(results, device)
     failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
     if as_json:
         print_json([vars(f) for f in found])

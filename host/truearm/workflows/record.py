@@ -152,7 +152,7 @@ def _record(
     progress = SessionProgress(work.rows, dict(work.mounted))
     if work.before is not None and request.plan is None:
         gone_on(progress, work.before)
-    view = View(LiveState(progress, work.rig, work.robot is not None), _purpose(work), request.unchecked)
+    view = View(LiveState(progress, work.rig, work.robot is not None), _purpose(work, device), request.unchecked)
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
         _robot_link(work.robot, clock) as robot_link,
@@ -263,7 +263,7 @@ def _going_on(work: RecordingWork, request: Request, before: Earlier) -> Recordi
     )
 
 
-def _purpose(work: RecordingWork) -> Purpose:
+def _purpose(work: RecordingWork, device: str) -> Purpose:
     """Return the purpose according to the plan, else to what is mounted, else to the rig."""
     moves = {row.get("move", Move.DWELL) for row in work.rows}
     if work.rows:
@@ -272,7 +272,7 @@ def _purpose(work: RecordingWork) -> Purpose:
         ball_bar, line = "bar" in work.mounted, "line" in work.mounted
     else:
         ball_bar, line = bool(work.rig and work.rig.bars), bool(work.rig and work.rig.lines)
-    return Purpose(ball_bar, line, work.osr)
+    return Purpose(ball_bar, line, work.osr, device)
 
 
 def plan_rows(plan: Plan) -> list[dict[str, Any]]:
