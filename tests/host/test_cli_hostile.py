@@ -226,7 +226,7 @@ OPTIONS = {
     f"{PLAN} --program new.csv": "already an input or output",
     f"{LINE} --length-mm nan": "--length-mm",
     f"{LINE} --rig-out irb120.toml": "already an input",
-    f"{LINE.replace('--lines 2', '--minutes 1')}": "1 minutes are too few",
+    f"{LINE.replace('--lines 2', '--minutes 1')}": "a budget of 1 min is too small: placing the device takes 180 s",
     f"{MAP} --vary 2,2": "must be two joints between 1 and 6",
     f"{MAP} --at 1e300,0,0,0,0,0": "joint 1 is 1e+300 deg, outside its limits",
     f"{MAP} --at 0,0,0,0,999,0": "joint 5 is 999 deg, outside its limits",

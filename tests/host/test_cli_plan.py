@@ -177,7 +177,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--measured", "missing.csv"], "missing.csv"),
         (["--out", "-"], "-: is not a file name"),
         (["--program", "x.txt"], "programs cannot be written as '.txt'"),
-        (["--poses", "5000"], "5000 of"),
+        (["--poses", "5000"], "candidates to choose 5000 from"),
         (["--criterion", "Q"], "'Q'"),
     ],
 )
@@ -204,7 +204,9 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
 
 def test_check_poses_that_are_not_planned_are_named(folder, capsys):
     assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "5"]) == 0
-    assert "--check-poses 5: none planned, at most one per 36 poses" in capsys.readouterr().out
+    assert (
+        "--check-poses 5: none planned: at most one per 36 poses, and none below 108 poses" in capsys.readouterr().out
+    )
 
 
 def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
@@ -214,6 +216,7 @@ def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
     assert [line for line in said if line.startswith("Next: 12 poses are fewer than the unknowns")]
     unseen = [line for line in said if line.startswith("unidentifiable: ")]
     assert len(unseen) == 30 - 12
+    assert said[said.index(unseen[0]) - 1] == "combinations of parameters, with weights in m, rad and 1:"
     assert all(line.count("·") <= 4 for line in unseen)
 
 

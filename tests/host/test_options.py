@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from truearm.cli.main import command_tree, main
 from truearm.cli.options import EARLIER_WORDS
@@ -134,3 +135,9 @@ def test_a_shell_completes(typed, offered):
     """
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == offered.split()
+
+
+def test_a_usage_line_shows_arguments_without_the_braces_of_typer():
+    lines = {name: " ".join(one.collect_usage_pieces(typer.Context(one))) for name, one in commands().items()}
+    assert lines["truearm identify"] == "[OPTIONS] INPUT..."
+    assert {name for name, line in lines.items() if re.search(r"\{\w+\}", line)} == set()

@@ -103,8 +103,8 @@ def test_a_program_drives_every_line_there_and_back_at_constant_speed_with_its_o
     others = [move for move in controller.moves if move.kind == "joints"]
     vias = planned.visits.q[planned.visits.move == "via"]
     np.testing.assert_allclose([move.q for move in others], vias, atol=1e-6)
-    assert [text for _, text in controller.said if text.startswith("Put")] == [
-        f"Put the line device along line {name}" for name in planned.devices
+    assert [text for _, text in controller.said if text.startswith("Place")] == [
+        f"Place the line device along line {name}" for name in planned.devices
     ]
     # from the operator's minutes: all but placing the devices, and waiting for the box
     seconds = controller.t - 2 * 0.03 * len(moves)
@@ -237,7 +237,7 @@ def test_a_budget_in_minutes_is_kept(known):
     # three minutes each to place the device; a quarter of a minute to drive there and back
     assert len(found.devices) == 3
     assert found.minutes <= 10.0
-    with pytest.raises(PlanError, match="minutes are too few"):
+    with pytest.raises(PlanError, match="min is too small"):
         plan_lines(site, known, wanted._replace(minutes=3.0), PACE, target="ball")
     for budget in ({"n_lines": None, "minutes": None}, {"n_lines": 3, "minutes": 9.0}):
         with pytest.raises(PlanError, match="budget"):

@@ -80,7 +80,7 @@ def test_the_bar_is_off_on_every_way_that_was_planned_without_it(name, suffix):
         while asked and asked[0][0] <= i:
             text = asked.pop(0)[1]
             found = re.search(r"bar (\S+) from (\S+) to (\S+)", text)
-            on = None if text.startswith("Bar off") else (found[2], found[3], found[1])
+            on = None if text.startswith("Remove the bar") else (found[2], found[3], found[1])
         assert on == (bench.connected(route, i) if i else None)
     assert len(asked) <= 1  # what is put on at the last stop
 
@@ -94,7 +94,7 @@ def test_a_box_that_never_answers_does_not_stop_the_program(suffix):
 
 
 STOPS = [
-    Stop(np.full(6, 0.1), 0.0, "dwell", "Bar off. Next: bar b1 from c1 to s1", "Put on bar b1 from c1 to s1"),
+    Stop(np.full(6, 0.1), 0.0, "dwell", "Remove the bar. Next: bar b1 from c1 to s1", "Mount bar b1 from c1 to s1"),
     Stop(np.full(6, 0.2), 1.5, "via"),
     Stop(np.full(6, -0.3), 2.25),
 ]

@@ -50,7 +50,8 @@ def completed(names: Collection[str]) -> Callable[[str], list[str]]:
 # What is read
 SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
 InputsArgument = Annotated[
-    list[Path], typer.Argument(metavar="INPUT", help="Sessions (.mcap) and tables (.csv), which are read as one table.")
+    list[Path],
+    typer.Argument(metavar="INPUT...", help="Sessions (.mcap) and tables (.csv), which are read as one table."),
 ]
 ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
 AllowDamagedOption = Annotated[

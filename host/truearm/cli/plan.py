@@ -126,7 +126,9 @@ def ballbar(
     rig: RigOption,
     base: BaseOption = None,
     tip: TipOption = None,
-    poses: Annotated[int | None, typer.Option(metavar="N", help="Budget in poses.", **bounded(POSES))] = None,
+    poses: Annotated[
+        int | None, typer.Option(metavar="N", help="Budget in poses. Give this or --minutes.", **bounded(POSES))
+    ] = None,
     minutes: MinutesOption = None,
     criterion: CriterionOption = option_defaults.CRITERION,
     region: RegionOption = None,
@@ -230,7 +232,9 @@ def line(
     rig: RigOption,
     base: BaseOption = None,
     tip: TipOption = None,
-    lines: Annotated[int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines.")] = None,
+    lines: Annotated[
+        int | None, typer.Option(min=1, max=100, metavar="N", help="Budget in lines. Give this or --minutes.")
+    ] = None,
     minutes: MinutesOption = None,
     length_mm: Annotated[float, typer.Option(min=10.0, max=5000.0, metavar="MM", help="Length of the device.")] = MM.of(
         option_defaults.LINE_LENGTH

@@ -115,7 +115,7 @@ def _fewer_checks(document: Mapping[str, Any], asked: int | None) -> list[str]:
     if document["visits"] > 1:
         return [f"--check-poses {asked} is not used: with several visits of every mount there are no check poses"]
     return [
-        f"--check-poses {asked}: {document['check_poses'] or 'none'} planned, at most one per 36 poses and at least 3 or none"
+        f"--check-poses {asked}: {document['check_poses'] or 'none'} planned: at most one per 36 poses, and none below 108 poses"
     ]
 
 
@@ -130,9 +130,10 @@ def _known_after(document: Mapping[str, Any]) -> list[str]:
     ):
         if names:
             lines.append(f"{what}: {', '.join(names)}")
+    if document["null_space"] or document["hardly_seen"]:
+        lines.append("combinations of parameters, with weights in m, rad and 1:")
     for key, what in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
-        for direction in document[key]:
-            lines.append(f"{what}: {_direction(direction)}")
+        lines += [f"{what}: {_direction(direction)}" for direction in document[key]]
     if "poses" in document and document["poses"] < document["rank"] + len(document["null_space"]):
         lines.append(
             f"Next: {counted(document['poses'], 'pose is', 'poses are')} fewer than the unknowns; plan more poses, or fewer mounts with --bar NAME."

@@ -31,6 +31,10 @@ class ProjectCommand(TyperCommand):
         """Return the whole first sentence of the help page; ``limit`` would cut it."""
         return super().get_short_help_str(max(limit, SUMMARY))
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the usage line's parts; typer sets braces about a required argument."""
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for an experiment
         in place of a rig file.

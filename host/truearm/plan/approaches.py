@@ -50,7 +50,10 @@ def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace
     found = candidates(site, [pairing], wanted.n_candidates, wanted.seed)
     derivatives = length_derivatives(site, found.q, pairing)
     both = list(zip(found.q, derivatives, strict=True))
-    away = [_away(site, q, jac, pairing) for q, jac in steps_of(both, "looking for poses that show every joint")]
+    away = [
+        _away(site, q, jac, pairing)
+        for q, jac in steps_of(both, "looking for poses at which every joint moves the bar")
+    ]
     reached = np.array([step is not None for step in away])
     if reached.sum() < wanted.n_poses:
         raise PlanError(
@@ -64,7 +67,7 @@ def plan_approaches(site: Site, pairing: Pairing, wanted: ApproachesWanted, pace
     chosen = usable[most_informative(derivatives[usable], wanted.n_poses)]
     rng = np.random.default_rng([wanted.seed, 0xC4A2])
     stops: list[tuple[Floats, bool, bool]] = []  # joints, whether the bar is read, whether it is mounted there
-    for pose in steps_of(chosen.tolist(), "planning ways between poses"):
+    for pose in steps_of(chosen.tolist(), "planning paths between poses"):
         q, step = found.q[pose], away[pose]
         assert step is not None
         if stops:

@@ -228,7 +228,9 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
         step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
         n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
     if best is None:
-        raise PlanError(f"{minutes:g} minutes are too few; mounting one pairing takes {pace.mount:g} s")
+        raise PlanError(
+            f"a budget of {minutes:g} min is too small: mounting one pairing takes {pace.mount:g} s; give more minutes"
+        )
     return best
 
 

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from truearm.errors import PlanError
 from truearm.plan.criteria import Criterion
 from truearm.progress import steps_of
+from truearm.text import counted
 from truearm.types import Floats
 
 GAIN = 1e-9  # of the criterion, relative: a swap with a smaller gain is rounding
@@ -165,7 +166,9 @@ def _checked(rows: Floats, n: int, criterion: str, region: Floats | None) -> Cri
             "criterion I needs the argument region: the rows of the region in which the error should be small"
         )
     if not 1 <= n <= len(rows):
-        raise PlanError(f"{n} of {len(rows)} candidates cannot be chosen; ask for fewer poses or more candidates")
+        raise PlanError(
+            f"only {counted(len(rows), 'candidate')} to choose {n} from; ask for fewer poses or more candidates"
+        )
     return Criterion(criterion)
 
 

@@ -119,8 +119,8 @@ def _most(wanted: LinesWanted) -> int:
 
 def _too_few(wanted: LinesWanted) -> str:
     return (
-        f"{wanted.minutes:g} minutes are too few: to place the device takes {SETUP:g} s, to drive along it "
-        f"{_driving(wanted):.0f} s"
+        f"a budget of {wanted.minutes:g} min is too small: placing the device takes {SETUP:g} s, and driving along it "
+        f"{_driving(wanted):.0f} s; give more minutes"
     )
 
 
@@ -238,8 +238,8 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         for place in way:
             seconds = move_seconds(site, stops[-1].q, place, point, pace) if stops else 0.0
             stops.append(Stop(place, seconds, Move.VIA))
-        stops[first] = stops[first]._replace(before=plain(f"Line device away. Next: line {name}"))
-        stops[-1] = stops[-1]._replace(there=plain(f"Put the line device along line {name}"))
+        stops[first] = stops[first]._replace(before=plain(f"Remove the line device. Next: line {name}"))
+        stops[-1] = stops[-1]._replace(there=plain(f"Place the line device along line {name}"))
         stops += [Stop(place, 0.0, Move.LINE, speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
     return stops
 

@@ -56,7 +56,7 @@ def roadmaps(site: Site, found: Plan) -> tuple[Plan, dict[Pairing, Roadmap]]:
     """Return the candidates reachable from most others of their pairing with the bar on, and their graphs."""
     kept, graphs = [], {}
     pairings = list(dict.fromkeys(pairing_at(found, i) for i in range(len(found))))
-    for pairing in steps_of(pairings, f"looking for ways between {len(found)} poses"):
+    for pairing in steps_of(pairings, f"looking for paths between {len(found)} poses"):
         rows = np.flatnonzero(of_pairing(found, pairing))
         graph = make_roadmap(site, pairing, found.q[rows])
         main = graph.main

@@ -82,8 +82,8 @@ class Route(NamedTuple):
             if self.mount[i]:
                 at = pairing_at(self.plan, pose)
                 what = f"bar {at.bar} from {at.chuck} to {at.sphere}"
-                out[left] = out[left]._replace(before=plain(f"Bar off. Next: {what}"))
-                out[i] = out[i]._replace(there=plain(f"Put on {what}"))
+                out[left] = out[left]._replace(before=plain(f"Remove the bar. Next: {what}"))
+                out[i] = out[i]._replace(there=plain(f"Mount {what}"))
             left = i + 1
         return out
 
@@ -104,7 +104,7 @@ def route(
     plan = ordered(site, plan, pace, visits)
     graphs = dict(graphs or {})
     stops: list[tuple[Floats, int, bool]] = []
-    for i in steps_of(range(len(plan)), f"planning the way through {len(plan)} poses"):
+    for i in steps_of(range(len(plan)), f"planning the path through {len(plan)} poses"):
         if i == 0:
             stops.append((plan.q[0], 0, True))
             continue
