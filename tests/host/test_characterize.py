@@ -294,7 +294,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     code, text, err = run("characterize", path, "--model", "puma560", "--within-mm", "0.02", "--out", out)
     assert (code, err) == (0, "")
     for word in (
-        "repeatability, one side",
+        "along the bar, poses approached from one side",
         "backlash/mrad",
         "settled within 0.02 mm",
         "Allan deviation",

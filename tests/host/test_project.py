@@ -270,6 +270,8 @@ def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run
     assert run("identify", few, "--rig", files / "rig.toml").code == 3
     said = run("status").out
     assert "converged, not usable (no degrees of freedom)" in said
+    (result,) = json.loads(run("status", "--json").out)["results"]
+    assert (result["status"], result["unusable_because"]) == ("converged", "no degrees of freedom")
     assert "truearm correct" not in said
 
 

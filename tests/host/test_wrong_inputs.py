@@ -111,12 +111,12 @@ MISTAKES = {
     "the fixture stood elsewhere for the first 60 rows": (
         lambda: other_set_up(slice(60)),
         WrongInput.SET_UP,
-        "60 rows from poses.csv row 2 to poses.csv row 61 do not fit the other 300, which fit: the set-up is another one, a joint's zero stepped, or their labels are wrong",
+        "60 rows from poses.csv row 2 to poses.csv row 61 do not fit the other 300, which fit together: something in the set-up moved in between, a joint's zero jumped, or the labels of these rows are wrong",
     ),
     "the fixture was moved before the last 100 rows": (
         lambda: other_set_up(slice(260, None)),
         WrongInput.SET_UP,
-        "100 rows from poses.csv row 262 to poses.csv row 361 do not fit the other 260, which fit: the set-up is another one, a joint's zero stepped, or their labels are wrong",
+        "100 rows from poses.csv row 262 to poses.csv row 361 do not fit the other 260, which fit together: something in the set-up moved in between, a joint's zero jumped, or the labels of these rows are wrong",
     ),
     "the encoder of joint 4 hung for a hundred rows": (
         lambda: stuck(3, slice(120, 220)),

@@ -18,8 +18,8 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
         f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""
-    yield f"repeatability, one side    {_range(of['along_m'], MM)} along the bar (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
-    yield f"  without joints' scatter  {_range(of['unexplained_m'], MM)}"
+    yield f"repeatability              {_range(of['along_m'], MM)} along the bar, poses approached from one side (1 sigma); 3 sigma: {MM.text(3.0 * of['along_m']['value'], '.3f')}"
+    yield f"  without joint scatter    {_range(of['unexplained_m'], MM)}"
     yield ""
     yield f"{'joint':16} {'backlash/mrad':>24} {'difference/mrad':>24} {'scatter/mrad':>22} {'sigma to use/mrad':>20}"
     columns = ("backlash_si", "reading_difference_si", "reading_spread_si")
@@ -47,7 +47,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
-    yield f"for identify: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, declared {declared:.3f} mm; of the joints the last column above"
+    yield f"truearm identify --noise uses: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, in place of the rig's {declared:.3f} mm; sigmas of the joints as in the last column"
 
 
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:

@@ -25,6 +25,7 @@ from truearm.cli.options import (
 )
 from truearm.cli.output import print_json, warn
 from truearm.files.project_folder import find_project
+from truearm.text import one_line
 
 
 def report(
@@ -78,4 +79,4 @@ def report(
     if as_json:
         print_json({"report": str(out)})
     else:
-        typer.echo(f"report          {out}")
+        typer.echo(f"Written: {one_line(str(out))}")

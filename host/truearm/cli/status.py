@@ -108,7 +108,15 @@ def _document(state: ProjectState) -> dict[str, Any]:
             {"file": str(s.path), "size_bytes": s.size, "complete": s.complete, "written": s.written}
             for s in state.sessions
         ],
-        "results": [{"file": str(r.path), "held_out_rms_mm": r.held_out_mm, "status": r.status} for r in state.results],
+        "results": [
+            {
+                "file": str(r.path),
+                "held_out_rms_mm": r.held_out_mm,
+                "status": r.status,
+                "unusable_because": r.unusable,
+            }
+            for r in state.results
+        ],
         "next": _next(state)[0],
         "why": _next(state)[1],
     }

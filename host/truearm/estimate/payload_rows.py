@@ -61,7 +61,7 @@ def payloads_of(rig: Rig | Mapping[str, Rig], table: ObservationTable) -> list[P
     centre = table.column(PAYLOAD_CENTRE.field, np.nan).reshape(len(table), -1)
     bad = np.flatnonzero(mass < 0.0)
     if bad.size:
-        raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 for none")
+        raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 kg (no payload) or more")
     of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs.items()}
     return [
         of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))

@@ -230,7 +230,9 @@ def minimise(
         if np.array_equal(chosen, used):
             return _ending(x, "converged", _verdict(used), passes, state, used, rows, first)
         if chosen.tobytes() in seen_sets or rounds > MAX_ROUNDS:
-            return _ending(x, "stalled", "the gate does not settle on a set of rows", passes, state, used, rows, first)
+            return _ending(
+                x, "stalled", "from pass to pass, other rows are left out as outliers", passes, state, used, rows, first
+            )
         seen_sets.add(used.tobytes())
         used = chosen
 
@@ -296,7 +298,7 @@ def within(distance: Floats, limit: Floats, used: NDArray[np.bool_]) -> NDArray[
 
 def _verdict(used: NDArray[np.bool_]) -> str:
     refused = int((~used).sum())
-    return f"converged; {refused} of {used.size} observations lie beyond the gate and were left out"
+    return f"converged; {refused} of {used.size} observations were left out as outliers"
 
 
 def _ending(

@@ -82,8 +82,8 @@ def other_set_up(
         first, last = (1, cut) if main[0] else (cut + 1, n)
         where = f"{named_row(table, rows[first - 1])} to {named_row(table, rows[last - 1])}"
         text = (
-            f"{counted(last - first + 1, 'row')} from {where} do not fit the other {main.size}, which fit: the set-up is another "
-            "one, a joint's zero stepped, or their labels are wrong"
+            f"{counted(last - first + 1, 'row')} from {where} do not fit the other {main.size}, which fit together: "
+            "something in the set-up moved in between, a joint's zero jumped, or the labels of these rows are wrong"
         )
         apply = f"{rows[first - 1] + 1}:{rows[last - 1] + 1}"
         yield found_in(WrongInput.SET_UP, text, int(main.size), before, after, count, apply, n)

@@ -29,7 +29,7 @@ from truearm.workflows.calibration import Calibration
 STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
-FADES = " Error curves are unknown there: their corrections fade to zero, geometry and sag are still corrected."
+FADES = " Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
 
@@ -157,7 +157,7 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
             said.append(
-                f"{counted(bent.size, 'straight move')} will deviate from straight by more than {MM.text(STRAIGHT, '.1f')}, to {_several([moves.places[i] for i in bent])}; "
+                f"{counted(bent.size, 'straight move')} will deviate from a straight line by more than {MM.text(STRAIGHT, '.1f')}, to {_several([moves.places[i] for i in bent])}; "
                 f"the worst by {MM.text(float(drive.deviation[worst]), '.2f')}, to {moves.places[worst]}. Add targets between their ends."
             )
         blocked = np.flatnonzero(~drive.drivable)

@@ -273,7 +273,7 @@ def _visits_of(world: World) -> str:
     what = " and ".join(
         [f"{counted(dwells, 'pose')}"] * (dwells > 0) + [f"{counted(driven, 'drive')} along lines"] * (driven > 0)
     )
-    return f"{world.chain.name}: {what}, {counted(round(world.duration / 60), 'minute')}"
+    return f"{world.chain.name}: {what}, {counted(round(world.duration / 60), 'minute')} of robot time"
 
 
 @step("preparing the poses")
