@@ -136,4 +136,6 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
         expect = of.estimate.without_bad_rows.moves
         assert tool_error(of.estimate) == pytest.approx(expect, rel=0.2)  # the fit without them errs too
         first, _ = identify_text.predicted(of.document)
-        assert first.startswith(f"Bad rows are in the fit. Expect tool errors of {1e3 * expect:.4f} mm RMS: by so much")
+        assert first.startswith(
+            f"Bad rows are in the fit. Expect tool errors of {1e3 * expect:.4f} mm RMS: the tool moves by that much"
+        )

@@ -66,7 +66,7 @@ def test_a_base_or_tool_elsewhere_may_be_wrong_positions_in_the_rig(frames, said
 def test_bad_rows_in_the_fit_come_first_whatever_the_rows_show():
     lines = unexplained_words(HELD_OUT, None, (2e-4, 50), without_bad=5e-5)
     assert lines[0] == (
-        "Bad rows are in the fit. Expect tool errors of 0.0500 mm RMS: by so much the tool moves if they are left out."
+        "Bad rows are in the fit. Expect tool errors of 0.0500 mm RMS: the tool moves by that much if they are left out."
     )
     assert lines[1].startswith(
         "The error that the rows show includes that of the bad rows themselves: 0.0900 mm (95 %: "

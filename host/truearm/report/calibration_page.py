@@ -172,7 +172,9 @@ def caveats(page: CalibrationPage) -> list[str]:
     if e.status != "converged" and not e.unusable:
         found.append(f"The fit did not converge: {e.message}.")
     if judged is None:
-        found.append("Nothing was held out: the error after is not an independent judgement.")
+        found.append(
+            "Nothing was held out: the error after the fit does not show how accurate the arm is at other poses."
+        )
     elif (worst := _held_out_ratio(e, judged)) > HELD_OUT_DOUBTFUL:
         ratio = figures(worst, 2) if math.isfinite(worst) else "many"
         found.append(

@@ -77,8 +77,8 @@ def histogram(rows: ResidualRows) -> Figure:
     note += [f"σ {number(law.sigma, 4)} {rows.unit}", f"n {r.size}"]
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
-    parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
-    caption = f"{counted(r.size, 'fitting row')} and the {what} fitted to them: {', '.join(note)}."
+    parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
+    caption = f"{counted(r.size, 'fitted row')} and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is the mean over the three coordinates."
     return drawn(plot, "Residuals after calibration", caption, parts)
@@ -151,7 +151,7 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
     parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e.")]))
     caption = (
-        "Longitude of the sphere about its chuck. Errors of measurement do not depend on it: a mean that varies by more than "
+        "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
         "its bars (two standard errors) indicates errors that the parameters do not model."
     )
     return drawn(plot, "Residual against longitude", caption, parts)
@@ -288,7 +288,7 @@ def quantiles(rows: ResidualRows) -> Figure | None:
     at = np.unique(np.linspace(0, r.size - 1, min(r.size, MAX_POINTS)).astype(int))
     parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))
-    parts.append(svg.legend(plot, [("fit", "fitting rows"), ("law line", what)]))
+    parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
     caption = "Points on the line follow the distribution. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
@@ -318,7 +318,7 @@ def _convergence(estimate: Estimate, si: str) -> Figure:
         svg.line(plot, steps, history, "fit line"),
         svg.scatter(plot, steps, history, "fit", tips, 4),
     ]
-    caption = f"RMS of the fitting rows; {outcome(estimate.status, estimate.iterations)}."
+    caption = f"RMS of the fitted rows; {outcome(estimate.status, estimate.iterations)}."
     return drawn(plot, "Convergence", caption, parts)
 
 

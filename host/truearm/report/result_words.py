@@ -96,7 +96,7 @@ def unexplained_words(
     of = f"{counted(n, 'pose')} " + ("held out" if held_out else f"({each} from the other poses)")
     if without_bad is not None:
         return [
-            f"Bad rows are in the fit. Expect tool errors of {number(without_bad, 'm')} {symbol('m')} RMS: by so much the tool moves if they are left out.",
+            f"Bad rows are in the fit. Expect tool errors of {number(without_bad, 'm')} {symbol('m')} RMS: the tool moves by that much if they are left out.",
             f"The error that the rows show includes that of the bad rows themselves: {' and '.join(parts)}, the mean of {of}.",
         ]
     because = (
