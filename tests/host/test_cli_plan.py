@@ -75,7 +75,7 @@ def test_a_urdf_with_several_ends(folder, capsys):
     branch = ",".join(f"{a:.6g}:{b:.6g}" for a, b in zip(lower, upper, strict=True))
     given = ("plan", "ballbar", "--model", str(urdf), *COMMON[2:], "--rig", rig, f"--branch={branch}", "--json")
     assert main([*given]) == 2
-    assert "choose a tip among camera, plate" in capsys.readouterr().err
+    assert "choose --tip among camera, plate" in capsys.readouterr().err
     assert main([*given, "--tip", "tool0", "--out", str(folder / "arm.csv")]) == 0
     told = json.loads(capsys.readouterr().out)
     visits = read_plan(folder / "arm.csv")

@@ -38,7 +38,7 @@ def test_a_robot_file_is_read(tmp_path: Path) -> None:
         ("puma561", None, r"neither a built-in robot \(.*puma560.*\) nor a \.toml"),
         ("puma560", "ball", "base and tip choose links of a URDF"),
         ("none.urdf", None, "none.urdf: no such file"),
-        (str(PANDA), None, "panda.urdf: .*choose a tip"),
+        (str(PANDA), None, "panda.urdf: .*choose tip"),
         (str(PANDA), "ball", "panda.urdf: URDF has no link 'ball'"),
     ],
 )

@@ -21,7 +21,7 @@ from xml.etree.ElementTree import ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from truearm.errors import RobotError
+from truearm.errors import Argument, RobotError
 from truearm.model.chain import Chain, Element, Joint, Parameter
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
@@ -261,4 +261,4 @@ def _only(candidates: list[str], what: str, option: str) -> str:
         return candidates[0]
     if not candidates:
         raise RobotError(f"URDF has no {what}: its joints form a loop")
-    raise RobotError(f"URDF has {len(candidates)} {what}; choose a {option} among {listed(candidates)}")
+    raise RobotError(f"URDF has {len(candidates)} {what}; choose ", Argument(option), f" among {listed(candidates)}")
