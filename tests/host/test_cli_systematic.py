@@ -152,13 +152,41 @@ def test_other_explanations_are_said_in_words():
         "chuck.c2@1:9",
         "chuck.c1",
     ]
-    finding, _ = systematic_sentences(document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names}), str)
+    of = document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names})
+    finding, which, figures = systematic_sentences(of, "--{}".format)
     assert finding.endswith(
-        "Other possible explanations: a gradual change of bar.b46.zero, bad rows 196 to 200, "
-        "a constant error of base from row 181 on (base@181), "
-        "a drift of bar.b46.zero linear in time in all rows (bar.b46.zero.drift), "
-        "a constant error of chuck.c2 in rows 1 to 9 (chuck.c2@1:9), a constant error of chuck.c1 in all rows."
+        "; or, nearly as well supported: a gradual change of bar.b46.zero, or bad rows 196 to 200, "
+        "or a constant error of base from row 181 on (base@181), "
+        "or a drift of bar.b46.zero linear in time in all rows (bar.b46.zero.drift), "
+        "or a constant error of chuck.c2 in rows 1 to 9 (chuck.c2@1:9), or a constant error of chuck.c1 in all rows. "
+        "Estimating the first: χ² falls by 60 with 3 degrees of freedom."
     )
+    assert which.startswith("The rows do not show which of these explanations is right")
+    assert figures.startswith(
+        "With the first explanation: χ² per degree of freedom is 64, and the tool moves by 0.200 mm RMS."
+    )
+    assert "target.reflector@" not in which + figures, "no advice to apply one of them"
+
+
+def test_other_forms_of_an_error_of_the_same_item_do_not_forbid_to_apply_it():
+    names = ["a gradual change of target.reflector", "target.reflector.thermal_drift", "target.reflector@1:40"]
+    of = document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names})
+    finding, apply = systematic_sentences(of, "--{}".format)
+    assert finding.endswith(
+        "Other possible explanations: a gradual change of target.reflector, a drift of target.reflector linear in the "
+        "temperature in all rows (target.reflector.thermal_drift), a constant error of target.reflector in rows 1 to 40 "
+        "(target.reflector@1:40)."
+    )
+    assert apply.startswith("To apply it: --allow target.reflector@1:232.")
+
+
+def test_of_several_errors_only_the_certain_ones_are_applied():
+    one = {**entry([1, 232], [1, 1], [220, 244]), "rivals": ["chuck.c1"]}
+    sure = {**entry([1, 232], [1, 1], [220, 244]), "what": "chuck.c2", "apply": {"allow": "chuck.c2@1:232"}}
+    of = {**document(0.2, one), "systematic": [one, sure]}
+    *_, which, figures = systematic_sentences(of, "--{}".format)
+    assert which.endswith("Until then, apply only what is certain: --allow chuck.c2@1:232.")
+    assert figures.startswith("With the first explanation of each error: χ²")
 
 
 def test_a_finding_whose_last_row_may_be_anywhere_is_not_located():

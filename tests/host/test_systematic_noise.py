@@ -8,7 +8,9 @@ import pytest
 from puma_bench import CHAIN, FREE, SIGMA, TRUTH, random_poses
 
 from truearm.estimate.identify import identify
+from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
+from truearm.report.systematic_words import systematic_sentences
 from truearm.types import Device, ObservationTable, Point, Rig
 
 WORLDS = 200
@@ -109,6 +111,24 @@ def test_a_wander_is_not_named_as_a_step_alone():
         steps += [one for one in (of.found if of else ()) if one.effect and not one.effect.drifts_with]
     assert len(steps) >= 5
     assert sum(not gradual(one) for one in steps) <= len(steps) / 5
+
+
+def test_a_wander_that_resembles_a_step_of_a_joint_is_named_beside_it():
+    """A zero that wanders as one period of a sine passes for a joint that is off: nothing is to be applied then."""
+    plan = worlds.plan()
+    other = 0
+    for seed in range(940000, 940004):
+        rng = np.random.default_rng(seed)
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        wander = 0.15e-3 * np.sin(2.0 * np.pi * np.arange(len(plan)) / len(plan) + phase)
+        noise = SIGMA * rng.normal(size=len(plan))
+        of = worlds.identified(rows := worlds.table(plan, worlds.lengths(plan) + wander + noise)).systematic
+        first = systematic_entries(of, rows)
+        if not of.found[0].effect.what.startswith("bar."):
+            other += 1
+            assert "a gradual change of bar.bar46.zero" in of.found[0].rivals
+            assert not any("To apply" in line for line in systematic_sentences(first, str))
+    assert other
 
 
 def test_a_step_is_named_as_a_step():

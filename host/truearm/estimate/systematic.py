@@ -36,8 +36,8 @@ reported with it. An item that would have to be off by more than MOST_OFF, such 
 lengths alike, explains nothing.
 
 **Steps and gradual changes.** A zero that wanders for an hour looks like a step at some row, and as certain. With each
-step, the evidence of a random walk of the same item, and of each that can drift, is therefore compared. One that is not
-less probable is among the other explanations.
+step, the evidence of a random walk of the same item, and of each that can drift, is therefore compared. One of the same
+item that is not less probable, or of another one at least a hundredth as probable, is among the other explanations.
 
 **Several errors.** The columns of the best finding are added to Q and the rest is searched again, until nothing beyond
 chance is left. Then each finding is tested again with all others as parameters. If one is not beyond chance any more,

@@ -265,12 +265,16 @@ def _block_drops(family: Family, rows: WhitenedResiduals) -> tuple[Floats, Indic
 
 
 def _wanders(best: Best, every: Sequence[Family], test: ScoreTest) -> tuple[str, ...]:
-    """Return the items whose gradual change explains the data at least as well as an error that begins or ends at a row."""
+    """Return the items whose gradual change is as probable as an error that begins or ends at a row.
+
+    Of other items, nearly as probable is enough: which one to correct is then open.
+    """
     if best.family.cause is None or best.family.drift or (best.first, best.last) == (0, test.how.row.size):
         return ()
     causes = {of.cause.name: of.cause for of in every if of.cause and (of.drift or of.cause is best.family.cause)}
     wander = {name: _wander_evidence(cause, test) for name, cause in causes.items()}
-    return tuple(f"a gradual change of {name}" for name, of in wander.items() if of > best.evidence)
+    least = {name: best.evidence - AS_LIKELY * (name != best.family.cause.name) for name in wander}
+    return tuple(f"a gradual change of {name}" for name, of in wander.items() if of > least[name])
 
 
 def _wander_evidence(cause: Cause, test: ScoreTest) -> float:

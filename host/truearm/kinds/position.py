@@ -11,6 +11,9 @@ correct only for a device parallel to the base. A device's parameters are x, y, 
 vector ω about the base axes relative to the orientation R_r declared in the rig (the identity if none is declared):
 R_d = exp([ω]×)·R_r and δφ = J_l(ω) δω.
 
+A device can have a wrong scale, such as a laser's wavelength in air of another temperature: it reads κ·m, with κ a
+constant of 1. Every derivative above is then κ times as large, and ∂(κ·m)/∂κ = m.
+
 The joints were truly at q(t) = q_reading(t + τ), to first order q_reading + q̇·τ, so ∂m/∂τ = J_q·q̇ and the derivative of
 the residual is −J_q·q̇.
 """
@@ -54,6 +57,7 @@ class PositionRows(Group):
     target: Indices  # (n, 3) in the end frame
     device: Indices  # (n, 6) x, y, z, rx, ry, rz
     reference: Floats  # (n, 3, 3) declared orientation R_r of the device
+    scale: Indices  # (n, 1) of the device
     time_offset: Indices  # (n, 1)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
@@ -85,8 +89,11 @@ def in_device_axes(
     """
     p = len(trace.chain.parameters)
     lever = trace.p_base - device[:, :3]  # r
-    predicted = np.einsum("nik,ni->nk", rot, lever)
-    axes = rot.transpose(2, 0, 1)  # (3, n or 1, 3) the device's, in the base frame
+    at_scale_1 = np.einsum("nik,ni->nk", rot, lever)
+    predicted, axes = at_scale_1, rot.transpose(2, 0, 1)  # (3, n or 1, 3) the device's, in the base frame
+    scale = gather(x, rows.constants, rows.scale)
+    if (scale != 1.0).any():
+        predicted, axes = scale * predicted, scale * axes
     derivative = along(trace, axes)
     jac_rig = zero_columns(derivative.wrenches, x.size - p)
     scatter(jac_rig, rows.target - p, derivative.jac_point)
@@ -95,6 +102,8 @@ def in_device_axes(
         # −u·(δφ × r) = (u × r)·δφ
         moment = cross(axes.transpose(2, 0, 1), lever.T[:, None]).transpose(1, 2, 0)
         scatter(jac_rig, rows.device[:, 3:] - p, np.einsum("wni,nik->wnk", moment, turns))
+    if (rows.scale < x.size).any():
+        scatter(jac_rig, rows.scale - p, at_scale_1.T[:, :, None])
     if (rows.time_offset < x.size).any():
         by_time = (derivative.jac_joints * rows.q_rate).sum(axis=2, keepdims=True)
         scatter(jac_rig, rows.time_offset - p, by_time)
@@ -163,6 +172,15 @@ def points_of(
         for i, (label, device) in enumerate(zip(labels, devices, strict=True))
     ]
     poses = Used(labels, numbers, which)
+    scales = Used(
+        labels,
+        [
+            [RigNumber(scope.prefix + ".".join(filter(None, (what, str(label), "scale"))), "1", 1.0, 0.0)]
+            for label in labels
+        ],
+        which,
+        (Fault(slice(None), step=False),) if what == "tracker" else (),
+    )
     offset = RigNumber(f"{scope.prefix}time_offset", "s", scope.rig.time_offset, or_inf(scope.rig.time_offset_sigma))
     number = offset if _moving(scope) else offset._replace(sigma=0.0)
     clock = Used([""], [[number]], np.zeros(len(rows), dtype=np.intp), (Fault(slice(None), step=False),))
@@ -179,11 +197,12 @@ def points_of(
             target=layout.index(targets),
             device=layout.index(poses),
             reference=np.array(declared)[which],
+            scale=layout.index(scales),
             time_offset=layout.index(clock),
             constants=layout.constants,
         )
 
-    return (targets, poses, clock), make
+    return (targets, poses, scales, clock), make
 
 
 def _device_numbers(name: str, device: Device, xyz: Floats, p_base: Floats, placed: Placing) -> list[RigNumber]:

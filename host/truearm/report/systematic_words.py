@@ -11,6 +11,7 @@ from truearm.results import DriftWith, ErrorForm
 from truearm.text import counted, one_line
 from truearm.units import DEGC, MM, UNITS
 
+GRADUAL = "a gradual change of "  # begins a rival that is no form of ``Effect``
 LITTLE = 0.1  # of the error to expect: a tool motion below it changes nothing that the calibration is used for
 
 
@@ -43,40 +44,68 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
         if would_be["held_out_ratio"] is None
         else f" The cross-validation error is then {would_be['held_out_ratio']:.3g} times as large."
     )
-    given = [item for entry in found for item in entry["apply"].items()]
-    apply = " ".join(f"{argument(name)} {shlex.quote(one_line(value))}" for name, value in given)
     little = " This is less than a tenth of the error to expect." if hardly_matters(document) else ""
     unknown = _undetermined(found)
     if unknown:  # a motion to first order says nothing about how far such numbers take the tool
         moved, little = ", but the tool is then as uncertain as these estimates", ""
     lines += unknown
-    return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
+    sure = [entry for entry in found if not other_items(entry)]
+    apply = " ".join(
+        f"{argument(name)} {shlex.quote(one_line(value))}" for entry in sure for name, value in entry["apply"].items()
+    )
+    if len(sure) == len(found):
+        return [*lines, f"To apply {them}: {apply}.{after}{moved}.{little}{held}"]
+    first = "With the first explanation" if len(found) == 1 else "With the first explanation of each error"
+    return [
+        *lines,
+        "The rows do not show which of these explanations is right, and the position of the tool depends on it. Check the "
+        f"items that they name, then estimate the error of the one that is wrong with {argument('allow')}."
+        + f" Until then, apply only what is certain: {apply}."
+        * bool(sure),
+        f"{first}:{after.replace(' is then', ' is')}{moved}.{little}{held}",
+    ]
+
+
+def other_items(entry: Mapping[str, Any]) -> list[str]:
+    """Return the rivals of a finding that are errors of other items: to apply the finding could then be wrong.
+
+    Another form of an error of the same item, such as a gradual change in place of a step, is none of them.
+    """
+    return [name for name in entry["rivals"] if _item(name) != entry["what"]]
+
+
+def _item(rival: str) -> str:
+    what = rival.removeprefix(GRADUAL).partition("@")[0]
+    endings = [drift.ending for drift in DriftWith if what.endswith(drift.ending)]
+    return what.removesuffix(max(endings, key=len, default=""))
 
 
 def _sentence(entry: Mapping[str, Any]) -> str:
-    rows = _rows(entry)
+    rows, others = _rows(entry), other_items(entry)
     freedom = counted(entry["freedom"], "degree of freedom", "degrees of freedom")
     gain = f"χ² falls by {entry['chi2_drop']:.4g} with {freedom}"
     match ErrorForm(entry["form"]):
         case ErrorForm.ROWS:
-            line = f"Systematic error: {rows} do not fit the others; without them {gain}."
+            error, estimated = f"{rows} do not fit the others", "Without them,"
         case ErrorForm.DRIFT:
-            line = f"Systematic error: {_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}. Estimating this drift: {gain}."
+            error = f"{_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}"
+            estimated = "Estimating this drift:"
         case ErrorForm.OFFSET:
-            line = (
-                f"Systematic error: {_what(entry)} is off by {_size(entry)} in {rows}. Estimating this error: {gain}."
-            )
+            error, estimated = f"{_what(entry)} is off by {_size(entry)} in {rows}", "Estimating this error:"
         case form:
             assert_never(form)
-    if entry["rivals"]:
-        line += f" Other possible explanations: {', '.join(map(_rival, entry['rivals']))}."
-    return line
+    rivals = [_rival(name) for name in entry["rivals"]]
+    if others:
+        estimated = "Without the rows," if entry["form"] == ErrorForm.ROWS else "Estimating the first:"
+        return f"Systematic error: {error}; or, nearly as well supported: {', or '.join(rivals)}. {estimated} {gain}."
+    also = f" Other possible explanations: {', '.join(rivals)}." * bool(rivals)
+    return f"Systematic error: {error}. {estimated} {gain}.{also}"
 
 
 def _rival(name: str) -> str:
     """Return another explanation in words, with the name that ``allow`` takes if it has one."""
     text = one_line(name)
-    if text.startswith("a gradual change of "):
+    if text.startswith(GRADUAL):
         return text
     if re.fullmatch(r"rows \d+ to \d+", text):
         return f"bad {text}"
