@@ -112,7 +112,7 @@ def read_table(path: PathLike, robot: RobotArgument) -> ObservationTable:
     Returns
     -------
     ObservationTable
-        The observations, in SI units.
+        The observations, in SI units, in the order of their times if all have one.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import fault_worlds as worlds
 import numpy as np
@@ -193,3 +194,18 @@ def test_a_finding_whose_last_row_may_be_anywhere_is_not_located():
     finding, _ = systematic_sentences(document(0.2, entry([1, 232], [1, 1], [90, 744])), str)
     assert "in some of rows 1 to 744 (it cannot be located; rows 1 to 232 fit best)" in finding
     assert "±" not in finding
+
+
+def test_a_slip_in_a_table_that_is_sorted_by_a_joint_is_named_by_its_times(run: Run, tmp_path) -> None:
+    """In the order of joint 2, no row is the one from which the chuck was off. Seed 940010."""
+    table, (chuck, at) = worlds.slipped(worlds.plan(), np.random.default_rng(940010))
+    table = replace(table, time=100.0 + 12.0 * np.arange(len(table)))
+    write_table(tmp_path / "sorted.csv", table.select(np.argsort(table.q[:, 1])), CHAIN.joint_units)
+    write_rig(tmp_path / "rig.toml", worlds.RIG)
+    outcome = run("identify", tmp_path / "sorted.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml", "--json")
+    assert "sorted.csv: the rows are not in the order of time_s; they are used in that order" in outcome.err
+    (found,) = json.loads(outcome.out)["systematic"]
+    assert found["what"] == f"chuck.{chuck}"
+    assert abs(found["rows"][0] - (at + 1)) <= 15
+    row = int(np.flatnonzero(np.argsort(table.q[:, 1]) == found["rows"][0] - 1)[0])
+    assert found["from"] == f"sorted.csv row {row + 2}", "the row of the file"

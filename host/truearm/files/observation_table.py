@@ -21,6 +21,7 @@ from truearm.errors import Argument, TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
+from truearm.files.time_order import in_order_of_time
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
@@ -34,10 +35,10 @@ MAX_BYTES = 16 * 2**20
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
     """Read a CSV table of observations.
 
-    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it. Raises
-    TableError with file, row and column.
+    If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it. If all rows
+    have a time, they are returned in that order. Raises TableError with file, row and column.
     """
-    return parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units)
+    return in_order_of_time(parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units))
 
 
 def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) -> ObservationTable:

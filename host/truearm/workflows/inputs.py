@@ -138,6 +138,11 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
         else _Read(read_table(path, joint_units))
         for path in inputs
     }
+    for path, of_file in read.items():
+        if path not in sessions and _is_reordered(of_file.table):
+            sources.say(
+                f"{path}: the rows are not in the order of time_s; they are used in that order, and row numbers count in it"
+            )
     tables = [one.table for one in read.values()]
     counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
     table = concatenate([part for part in tables if len(part)] or tables)
@@ -158,6 +163,12 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
         check_against_rig(table.select(table.rig == name), rig)
         _say_doubts(table.select(table.rig == name), rig, sources.say)
     return Observed(rigs, table, counts)
+
+
+def _is_reordered(table: ObservationTable) -> bool:
+    """Return whether the rows of one table file are in another order than in the file."""
+    rows = [int(str(source).rpartition(" ")[2]) for source in table.source]
+    return rows != sorted(rows)
 
 
 def _say_doubts(table: ObservationTable, rig: Rig, say: Say) -> None:
