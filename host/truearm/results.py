@@ -131,6 +131,7 @@ class WrongInput(StrEnum):
     LABELS = "labels"
     SET_UP = "set-up"
     STUCK = "stuck joint"
+    BAR = "bar"  # another one than rows name
     CONSTANT = "constant of the rig"
     HELD = "held parameters"  # not a mistake: too few were free
 

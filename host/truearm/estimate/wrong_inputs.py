@@ -15,6 +15,7 @@ iteration was stopped early.) The usual mistakes in a lab are tried:
   (``rows_apart``, as the next one);
 - set-up: the first or the last rows belong to another one (also tried if the tests for systematic errors find nothing
   though χ² is MISFIT times too large);
+- bars: rows of one mount, or all rows, were measured with another bar than they name (``swapped_bars``);
 - rig: one chuck, sphere, socket or bar is not where, or as long as, the rig says (``wrong_constants``);
 - held parameters: too few were free, and those that are free by default explain the rest, even if only by less. Then
   the inputs are correct and the fit is as requested.
@@ -38,7 +39,7 @@ from scipy import special
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_sentences import label_sentences
-from truearm.estimate.misread_columns import joint_in_other_unit, mirrored, other_rotations, shifted_rows
+from truearm.estimate.misread_columns import joint_in_other_unit, likeliest, mirrored, other_rotations, shifted_rows
 from truearm.estimate.other_readings import (
     Candidate,
     Interpretation,
@@ -50,6 +51,7 @@ from truearm.estimate.other_readings import (
 from truearm.estimate.problem import Rigs
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
+from truearm.estimate.swapped_bars import other_bars
 from truearm.estimate.systematic import GROSS
 from truearm.estimate.trial_fit import Trial, tried
 from truearm.estimate.uncertainty import LEAST_FREEDOM
@@ -132,8 +134,9 @@ def explanations_of(
         if found or before is None or before.freedom < 1.0:
             return _ranked(found), labels
     constants = list(wrong_constants(chain, rig, given, free, before, allowed))
-    if any(of.fit.moved < NEAR for of in constants):
-        return _ranked(constants), labels
+    found += _other_bars(chain, rig, table, rows, free, before)
+    if found or any(of.fit.moved < NEAR for of in constants):
+        return _ranked([*found, *constants]), labels
     for what, readings in _every_reading(chain, rig, table, rows, given, free, robots):
         found += _explaining(what, readings, before)
         if found and what is not WrongInput.AXES:  # a mirrored arm may also have other signs of joints
@@ -148,6 +151,20 @@ def explanations_of(
         found += _by_labels(labels, table, n)
     found += constants
     return _ranked(found), labels
+
+
+def _other_bars(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, before: Trial
+) -> Iterator[Found]:
+    """Return the runs of rows with another bar, or the bars exchanged, that explain the observations."""
+    some = np.flatnonzero(rows)[thinned(int(rows.sum()))]
+    every = other_bars(chain, rig, table, np.flatnonzero(rows), some, free)
+    leave_out = {one.reading.text: one.leave_out for one in every}
+    for one in likeliest([one.reading for one in every]):
+        after = tried(one.chain, one.rig, one.table, one.free)
+        if after is not None and explains(before, after, len(every)):
+            found = found_in(WrongInput.BAR, one.text, len(one.table), before, after, len(every))
+            yield found._replace(explanation=found.explanation._replace(apply=leave_out[one.text]))
 
 
 def _every_reading(
