@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,15 +165,32 @@ class Explanation(NamedTuple):
 
 
 class DriftWith(StrEnum):
-    """The variable that a drift is linear in."""
+    """The variable that an error is linear in."""
 
     TIME = "time"  # of the rows; their order if they have no times
     TEMPERATURE = "temperature"  # of the box
+    DIRECTION = "direction"  # in which a joint last moved: its backlash
+    MOVE = "move"  # of the joint, from the pose before: as if it was read before it stood still
 
     @property
     def ending(self) -> str:
-        """Return the suffix of the names of drift parameters."""
-        return ".drift" if self is DriftWith.TIME else ".thermal_drift"
+        """Return the suffix of the names of these parameters."""
+        match self:
+            case DriftWith.TIME:
+                return ".drift"
+            case DriftWith.TEMPERATURE:
+                return ".thermal_drift"
+            case DriftWith.DIRECTION:
+                return ".backlash"
+            case DriftWith.MOVE:
+                return ".settling"
+            case never:
+                assert_never(never)
+
+    @property
+    def has_offset(self) -> bool:
+        """Return whether the moment at which the item was correct is unknown, so that it also has an offset."""
+        return self in (DriftWith.TIME, DriftWith.TEMPERATURE)  # a joint's offset is a parameter of the robot
 
 
 @dataclass(frozen=True)
@@ -181,7 +198,8 @@ class Effect:
     """A systematic error of ``what`` in the rows from ``first`` up to but excluding ``last`` (None: to the end), from 0.
 
     ``what`` is an item of a rig ("chuck.c2", "bar.b46.zero"), a joint, or "base". The error is an offset in these rows
-    or, if it ``drifts_with`` something, linear in that variable.
+    or, if it ``drifts_with`` something, linear in that variable. That of a joint which ``drifts_with`` its direction is
+    its backlash: the link lags the reading by half of it. One that drifts with its move was read before it had arrived.
 
     Examples
     --------
@@ -219,6 +237,8 @@ class ErrorForm(StrEnum):
 
     OFFSET = "offset"
     DRIFT = "drift"
+    BACKLASH = "backlash"
+    SETTLING = "settling"
     ROWS = "rows"  # a block of rows does not fit, whatever the cause
 
 
@@ -250,7 +270,17 @@ class SystematicError:
         """Return the form of the error."""
         if self.effect is None:
             return ErrorForm.ROWS
-        return ErrorForm.DRIFT if self.effect.drifts_with else ErrorForm.OFFSET
+        match self.effect.drifts_with:
+            case None:
+                return ErrorForm.OFFSET
+            case DriftWith.TIME | DriftWith.TEMPERATURE:
+                return ErrorForm.DRIFT
+            case DriftWith.DIRECTION:
+                return ErrorForm.BACKLASH
+            case DriftWith.MOVE:
+                return ErrorForm.SETTLING
+            case never:
+                assert_never(never)
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def identify(
         typer.Option(
             metavar="NAME[@FIRST[:LAST]]",
             help="Estimate a systematic error too: bar.bar46.zero, chuck.c2@183 (from row 183 on, counted from 1 over all inputs), joint2@91:270, "
-            "bar.bar46.zero.drift or .thermal_drift (repeatable). The check after a fit names what to allow.",
+            "bar.bar46.zero.drift or .thermal_drift, joint1.backlash or .settling (repeatable). The check after a fit names what to allow.",
         ),
     ] = None,
     leave_out: Annotated[

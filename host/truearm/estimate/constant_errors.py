@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.better_fit import thinned
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.systematic_candidates import AS_LIKELY, in_all_rows, largest_errors
-from truearm.estimate.systematic_effects import Cause, Circumstances, modelled_effects
+from truearm.estimate.systematic_effects import Cause, modelled_effects
 from truearm.estimate.systematic_score import FitChi2, log_chance
 from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
@@ -54,7 +55,7 @@ class Fitting(NamedTuple):
         """Return the fit of some ``rows`` (n,) with an item off in all of them, its problem and its columns."""
         effects = [*self.effects, Effect(cause.name)]
         every = modelled_effects(
-            build_problem(self.chain, self.rig, self.table).causes, effects, Circumstances.of(self.table)
+            build_problem(self.chain, self.rig, self.table).causes, effects, Circumstances.of(self.table, self.chain)
         )
         modelled = [one.select(self.fitted) for one in every]
         problem = build_problem(self.chain, self.rig, self.table.select(self.fitted), self.prior_sigma, modelled)

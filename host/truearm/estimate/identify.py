@@ -13,6 +13,7 @@ from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
 from truearm.estimate.bad_rows import without_bad_rows
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
@@ -39,7 +40,7 @@ from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic import moves, systematic_errors
-from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
+from truearm.estimate.systematic_effects import Modelled, modelled_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
@@ -176,7 +177,7 @@ def identify(
     wanting = (identifiable_columns(data.root, suggested.size, unit), unit) if only_weak else (suggested, None)
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
-    how = measured_order(table, fitted)
+    how = measured_order(table, chain, fitted)
     chi2, freedom = unweighted.reduced * unweighted.freedom, unweighted.freedom
     wrong = None  # the tests are about a minimum of χ²
     if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
@@ -278,7 +279,9 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
 def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
     """Return the parameters of effects, based on everything that the table uses."""
     return (
-        modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table)) if effects else []
+        modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
+        if effects
+        else []
     )
 
 

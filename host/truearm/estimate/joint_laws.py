@@ -248,7 +248,7 @@ class _Work:
             rows = with_predicted(rows, law_rows(self.problem(of.laws, False), fitted, learned.noise, fitted=False))
         freedom = before.rank + _followed(of, fitted)
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
-        how = measured_order(self.table, before.fitted)
+        how = measured_order(self.table, problem.chain, before.fitted)
         wrong = law_systematic(of, fitted, learned.noise, how, quality, self.table.q[before.fitted])
         unexplained: Mapping[str, MeanError] = {}
         if wrong is not None or not quality.explained:

@@ -88,11 +88,15 @@ def families(problem: Problem, rows: WhitenedResiduals, how: Measured) -> Iterat
         if cause.fault.drift:
             for number in np.unique(how.session[used]):
                 mine = np.flatnonzero(how.session == number)
-                for drift in DriftWith:
+                for drift in (DriftWith.TIME, DriftWith.TEMPERATURE):
                     family = Family(cause, mine[:1], mine[-1:] + 1, drift)
-                    along = how.table.during(drift, *span_in_table(mine[0], mine[-1] + 1, how))
+                    along = how.table.during(cause.name, drift, *span_in_table(mine[0], mine[-1] + 1, how))
                     if along is not None and (drift is DriftWith.TIME or np.ptp(along) >= LEAST_WARMING):
                         yield family
+        if cause.fault.moved:
+            for drift in (DriftWith.DIRECTION, DriftWith.MOVE):
+                if how.table.during(cause.name, drift, 0, how.total) is not None:
+                    yield Family(cause, np.array([0]), np.array([n]), drift)
 
 
 def run_starts(how: Measured) -> Indices:

@@ -13,27 +13,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, assert_never
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
+from truearm.estimate.circumstances import Circumstances
 from truearm.kinds.group import Group
 from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain, Element
 from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import left_jacobian, rotation
-from truearm.results import DriftWith, Effect
-from truearm.types import Floats, ObservationTable
+from truearm.results import Effect
+from truearm.types import Floats
 
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
 TOOL = (("tool.x", "m"), ("tool.y", "m"), ("tool.z", "m"), ("tool.rx", "rad"), ("tool.ry", "rad"), ("tool.rz", "rad"))
 MOVED = Fault(slice(None), constant=False)  # base or tool: a constant pose error is a parameter of the robot
-JUMPED = Fault(slice(None), constant=False, step=False, window=True)  # a joint's offset is a parameter of the robot
+JUMPED = Fault(
+    slice(None), constant=False, step=False, window=True, moved=True
+)  # a joint's offset is a parameter of the robot
 
 
 class Errors(NamedTuple):
@@ -64,37 +67,6 @@ class Cause(NamedTuple):
     fault: Fault
 
 
-class Circumstances(NamedTuple):
-    """Circumstances in which n rows were measured: times [s] and temperatures [°C] (n,), NaN where unknown."""
-
-    time: Floats
-    temperature: Floats
-
-    @classmethod
-    def of(cls, table: ObservationTable) -> Circumstances:
-        """Return those of a table's rows."""
-        return cls(table.time, table.temperature)
-
-    def __len__(self) -> int:
-        return int(self.time.size)
-
-    def during(self, drift: DriftWith, first: int, last: int) -> Floats | None:
-        """Return the variable that a drift is linear in, for some rows; None if it is unknown or does not change.
-
-        If the times are unknown, the order of the rows is used.
-        """
-        match drift:
-            case DriftWith.TIME:
-                along = self.time[first:last]
-                if not np.isfinite(along).all():
-                    along = np.arange(float(last - first))
-            case DriftWith.TEMPERATURE:
-                along = self.temperature[first:last]
-            case never:
-                assert_never(never)
-        return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
-
-
 class Modelled(NamedTuple):
     """An effect that is a parameter of a problem: its name, its column, and its profile over the rows."""
 
@@ -122,7 +94,8 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
                 f" {effect}: no systematic error of {effect.what!r} can be estimated here; name one of {names}",
             )
         # The moment at which a drifting item was correct is unknown, so it also has an offset.
-        for part in (effect, Effect(effect.what)) if effect.drifts_with else (effect,):
+        offset = (Effect(effect.what),) if effect.drifts_with and effect.drifts_with.has_offset else ()
+        for part in (effect, *offset):
             out += [Modelled(part, number, profile(part, rows)) for number in known[0].numbers]
     return out
 
@@ -140,7 +113,7 @@ def profile(effect: Effect, rows: Circumstances) -> Floats:
     if effect.drifts_with is None:
         out[first:last] = 1.0
         return out
-    along = rows.during(effect.drifts_with, first, last)
+    along = rows.during(effect.what, effect.drifts_with, first, last)
     if along is None:
         raise InputError(
             Argument("allow"),

@@ -12,10 +12,11 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
-from truearm.estimate.systematic_effects import Cause, Circumstances, Errors, error_columns, profile
+from truearm.estimate.systematic_effects import Cause, Errors, error_columns, profile
 from truearm.kinds.linearised import Indices
 from truearm.results import DriftWith, Effect
 from truearm.types import Floats
@@ -127,11 +128,12 @@ class Family(NamedTuple):
     left: Floats = np.zeros((0, 0, 0))  # (w, d, d) V without findings
 
     def columns(self, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Floats:
-        """Return C (m, d) with the item off in all rows; for a drift, with its offset (see ``with_offset``)."""
+        """Return C (m, d) with the item off in all rows, or as its drift or backlash is (see ``by_profile``)."""
         assert self.cause is not None
         by = item_columns(self.cause, errors, rows)
         if self.drift:
-            by = with_offset(by, effect_profile(self.drift, self.first[0], self.last[0], how)[rows.row])
+            span = int(self.first[0]), int(self.last[0])
+            by = by_profile(by, self.drift, effect_profile(self.cause.name, self.drift, *span, how)[rows.row])
         return by
 
     def summed(self, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Family:
@@ -328,27 +330,28 @@ def label(best: Best, how: Measured) -> str:
     return f"rows {first + 1} to {last}" if effect is None else str(effect)
 
 
-def effect_profile(drift: DriftWith | None, first: int, last: int, how: Measured) -> Floats:
+def effect_profile(what: str, drift: DriftWith | None, first: int, last: int, how: Measured) -> Floats:
     """Return the profile (n + 1,) over the fitted rows, with 0 for knowledge."""
-    return np.append(profile(Effect("", *span_in_table(first, last, how), drift), how.table)[how.row], 0.0)
+    return np.append(profile(Effect(what, *span_in_table(first, last, how), drift), how.table)[how.row], 0.0)
 
 
 def effect_columns(best: Best, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Floats:
     """Return the effect's change (m, d) of the whitened predictions; for a block, one column per residual."""
-    if best.family.cause is None:
+    cause, drift = best.family.cause, best.family.drift
+    if cause is None:
         a, b = np.searchsorted(rows.row, [best.first, best.last])
         return np.eye(rows.row.size, b - a, -a)
-    by = item_columns(best.family.cause, errors, rows)
-    profile_of_rows = effect_profile(best.family.drift, best.first, best.last, how)[rows.row]
-    return with_offset(by, profile_of_rows) if best.family.drift else np.asarray(by * profile_of_rows[:, None])
+    of_rows = effect_profile(cause.name, drift, best.first, best.last, how)[rows.row]
+    return by_profile(item_columns(cause, errors, rows), drift, of_rows)
 
 
-def with_offset(by: Floats, profile_of_rows: Floats) -> Floats:
-    """Return columns (m, d) times a drift's profile (m,), followed by the columns themselves (m, 2d in total).
+def by_profile(by: Floats, drift: DriftWith | None, profile_of_rows: Floats) -> Floats:
+    """Return columns (m, d) times a profile (m,); for a drift followed by the columns themselves (m, 2d in total).
 
     The second half is an offset, needed because the moment at which a drifting item was correct is unknown.
     """
-    return np.concatenate([by * profile_of_rows[:, None], by], axis=1)
+    out = np.asarray(by * profile_of_rows[:, None])
+    return np.concatenate([out, by], axis=1) if drift and drift.has_offset else out
 
 
 def directions(by: Floats, rows: WhitenedResiduals) -> Floats:

@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, of_data
-from truearm.estimate.systematic_effects import Circumstances, Modelled, modelled_effects
+from truearm.estimate.systematic_effects import Modelled, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
@@ -78,7 +79,7 @@ def trial_problem(
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
     modelled: Sequence[Modelled] = ()
     if effects:
-        modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table))
+        modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
     problem = build_problem(chain, rig, table, prior, modelled)
     named = np.isin(problem.names, [one.effect.parameter(one.column) for one in modelled])
     vague = np.where(named, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import DAMPING_START
@@ -38,7 +39,7 @@ from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
 from truearm.estimate.systematic import systematic_errors
-from truearm.estimate.systematic_effects import Circumstances, modelled_effects
+from truearm.estimate.systematic_effects import modelled_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
@@ -99,7 +100,7 @@ def judge(
     plain = build_problem(chain, rig, table)
     causes = {cause.name: cause for cause in plain.causes}
     mine = [one for one in allowed if one.what in causes and set(causes[one.what].numbers) <= set(kept)]
-    effects = modelled_effects(plain.causes, mine, Circumstances.of(table))
+    effects = modelled_effects(plain.causes, mine, Circumstances.of(table, chain))
     problem = without_knowledge(build_problem(chain, rig, table, None, effects) if effects else plain)
     p = problem.n_robot
     values = [kept.get(name, start) for name, start in zip(problem.names[p:], problem.start[p:], strict=True)]
@@ -188,7 +189,7 @@ def consistency(
         return None
     chi2 = max(information.chi2 - float(left @ left), 0.0)
     limit = float(special.chdtri(freedom, 1.0 - LEVEL))
-    how = measured_order(table, np.ones(len(table), dtype=bool))
+    how = measured_order(table, problem.chain, np.ones(len(table), dtype=bool))
     fitted = Fitted(ways @ root, left)
     wrong = systematic_errors(
         problem,

@@ -56,7 +56,7 @@ def _over(found: SystematicError, table: ObservationTable) -> dict[str, Any]:
     """Return the quantity in which a drift is linear and its change over the rows: ``over_s`` or ``over_degc``."""
     drift, rows = None if found.effect is None else found.effect.drifts_with, slice(*found.rows)
     match drift:
-        case None:
+        case None | DriftWith.DIRECTION | DriftWith.MOVE:
             seconds, degrees = math.nan, math.nan
         case DriftWith.TIME:
             seconds, degrees = float(np.ptp(table.time[rows])), math.nan

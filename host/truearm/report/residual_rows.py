@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.measured_order import mountings, sessions
+from truearm.estimate.circumstances import sessions
+from truearm.estimate.measured_order import mountings
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.report.result_words import PARTS, kind_name

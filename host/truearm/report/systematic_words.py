@@ -87,9 +87,8 @@ def _sentence(entry: Mapping[str, Any]) -> str:
     match ErrorForm(entry["form"]):
         case ErrorForm.ROWS:
             error, estimated = f"{rows} do not fit the others", "Without them,"
-        case ErrorForm.DRIFT:
-            error = f"{_what(entry)} drifts {_along(entry)} by {_size(entry)} over {rows}"
-            estimated = "Estimating this drift:"
+        case ErrorForm.DRIFT | ErrorForm.BACKLASH | ErrorForm.SETTLING:
+            error, estimated = f"{_what(entry)} {_linear(entry)} over {rows}", "Estimating this error:"
         case ErrorForm.OFFSET:
             error, estimated = f"{_what(entry)} is off by {_size(entry)} in {rows}", "Estimating this error:"
         case form:
@@ -114,9 +113,22 @@ def _rival(name: str) -> str:
     where = f" in rows {first} to {last}" if last else f" from row {first} on" if first else " in all rows"
     for drift in DriftWith:
         if what.endswith(drift.ending):
-            of, by = what.removesuffix(drift.ending), "the temperature" if drift is DriftWith.TEMPERATURE else "time"
-            return f"a drift of {of} linear in {by}{where} ({text})"
+            return f"{_linear_rival(what.removesuffix(drift.ending), drift)}{where} ({text})"
     return f"a constant error of {what}{where}" + f" ({text})" * bool(rows)
+
+
+def _linear_rival(what: str, drift: DriftWith) -> str:
+    match drift:
+        case DriftWith.TIME:
+            return f"a drift of {what} linear in time"
+        case DriftWith.TEMPERATURE:
+            return f"a drift of {what} linear in the temperature"
+        case DriftWith.DIRECTION:
+            return f"a backlash of {what}"
+        case DriftWith.MOVE:
+            return f"an error of {what} in proportion to its last move"
+        case never:
+            assert_never(never)
 
 
 def _rows(entry: Mapping[str, Any]) -> str:
@@ -137,14 +149,22 @@ def _rows(entry: Mapping[str, Any]) -> str:
     return f"rows {begins} to {ends} (in the files: {places})"
 
 
-def _along(entry: Mapping[str, Any]) -> str:
-    """Return the quantity in which a drift is linear: the box's temperature, time, or the row order without times."""
+def _linear(entry: Mapping[str, Any]) -> str:
+    """Return what an item does that is linear in the box's temperature, in time, or in a joint's direction."""
     match DriftWith(entry["drifts_with"]):
         case DriftWith.TEMPERATURE:
-            return f"with the box's temperature (which varies by {DEGC.text(entry['over_degc'], '.1f')})"
+            varies = DEGC.text(entry["over_degc"], ".1f")
+            return f"drifts with the box's temperature (which varies by {varies}) by {_size(entry)}"
         case DriftWith.TIME:
-            seconds = entry["over_s"]
-            return "linearly" if seconds is None else f"linearly in {round(seconds / 60.0)} min"
+            seconds = entry["over_s"]  # None: in the order of the rows
+            return f"drifts linearly {'' if seconds is None else f'in {round(seconds / 60.0)} min '}by {_size(entry)}"
+        case DriftWith.DIRECTION:
+            return f"is off by ±½ of {_size(entry)} in the direction in which it last moved (backlash)"
+        case DriftWith.MOVE:
+            return (
+                f"is off in proportion to its last move, by {_size(entry)} between the largest moves in both directions "
+                "(read before the arm stood still?),"
+            )
         case drift:
             assert_never(drift)
 

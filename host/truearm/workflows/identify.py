@@ -82,8 +82,9 @@ class IdentifyOptions:
         Random seed for the rows of a held-out fraction; 0 or more.
     allow : tuple of str
         Systematic errors to estimate as well: ``"bar.b46.zero"`` in all rows, ``"chuck.c2@183"`` from row 183 on,
-        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time, and
-        ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature.
+        ``"joint2@91:270"`` in rows 91 to 270, ``"bar.b46.zero.drift"`` linear in time,
+        ``"bar.b46.zero.thermal_drift"`` linear in the box's temperature, ``"joint1.backlash"``
+        in the direction of the joint's last move, and ``"joint1.settling"`` in proportion to it.
     fit_only : tuple of str
         Groups such as ``"place=front"``: only their rows are fitted, all others are used for judging.
     leave_out : tuple of str

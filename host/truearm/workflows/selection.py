@@ -200,7 +200,7 @@ def parse_effect(text: str) -> Effect:
     if match is None or first < 1 or (last is not None and last < first):
         raise InputError(
             ALLOW,
-            f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift or one of these followed by @FIRST or @FIRST:LAST, rows counted from 1",
+            f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift, JOINT.backlash, JOINT.settling or one of these followed by @FIRST or @FIRST:LAST, rows counted from 1",
         )
     return Effect(match[1], first - 1, last, endings.get(match[2]))
 

@@ -1,0 +1,114 @@
+"""Circumstances of rows that an error may follow: time, the box's temperature, and the direction of each joint."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truearm.kinds.linearised import Indices
+from truearm.model.chain import Chain
+from truearm.results import DriftWith
+from truearm.types import Floats, ObservationTable
+
+SAME_POSE = 1e-3  # rad or m: joint readings that differ by less belong to one pose
+LEAST_DIRECTED = 5  # rows that a joint must have reached in either direction
+
+
+class Circumstances(NamedTuple):
+    """Circumstances in which n rows were measured: times [s] and temperatures [°C] (n,), NaN where unknown.
+
+    For each joint by its name, ``direction`` (n,) is that in which it last moved, −1 or 1, and ``move`` (n,) [rad or m]
+    how far it moved from the pose before; 0 where unknown.
+    """
+
+    time: Floats
+    temperature: Floats
+    direction: Mapping[str, Floats]
+    move: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, table: ObservationTable, chain: Chain) -> Circumstances:
+        """Return those of the rows of a robot's table."""
+        joints = [joint.name for joint in chain.joints]
+        direction, move = last_directions(table), last_moves(table)
+        return cls(
+            table.time,
+            table.temperature,
+            dict(zip(joints, direction.T, strict=True)),
+            dict(zip(joints, move.T, strict=True)),
+        )
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def during(self, what: str, drift: DriftWith, first: int, last: int) -> Floats | None:
+        """Return the variable that an error of ``what`` is linear in, for some rows; None if it is unknown or constant.
+
+        If the times are unknown, the order of the rows is used. Directions are known if enough rows have either.
+        """
+        match drift:
+            case DriftWith.TIME:
+                along = self.time[first:last]
+                if not np.isfinite(along).all():
+                    along = np.arange(float(last - first))
+            case DriftWith.TEMPERATURE:
+                along = self.temperature[first:last]
+            case DriftWith.DIRECTION | DriftWith.MOVE:
+                of = self.move if drift is DriftWith.MOVE else {name: -way for name, way in self.direction.items()}
+                along = of.get(what, np.zeros(0))[first:last]  # the link lags a reading by backlash
+                if min((along < 0.0).sum(), (along > 0.0).sum()) < LEAST_DIRECTED:
+                    return None
+            case never:
+                assert_never(never)
+        return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
+
+
+def last_directions(table: ObservationTable) -> Floats:
+    """Return the direction (n, j) in which each joint last moved before each row: −1 or 1, 0 where unknown.
+
+    This is the ``side`` of the rows if any is known. In other tables the joints are taken to have moved straight from
+    the pose before, and a joint that did not move keeps its direction.
+    """
+    if np.isfinite(table.side).any():
+        return np.nan_to_num(table.side, nan=0.0)
+    step, began = _steps(table)
+    last = np.maximum.accumulate(np.where(step == 0.0, -1, np.arange(len(table))[:, None]), axis=0)
+    return np.where(last > began[:, None], np.sign(np.take_along_axis(step, last, axis=0)), 0.0)
+
+
+def last_moves(table: ObservationTable) -> Floats:
+    """Return how far (n, j) [rad or m] each joint moved from the pose before, in the same session; 0 where unknown."""
+    step, began = _steps(table)
+    last = np.maximum.accumulate(np.where(step.any(axis=1), np.arange(len(table)), -1))
+    return np.where((last > began)[:, None], step[last], 0.0)
+
+
+def _steps(table: ObservationTable) -> tuple[Floats, Indices]:
+    """Return how far (n, j) each joint moved from the row before, and the first row (n,) of each row's session.
+
+    Less than SAME_POSE, and what came before the first row of a session, is 0.
+    """
+    session = sessions(table)
+    first = np.diff(session, prepend=-1) != 0
+    step = np.diff(table.q, axis=0, prepend=table.q[:1])
+    step[(np.abs(step) <= SAME_POSE) | first[:, None]] = 0.0
+    return step, np.flatnonzero(first)[session]
+
+
+def sessions(table: ObservationTable) -> Indices:
+    """Return numbers (n,) of the files that rows came from, in order: consecutive rows with one file name and rig."""
+    # Examples of sources: "poses.csv row 17", "monday.mcap dwell 3", "monday.mcap pass 2.7".
+    names = [re.sub(r"\s*\w+ [\d.]+$", "", str(source)) for source in table.source]
+    return runs(np.array(names, dtype=np.str_), table.rig)
+
+
+def runs(*columns: NDArray[np.str_]) -> Indices:
+    """Return how often (n,) any of the columns has changed before each row."""
+    changed = np.zeros(max(len(columns[0]) - 1, 0), dtype=bool)
+    for column in columns:
+        changed |= column[1:] != column[:-1]
+    return np.concatenate([[0], np.cumsum(changed)])[: len(columns[0])]
