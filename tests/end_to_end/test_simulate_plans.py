@@ -79,7 +79,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
             ["--model", "panda", "--protocol", "rtde", "--poses", "9"],
             "--protocol rtde: a controller of 6 joints, panda has 7",
         ),
-        (["--robot-delay-ms", "nan"], "Invalid value for '--robot-delay-ms'"),
+        (["--robot-delay-ms", "nan"], "--robot-delay-ms must be a finite number, is nan"),
     ],
 )
 def test_what_cannot_be_simulated_is_said(folder, tmp_path, capsys, options, says):
