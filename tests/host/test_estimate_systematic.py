@@ -271,7 +271,9 @@ def test_errors_that_are_alike_along_a_path_inflate_the_variance_of_their_sums(c
         np.repeat(np.arange(n), 3), np.zeros((3 * n, 0)), error.ravel(), np.zeros((3 * n, 0)), np.zeros((3 * n, 0))
     )
     table = random_table(n, rng)
-    assert path_inflation(rows, measured_order(table, np.ones(n, dtype=bool))) == pytest.approx(expected, rel=0.1)
+    assert path_inflation(rows, measured_order(table, CHAIN, np.ones(n, dtype=bool))) == pytest.approx(
+        expected, rel=0.1
+    )
 
 
 def test_a_slipped_chuck_is_named_with_its_row():
@@ -620,7 +622,7 @@ def test_memory_is_that_of_the_rows_derivatives_and_of_few_copies():
     problem = build_problem(CHAIN, RIG, rows)
     columns = np.append(FREE, np.ones(len(problem.names) - FREE.size, dtype=bool))
     fit = Fitted.of(observe(problem, problem.start, columns))
-    how = measured_order(rows, np.ones(len(rows), dtype=bool))
+    how = measured_order(rows, CHAIN, np.ones(len(rows), dtype=bool))
     needed = 8 * len(rows) * (fit.root.shape[1] + len(problem.errors.names))
     tracemalloc.start()
     try:
