@@ -7,8 +7,6 @@ the controller will choose; without them the configuration is searched for. ``na
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,10 +22,11 @@ from truearm.files.observation_columns import Column
 from truearm.model.poses import pose_of
 from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
-from truearm.units import DEG, MM, SUFFIXES, UNITS, key, number
+from truearm.units import DEG, MM, SUFFIXES, UNITS, key, shown
 
 MAX_BYTES = 64 * 2**20
 MAX_TARGETS = 100_000
+ROWS = 10_000  # that are written at a time
 NAME = Key("name", IDENTIFIER)
 XYZ = tuple(Key(name, Number("m")) for name in "xyz")
 TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))
@@ -126,21 +125,23 @@ def format_corrected(
 
     Positions and joints are written to 1e-7 mm and 1e-9 deg, finer than any controller accepts.
     """
-    turn = DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())
-    titles = ["name", "x_mm", "y_mm", "z_mm", *(["rx_deg", "ry_deg", "rz_deg"] if targets.oriented else [])]
-    titles += [key(f"q{i}", unit) for i, unit in enumerate(joint_units, start=1)]
-    titles += ["before_mm", "after_mm", *(["before_deg", "after_deg"] if targets.oriented else [])]
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(titles)
-    for i, label in enumerate(targets.name):
-        place = [f"{v:.7f}" for v in MM.of(commanded[i, :3, 3])] + [f"{v:.9f}" for v in turn[i]] * targets.oriented
-        errors = [f"{MM.of(v):.6f}" for v in (before[i, 0], after[i, 0])]
-        angles = [f"{DEG.of(v):.6f}" for v in (before[i, 1], after[i, 1])] if targets.oriented else []
-        writer.writerow(
-            [label, *place, *(number(v, unit, 9) for v, unit in zip(q[i], joint_units, strict=True)), *errors, *angles]
-        )
-    return text.getvalue()
+    columns = [("name", "%s")] + [(f"{axis}_mm", "%.7f") for axis in "xyz"]
+    columns += [(f"{axis}_deg", "%.9f") for axis in ("rx", "ry", "rz")] * targets.oriented
+    columns += [(key(f"q{i}", unit), "%.9f") for i, unit in enumerate(joint_units, start=1)]
+    columns += [("before_mm", "%.6f"), ("after_mm", "%.6f")]
+    columns += [("before_deg", "%.6f"), ("after_deg", "%.6f")] * targets.oriented
+    titles, formats = (",".join(column) for column in zip(*columns, strict=True))
+    errors = np.stack([before, after], axis=1)
+    parts = [MM.of(commanded[:, :3, 3])]
+    parts += [DEG.of(Rotation.from_matrix(commanded[:, :3, :3]).as_rotvec())] * targets.oriented
+    parts += [shown(q[:, i, None], unit) for i, unit in enumerate(joint_units)]
+    parts += [MM.of(errors[:, :, 0])] + [DEG.of(errors[:, :, 1])] * targets.oriented
+    rows = [titles]
+    for at in range(0, len(q), ROWS):
+        numbers_of_rows = np.concatenate([part[at : at + ROWS] for part in parts], axis=1).tolist()
+        names = targets.name[at : at + ROWS].tolist()
+        rows += [formats % (name, *row) for name, row in zip(names, numbers_of_rows, strict=True)]
+    return "\n".join([*rows, ""])
 
 
 def looks_like_targets(head: bytes) -> bool:
