@@ -490,6 +490,10 @@ def _rapid() -> dict[str, Kind]:
     found |= {"data: " + name: Kind(module[0], unit, module[1]) for name, unit in data.items()}
     found |= {
         "many modules": Kind("", "MODULE m{k}\nENDMODULE\n", head + tail),
+        "many modules of one name": Kind("", "MODULE m\nLOCAL VAR num a;\nENDMODULE\n", head + tail),
+        "many modules with names of their own": Kind("", "MODULE m{k}\nLOCAL VAR num a{k};\nPROC f{k}()\na{k}:=1;\nENDPROC\nENDMODULE\n", head + tail),
+        "many constants hidden": Kind("MODULE m\n", "CONST num n{k}:=1;\nPROC f{k}()\nVAR num n{k};\nn{k}:=2;\nENDPROC\n", head.removeprefix("MODULE m\n") + tail),
+        "many calls with optional arguments": Kind("MODULE m\nPROC o(num a" + "".join(f"\\num o{k}" for k in range(3_000)) + ")\nENDPROC\n" + head.removeprefix("MODULE m\n"), "o 1;\n", tail),
         "many parameters": Kind("MODULE m\nPROC f(", "num a{k},", "num b)\nENDPROC\nENDMODULE\n"),
         "many arguments": Kind(head + "g ", "1,", "1;\n" + tail),
         "many switches": Kind(head + "g 1", "\\s{k}", ";\n" + tail),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from truearm.files.programs.syntax import Block, Call, Expression, If, Name, Operation, Routine, Truth
@@ -19,15 +20,18 @@ def asked_of(routines: Iterable[Routine]) -> frozenset[tuple[str, str]]:
     Where all calls are alike, another file may call the routine otherwise, so both ways are followed.
     """
     by_name = {routine.name: routine for routine in routines if any(one.optional for one in routine.parameters)}
-    given, omitted = set[tuple[str, str]](), set[tuple[str, str]]()
+    calls, given = Counter[str](), Counter[tuple[str, str]]()
     for routine in routines if by_name else ():
         for call in calls_in((routine.body, routine.handlers)):
-            if (called := by_name.get(call.function)) is not None:
-                names = {name for name, _ in call.named}
-                for one in called.parameters:
-                    if one.optional:
-                        (given if one.name in names else omitted).add((called.name, one.name))
-    return frozenset(given & omitted)
+            if call.function in by_name:
+                calls[call.function] += 1
+                given.update({(call.function, name) for name, _ in call.named})
+    return frozenset(
+        (routine.name, one.name)
+        for routine in by_name.values()
+        for one in routine.parameters
+        if one.optional and 0 < given[routine.name, one.name] < calls[routine.name]
+    )
 
 
 def present(values: Values) -> Iterator[Value]:

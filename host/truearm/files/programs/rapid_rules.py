@@ -6,7 +6,7 @@ only in their own module.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 
 from truearm.files.programs.rapid import Module
 from truearm.files.programs.rapid_words import SEARCHES
@@ -28,12 +28,14 @@ def check_rules(work: Work, modules: Sequence[Module]) -> None:
         for routine in routines.values()
         for at, name, what, remedy in _changed(routine, constants, routines)
     ]
+    owners: dict[str, str] = {}  # of LOCAL names
+    for module in modules:
+        owners |= {name: min(module.name, owners.get(name, module.name)) for name in module.hidden}
     wrong += [
-        (at, f"{name} is LOCAL to module {owner.name}, so module {module.name} does not know it; {_SEPARATE}")
+        (at, f"{name} is LOCAL to module {owners[name]}, so module {module.name} does not know it; {_SEPARATE}")
         for module in modules
-        for owner in modules
-        if owner is not module and owner.hidden
-        for name, at in _seen(module, owner.hidden)
+        if owners
+        for name, at in _seen(module, owners)
     ]
     if wrong:
         at, why = min(wrong)
@@ -60,9 +62,11 @@ def _changed(
     changed = {name for name, _ in found}
     counters = {one.counter for one in statements if isinstance(one, Loop)}
     yield from ((at, name, "predefined", "use a name of your own") for name, at in found if name in PREDEFINED)
-    if not changed.isdisjoint(constants | routine.constants):
-        fixed = (constants - _own(routine) - counters) | routine.constants
-        yield from ((at, name, "a constant", "declare it as PERS or VAR") for name, at in found if name in fixed)
+    if not (changed.isdisjoint(constants) and changed.isdisjoint(routine.constants)):
+        hidden = _own(routine) | counters
+        for name, at in found:
+            if name in routine.constants or (name in constants and name not in hidden):
+                yield at, name, "a constant", "declare it as PERS or VAR"
     for loop in statements if not changed.isdisjoint(counters) else ():
         if isinstance(loop, Loop) and loop.counter:
             of_loop = [at for name, at in _assigned((loop.body,), routines) if name == loop.counter]
@@ -94,26 +98,28 @@ def _given(call: Call, routines: Mapping[str, Routine]) -> Sequence[Expression]:
     return call.arguments[:1] if call.function in _COUNTING else ()
 
 
-def _seen(module: Module, hidden: frozenset[str]) -> Iterator[tuple[str, int]]:
-    """Yield the names of another module's LOCAL data and routines that a module uses, with the places."""
+def _seen(module: Module, hidden: Container[str]) -> Iterator[tuple[str, int]]:
+    """Yield which LOCAL names of other modules a module uses, with the places; its own hide them."""
     declared = {datum.name for datum in module.data} | {routine.name for routine in module.routines}
     for datum in module.data:
-        yield from _named(datum.value, hidden - declared)
+        yield from _named(datum.value, hidden, declared)
     for routine in module.routines:
         loops = (one for block in _blocks(routine) for one in statements_in(block) if isinstance(one, Loop))
         own = _own(routine).union(loop.counter for loop in loops)
-        yield from _named(_blocks(routine), hidden - declared - own)
+        for name, at in _named(_blocks(routine), hidden, declared):
+            if name not in own:
+                yield name, at
 
 
-def _named(node: object, names: frozenset[str]) -> Iterator[tuple[str, int]]:
-    """Yield which of the names a part of a program uses, with the places."""
+def _named(node: object, names: Container[str], but: Container[str]) -> Iterator[tuple[str, int]]:
+    """Yield which of the names, but some, a part of a program uses, with the places."""
     waiting = [node]
     while waiting:
         here = waiting.pop()
         if isinstance(here, Name):
-            if here.name in names:
+            if here.name in names and here.name not in but:
                 yield here.name, here.start
         elif isinstance(here, tuple):
-            if isinstance(here, Call) and here.function in names:
+            if isinstance(here, Call) and here.function in names and here.function not in but:
                 yield here.function, here.start
             waiting += here
