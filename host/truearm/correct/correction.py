@@ -103,7 +103,10 @@ def correct(
 
 
 def joined(parts: Sequence[Correction]) -> Correction:
-    """Return the targets of one part followed by those of the other."""
+    """Return the targets of one part followed by those of the other; a part is not copied if all others are empty."""
+    filled = [part for part in parts if len(part.q)]
+    if len(filled) == 1:
+        return filled[0]
     return Correction(
         np.concatenate([part.q_nominal for part in parts]),
         np.concatenate([part.q for part in parts]),

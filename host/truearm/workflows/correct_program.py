@@ -43,7 +43,7 @@ from truearm.files.programs.targets import (
 )
 from truearm.files.programs.values import Pose, fixed_six, readings_of
 from truearm.model.chain import joint_jacobian
-from truearm.model.poses import apart, inverted, pose_of
+from truearm.model.poses import apart, for_each, inverted, pose_of
 from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.configuration_notes import configuration_notes
@@ -148,13 +148,10 @@ def correct_program(
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
     literals = literal_poses(targets.poses)
     place, frame, tools = poses_of(targets.poses, literals)
-    ends = base.pose @ frame @ place @ inverted(tools) @ inverted(flange.pose)
     n_joints = len(how.pair.chain.joints)
     goals = [*(one.goal for one in targets.poses), *(one.goal for one in targets.revisits)]
     near, quarters = nears_of(goals, n_joints), quarters_of(goals, n_joints)
-    of = [*range(len(targets.poses)), *(one.pose for one in targets.revisits)]
-    origins = [*targets.origins, *(one.origin for one in targets.revisits)]
-    every = _corrected_poses(how, ends[of], near, quarters, origins)
+    every = _corrected_poses(how, _ends(base, flange, (place, frame, tools), targets), near, quarters, targets)
     done = _rows(every, range(len(targets.poses)))
     readings = [literal for literal, _ in targets.joints]
     joints = _corrected_joints(how, readings)
@@ -164,7 +161,8 @@ def correct_program(
     refused += _problems(program, joints, users.joints)
     good = [i for i, problem in enumerate(done.problem) if not problem]
     poses = [targets.poses[i] for i in good]
-    asked = inverted(frame[good]) @ inverted(base.pose) @ done.commanded[good] @ flange.pose @ tools[good]
+    frames = for_each(lambda one: np.asarray(inverted(one) @ inverted(base.pose)), _taken(frame, good))
+    asked = frames @ _taken(done.commanded, good) @ flange.pose @ _taken(tools, good)
     new = solved(poses, asked, literals)
     index_of = dict(zip(poses, good, strict=True)) if new.circular else {}
     refused += [
@@ -180,25 +178,27 @@ def correct_program(
         raise ProgramRefused((said, *others), refused)
     kept = [i for i, one in enumerate(poses) if one not in new.circular]
     moved = [i for i, problem in enumerate(joints.problem) if not problem]
-    changes = changes_of(program, [poses[i] for i in kept], asked[kept], new)
+    told = _taken(asked, kept)
+    changes = changes_of(program, [poses[i] for i in kept], told, new)
     changes += joint_changes([readings[i] for i in moved], joints.q[moved])
     if not changes:
         raise ProgramError(f"{path}: holds no target that can be corrected, so nothing was written")
+    del literals, new  # 26 MB for 100,000 targets
     changes += marks_of(program, refused) if options.mark else []
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
     lines_of += [program.source.line(readings[i].start) for i in moved]
     rows = [good[i] for i in kept]
     correction = joined([_rows(done, rows), _rows(joints, moved)])
     whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings have no tool
-    at_end = flange.pose @ tools[rows]
+    at_end = for_each(lambda tool: np.asarray(flange.pose @ tool), _taken(tools, rows))
     of_pose = {i: k for k, i in enumerate(rows)}
     of_joints = {readings[i].start: len(rows) + k for k, i in enumerate(moved)}
     corrected = CorrectedTargets(
         tuple(f"line {line}" for line in lines_of),
         np.arange(len(lines_of)) >= len(rows),
-        np.concatenate([place[rows], believed(how.pair, joints.q_nominal[moved])]),
-        np.concatenate([asked[kept], joints.commanded[moved]]),
-        np.concatenate([at_end, whole]),
+        _stacked(_taken(place, rows), believed(how.pair, joints.q_nominal[moved])),
+        _stacked(told, joints.commanded[moved]),
+        _stacked(at_end, whole),
         correction,
     )
     text = changed_text(program, changes)
@@ -314,16 +314,25 @@ def _given(six: Six | None) -> Frame | None:
     return Frame(np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0]), "as given")
 
 
+def _ends(base: Frame, flange: Frame, poses: tuple[Floats, Floats, Floats], targets: ProgramTargets) -> Floats:
+    """Return the poses (n, 4, 4) of the calibration's end frame at the targets and then at their revisits."""
+    place, frame, tools = poses
+    frames = for_each(lambda one: np.asarray(base.pose @ one), frame)
+    ends = frames @ place @ for_each(inverted, tools) @ inverted(flange.pose)
+    return _taken(ends, [*range(len(targets.poses)), *(one.pose for one in targets.revisits)])
+
+
 def _corrected_poses(
-    how: HowCorrected, ends: Floats, near: Floats, quarters: Floats, origins: Sequence[int | Taught | None]
+    how: HowCorrected, ends: Floats, near: Floats, quarters: Floats, targets: ProgramTargets
 ) -> Correction:
-    """Correct targets (n, 4, 4).
+    """Correct the targets and their revisits, whose ends are (n, 4, 4).
 
     Those with joints nearby start from there, the others from a search from the robot's previous position.
     """
+    origins = [*targets.origins, *(one.origin for one in targets.revisits)]
     given: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
     known = given.copy()
-    at_known = _corrected(how, ends[known], Configuration(q_start=near[known]))
+    at_known = _corrected(how, _taken(ends, np.flatnonzero(known)), Configuration(q_start=near[known]))
     if (far := np.abs(at_known.q_nominal - near[known]).max(axis=1) > NEAR).any():
         known[np.flatnonzero(known)[far]] = (
             False  # from so far away, descent may end in another configuration than the nearest
@@ -373,9 +382,25 @@ def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) ->
 
 def _rows(of: Correction, rows: Sequence[int]) -> Correction:
     """Return a selection of the targets."""
+    if _are_all(rows, of.q):
+        return of
     k = np.array(rows, dtype=int)
     problems = tuple(of.problem[i] for i in rows)
     return Correction(of.q_nominal[k], of.q[k], of.commanded[k], of.before[k], of.after[k], problems)
+
+
+def _taken(of: Floats, rows: Sequence[int] | NDArray[np.int_]) -> Floats:
+    """Return a selection of rows; of all of them no copy, which takes 13 MB for 100,000 poses."""
+    return of if _are_all(rows, of) else of[np.asarray(rows, dtype=int)]
+
+
+def _are_all(rows: Sequence[int] | NDArray[np.int_], of: Floats) -> bool:
+    return len(rows) == len(of) and bool((np.asarray(rows, dtype=int) == np.arange(len(of))).all())
+
+
+def _stacked(first: Floats, second: Floats) -> Floats:
+    """Return the rows of both; the first alone is not copied."""
+    return np.concatenate([first, second]) if len(second) else first
 
 
 def _problems(program: Program, done: Correction, users: Sequence[Sequence[int]]) -> list[Refused]:

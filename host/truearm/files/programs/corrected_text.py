@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,8 @@ from truearm.files.programs.values import (
 from truearm.types import Floats
 from truearm.units import DEG, MM
 
+BATCH = 10_000  # literals that are written at a time
+
 
 class SolvedLiterals(NamedTuple):
     """New poses of the literals, and the targets that depend on each other in a circle."""
@@ -41,19 +44,18 @@ def solved(targets: Sequence[PoseTarget], told: Floats, known: LiteralPoses | No
     """
     known = known or literal_poses(targets)
     literals = LiteralPoses(known.rows, known.matrices.copy())
-    rows: list[tuple[int, int]] = []
+    plain_of, plain_to = list[int](), list[int]()  # targets that are one literal, and its row
     left: list[tuple[PoseTarget, Taught, Pose, int]] = []
     for i, one in enumerate(targets):
         pose = one.goal.target
         if one.literal is None or not isinstance(pose, Pose):
             continue
         if plain_literal(pose) is not None:
-            rows.append((i, literals.rows[one.literal.start]))
+            plain_of.append(i)
+            plain_to.append(literals.rows[one.literal.start])
         else:
             left.append((one, one.literal, pose, i))
-    if rows:
-        of, to = np.array(rows).T
-        literals.matrices[to] = told[of]
+    literals.matrices[plain_to] = told[plain_of]
     waiting = {literal.start for _, literal, _, _ in left}
     while left:
         ready = [not ({o.start for o in literals_in(pose)} - {literal.start}) & waiting for _, literal, pose, _ in left]
@@ -87,8 +89,11 @@ class Change(NamedTuple):
 def changes_of(program: Program, targets: Sequence[PoseTarget], told: Floats, new: SolvedLiterals) -> list[Change]:
     """Return the changes of the text that give every target its commanded pose."""
     seen = list({one.literal.start: one.literal for one in targets if one.literal is not None}.values())
-    poses = new.literals.matrices[[new.literals.rows[literal.start] for literal in seen]]
-    out = [_renumbered(literal, texts) for literal, texts in zip(seen, _pose_texts(seen, poses), strict=True)]
+    out = list[Change]()
+    for at in range(0, len(seen), BATCH):
+        some = seen[at : at + BATCH]
+        poses = new.literals.matrices[[new.literals.rows[literal.start] for literal in some]]
+        out += map(_renumbered, some, _pose_texts(some, poses))
     for one, goal in zip(targets, told, strict=True):
         if one.literal is None:
             out.append(Change(one.goal.start, one.goal.end, _written(program, one.goal, goal, new.literals)))
@@ -106,8 +111,8 @@ def joint_changes(literals: Sequence[Taught], q: Floats) -> list[Change]:
 
 def _renumbered(literal: Taught, texts: Sequence[str]) -> Change:
     """Return a literal with other first numbers."""
-    new = iter(texts)
-    return Change(literal.start, literal.end, NUMBERS.sub(lambda _: next(new), literal.text, len(texts)))
+    *before, rest = NUMBERS.split(literal.text, len(texts))
+    return Change(literal.start, literal.end, "".join([*chain.from_iterable(zip(before, texts, strict=True)), rest]))
 
 
 def changed_text(program: Program, changes: Iterable[Change]) -> bytes:

@@ -17,7 +17,7 @@ from typing import Protocol, assert_never
 from truearm.files.programs.choices import Choices
 from truearm.files.programs.environment import HERE, Key
 from truearm.files.programs.index_ways import Indexed, indexed_by, values_of_index
-from truearm.files.programs.loops import Loops
+from truearm.files.programs.loop_execution import Loops
 from truearm.files.programs.motions import UNDECLARED
 from truearm.files.programs.operators import operator_of
 from truearm.files.programs.routines import Routines
@@ -122,7 +122,7 @@ class Flow(Loops):
             for statement in block:
                 self._step(statement)
             return True
-        return all(self._step(statement) for statement in block)
+        return all(map(self._step, block))
 
     def _step(self, statement: Statement) -> bool:
         if not isinstance(statement, Leave | Return):  # these may have no place
@@ -130,8 +130,11 @@ class Flow(Loops):
         self.work.spend(1)
         match statement:
             case Do() | Assign():
-                place = next(places_in(statement), -1) if self.work.indexed else -1
-                self._simple(statement, indexed_by(_expression_of(statement)) if place in self.work.indexed else {})
+                indexed = self.work.indexed
+                if indexed and next(places_in(statement), -1) in indexed:
+                    self._each_index(statement, indexed_by(_expression_of(statement)))
+                else:
+                    self._simple(statement)
             case If():
                 return self._choose(statement)
             case Loop():
@@ -149,7 +152,13 @@ class Flow(Loops):
                 assert_never(statement)
         return True
 
-    def _simple(self, statement: Do | Assign, indexed: Mapping[str, Sequence[Indexed]]) -> None:
+    def _simple(self, statement: Do | Assign) -> None:
+        if isinstance(statement, Do):
+            self.value(statement.what)
+        else:
+            self.assign(statement.target, self.value(statement.value), statement.scope)
+
+    def _each_index(self, statement: Do | Assign, indexed: Mapping[str, Sequence[Indexed]]) -> None:
         """Execute a statement once for each value of its indexes, so that elements with one index stay together."""
         whole = _expression_of(statement)
         for name in indexed if not self._has_effects(whole) else ():
@@ -161,15 +170,12 @@ class Flow(Loops):
             ways = []
             for each in values:
                 self.environment.begin({key: (each,)})
-                self._simple(statement, rest)
+                self._each_index(statement, rest)
                 way = self.environment.end()
                 ways.append({at: given for at, given in way.items() if at != key or given != (each,)})
             self.environment.join(ways)
             return
-        if isinstance(statement, Do):
-            self.value(statement.what)
-        else:
-            self.assign(statement.target, self.value(statement.value), statement.scope)
+        self._simple(statement)
 
     def _has_effects(self, expression: Expression) -> bool:
         """Return whether the parts of an expression do more than give values; the outermost call follows after them."""
@@ -322,8 +328,9 @@ class Flow(Loops):
                 self.running[routine.name] = {HERE: dict.fromkeys(self.environment.get(HERE) or ())}
                 self.environment.records.append(self.running[routine.name])
             return self.enter(routine, call, arguments, named)
-        if (choices := prod(map(len, (*arguments, *named.values())))) > 1:
-            self.work.spend(min(choices, most_choices((*arguments, *named.values()))))
+        given = [*arguments, *named.values()] if named else arguments
+        if (choices := prod(map(len, given))) > 1:
+            self.work.spend(min(choices, most_choices(given)))
         found = self.language.call(self, call, arguments, named)
         if found is None:
             why = f"{call.function} is not defined in this file; it may move the robot"
@@ -332,7 +339,7 @@ class Flow(Loops):
         changed = self.language.changed_by(call)
         if not found and not changed:
             return ()
-        origin = self._read(call.function, [*chain(*arguments, *named.values())])
+        origin = self._read(call.function, [*chain.from_iterable(given)])
         for argument in changed:
             if isinstance(argument, Name | Element) and self.get(root_of(argument)) is not None:
                 was = united((origin, origin_of(self.value(argument))))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 from truearm.files.programs.syntax import Taught
 from truearm.files.programs.values import Goal, Pose, Solved, Unknown, Value, Values
@@ -14,16 +16,23 @@ UNDECLARED = "name"  # the remedy for a name that the file does not declare, unt
 class Motion:
     """A statement that moves the robot; ``problems`` are the reasons why it, or a part of it, cannot be corrected.
 
-    ``legs``: each time it was followed, the possible starts and ends; ``straight``: along a line in space.
+    ``legs``: each time it was followed, the possible starts and ends; ``straight``: along a line in space. ``goals``: the
+    ends to which it is corrected, once the whole program was followed.
     """
 
     name: str
     start: int
     end: int
-    goals: dict[Goal, None] = field(default_factory=dict)
+    goals: tuple[Goal, ...] = ()
     legs: list[tuple[Values, Values]] = field(default_factory=list)
     straight: bool = False
     problems: dict[tuple[str, str], None] = field(default_factory=dict)  # reason, and the argument to resolve it
+
+
+def goals_of(legs: Sequence[tuple[Values, Values]]) -> tuple[Goal, ...]:
+    """Return the goals among the ends of legs, each once."""
+    ends = legs[0][1] if len(legs) == 1 else dict.fromkeys(chain.from_iterable(ends for _, ends in legs))
+    return tuple(one for one in ends if isinstance(one, Goal))
 
 
 def goal_of(value: Value, tool: Value, frame: Value, place: tuple[int, int]) -> Goal | tuple[str, str]:

@@ -26,7 +26,10 @@ class Moves(Variables):
 
     def motion(self, name: str, start: int, end: int) -> Motion:
         """Return the record of a statement that moves the robot."""
-        return self.motions.setdefault(start, Motion(name, start, end))
+        found = self.motions.get(start)
+        if found is None:
+            found = self.motions[start] = Motion(name, start, end)
+        return found
 
     def uncertain(self, name: str, start: int, end: int, why: str, remedy: str = "") -> None:
         """Record a statement that may move the robot and cannot be corrected; ``remedy``: the argument to resolve it."""
@@ -58,13 +61,13 @@ class Moves(Variables):
                     for value in values:
                         found = goal_of(value, tool, frame, place)
                         if isinstance(found, Goal):
-                            motion.goals[found] = None
                             ends[found] = None
                         else:
                             motion.problems[found] = None
                             ends[Unknown(found[0], call.start)] = None
-            self._leg(motion, reached, tuple(ends))
-            reached = few(tuple(ends))
+            there = tuple(ends)
+            self._leg(motion, reached, there)
+            reached = few(there)
         self.environment.set(HERE, joined(self.environment.get(HERE), reached) if self.loose else reached)
 
     def _place(self, argument: Expression) -> tuple[int, int]:

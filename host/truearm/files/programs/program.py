@@ -15,7 +15,7 @@ from truearm.errors import ProgramError
 from truearm.files.disk import read_bytes
 from truearm.files.programs import rapid_meaning, urscript_meaning
 from truearm.files.programs.dataflow import Flow
-from truearm.files.programs.motions import Motion
+from truearm.files.programs.motions import Motion, goals_of
 from truearm.files.programs.rapid import read_rapid
 from truearm.files.programs.rapid_poses import tooldata, wobjdata
 from truearm.files.programs.syntax import Source
@@ -82,7 +82,8 @@ def language_of(path: Path) -> ProgramLanguage:
 
 def read_program(path: Path, surroundings: Surroundings) -> Program:
     """Read a program and follow its moves. Raises ProgramError with file and line."""
-    return parse_program(read_bytes(path, MAX_BYTES, ProgramError), language_of(path), surroundings, str(path))
+    source = _source_of(read_bytes(path, MAX_BYTES, ProgramError), str(path))  # the bytes are not kept
+    return _program_of(source, language_of(path), surroundings)
 
 
 @contextmanager
@@ -104,19 +105,29 @@ def uncollected() -> Iterator[None]:
             gc.enable()
 
 
-@uncollected()
 def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surroundings, name: str = "program") -> Program:
     """Follow the moves of a program. Raises ProgramError."""
+    return _program_of(_source_of(data, name), language, surroundings)
+
+
+def _source_of(data: bytes, name: str) -> Source:
     source = Source(data.decode("latin-1"), name)
     _check_text(source, data)
+    return source
+
+
+@uncollected()
+def _program_of(source: Source, language: ProgramLanguage, surroundings: Surroundings) -> Program:
     work = Work(source)
     try:
         flow = _followed(work, language, surroundings)
     except RecursionError as exc:  # thousands of operators in one expression
         raise work.wrong("an expression is nested too deeply; split it") from exc
     motions = tuple(flow.motions[start] for start in sorted(flow.motions))
+    for motion in motions:
+        motion.goals = goals_of(motion.legs)
     if not motions:
-        raise ProgramError(f"{name}: contains no move; there is nothing to correct")
+        raise ProgramError(f"{source.name}: contains no move; there is nothing to correct")
     return Program(language, source, motions, flow.judged, flow.unused)
 
 

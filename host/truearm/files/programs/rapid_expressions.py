@@ -176,7 +176,7 @@ class ExpressionReader(Reader):
         elif kind == "number":
             self.step()
             plain = not text.startswith(("0x", "0o", "0b"))
-            return Number(float(text) if plain else float(int(text, 0)))
+            return self.numbers.get(text) or self.number(text, float(text) if plain else float(int(text, 0)))
         elif kind == "robtarget":
             self.step()
             return Taught(Form.ROBTARGET, self.written(), start)

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from itertools import chain, islice, repeat
 
 from truearm.errors import ProgramError
+from truearm.files.programs.syntax import Number
 from truearm.files.programs.work import DEEPER, TOKEN, Work
 from truearm.schema import quoted
 
 MAX_DEPTH = 60  # nesting depth of brackets and blocks
 MAX_LINKS = 1_000  # of a chain of fields, indexes or operators
+MOST_NUMBERS = 1_000  # that are stored once
 BATCH = 1_000  # tokens that are found at a time
 END, BAD = "end", "bad"  # kinds of the last token, and of a character that begins no token
 NO_MORE = rf"(?P<{BAD}>(?s:.))|(?P<{END}>\Z)"  # the last choices of each language's pattern
@@ -53,6 +55,7 @@ class Reader:
         "kind",
         "known",
         "last",
+        "numbers",
         "source",
         "start",
         "text",
@@ -65,6 +68,7 @@ class Reader:
         self.kind, self.text, self.start = next(self._tokens)
         self._next = next(self._tokens)
         self.known: dict[str, str] = {}  # names, each stored once
+        self.numbers: dict[str, Number] = {}  # the first ones, each stored once: speeds and zones repeat
         self.elements = 0  # of lists, by an index
 
     def step(self) -> str:
@@ -83,6 +87,13 @@ class Reader:
     def once(self, name: str) -> str:
         """Return a name, always as the same object."""
         return self.known.setdefault(name, name)
+
+    def number(self, text: str, value: float) -> Number:
+        """Return a number, as the same object where its text is the same."""
+        found = Number(value)
+        if len(self.numbers) < MOST_NUMBERS:
+            self.numbers[text] = found
+        return found
 
     def wrong(self, what: str) -> ProgramError:
         """Return an error at the reader's position."""

@@ -86,12 +86,12 @@ class Routines:
             return False
         found = self._running.get(id(expression))
         if found is None:
-            found = any(
-                call.function in self.by_name or call.function in self._effects or self._changed_by(call)
-                for call in calls_in(expression)
-            )
-            self._running[id(expression)] = found
+            found = self._running[id(expression)] = any(map(self._does_more, calls_in(expression)))
         return found
+
+    def _does_more(self, call: Call) -> bool:
+        name = call.function
+        return name in self.by_name or name in self._effects or bool(self._changed_by(call))
 
     def first_jump(self, routine: Routine) -> int:
         """The place of the first statement of a routine with a jump in it, or behind the last."""

@@ -19,11 +19,11 @@ class TargetUsers(NamedTuple):
 
 def users_of(program: Program, targets: ProgramTargets) -> TargetUsers:
     """Return the moves that go to each of a program's targets."""
-    found: dict[int | Taught, dict[int, None]] = {}
+    found: dict[int | Taught, list[int]] = {}
     for motion in program.motions:
         for goal in motion.goals:
             of = goal.target if isinstance(goal.target, Taught) else targets.indices.get(goal)
-            if of is not None:
-                found.setdefault(of, {})[motion.start] = None
-    poses = [list(found.get(i, ())) for i in range(len(targets.poses))]
-    return TargetUsers(poses, [list(found.get(literal, ())) for literal, _ in targets.joints])
+            if of is not None and (moves := found.setdefault(of, []))[-1:] != [motion.start]:
+                moves.append(motion.start)
+    poses = [found.get(i, ()) for i in range(len(targets.poses))]
+    return TargetUsers(poses, [found.get(literal, ()) for literal, _ in targets.joints])

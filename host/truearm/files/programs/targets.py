@@ -180,24 +180,27 @@ def _ways(
     """
     origins: dict[int, int | Taught] = {}
     further: dict[tuple[object, ...], Revisit] = {}
-    arrived: set[tuple[object, ...]] = set()  # poses and what selects the configuration, where a path to them is known
+    arrived: set[tuple[object, ...]] = set()  # poses whose path is known, and whether the target's own data count
     for motion, places, ends, _ in legs:
         if not places:
             continue
         for to, end in ends:
-            chooses = _chooses(end)
-            first = origins.setdefault(to, next((one for one in places if one != to), places[0]))
-            arrived.add((to, chooses))
+            first = origins.get(to)
+            if first is None:
+                first = origins[to] = next((one for one in places if one != to), places[0])
             if end.near is None:
+                chooses = _chooses(end)
+                arrived.add((to, chooses))
                 same = chooses == _chooses(poses[to].goal)
                 for place in places:
                     if place != to and not (same and place == first):
                         further.setdefault((to, chooses, place), Revisit(to, end, place, {})).moves[motion.start] = None
     for (goal, motion), of in zip(users.items(), index, strict=True):
-        if of is None or goal is (first_goal := poses[of].goal) or _chooses(goal) == _chooses(first_goal):
+        if of is None or goal is (first_goal := poses[of].goal):
             continue
-        if not (_by_origin(goal) and (of, _chooses(goal)) in arrived):
-            further.setdefault((of, _chooses(goal)), Revisit(of, goal, None, {})).moves[motion.start] = None
+        chooses = _chooses(goal)
+        if chooses != _chooses(first_goal) and not (_by_origin(goal) and (of, chooses) in arrived):
+            further.setdefault((of, chooses), Revisit(of, goal, None, {})).moves[motion.start] = None
     return tuple(origins.get(i) for i in range(len(poses))), tuple(further.values())
 
 
@@ -441,20 +444,16 @@ def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
     """Return the matrices (n, 4, 4) of poses, many of which are one literal or the same object."""
     if poses and all(pose is poses[0] for pose in poses):  # as tools and frames usually are
         return np.broadcast_to(matrix_of(poses[0], literals), (len(poses), 4, 4))
-    out = np.empty((len(poses), 4, 4))
-    rows: list[tuple[int, int]] = []
+    plain = [plain_literal(pose) for pose in poses]
+    at = [0 if literal is None else literals.rows[literal.start] for literal in plain]
+    out = literals.matrices[at] if literals.rows else np.empty((len(poses), 4, 4))
     known: dict[int, Floats] = {}
-    for i, pose in enumerate(poses):
-        if (literal := plain_literal(pose)) is not None:
-            rows.append((i, literals.rows[literal.start]))
-            continue
-        matrix = known.get(id(pose))
-        if matrix is None:
-            matrix = known[id(pose)] = matrix_of(pose, literals)
-        out[i] = matrix
-    if rows:
-        to, at = np.array(rows).T
-        out[to] = literals.matrices[at]
+    for i, pose in enumerate(poses) if None in plain else ():
+        if plain[i] is None:
+            matrix = known.get(id(pose))
+            if matrix is None:
+                matrix = known[id(pose)] = matrix_of(pose, literals)
+            out[i] = matrix
     return out
 
 

@@ -26,15 +26,15 @@ WITHOUT_CALLS = frozenset({Name, Number, Taught, Text, Truth, Routine})
 
 def calls_in(node: tuple[object, ...]) -> Iterator[Call]:
     """Yield the calls in a block, a statement or an expression, except those in routines defined there."""
-    waiting: list[tuple[object, ...]] = [
-        node
-    ]  # a stack, as generators within generators would hand on each call through all levels
+    # a stack, as generators within generators would hand on each call through all levels
+    waiting: list[tuple[object, ...]] = [] if type(node) in WITHOUT_CALLS else [node]
     while waiting:
         here = waiting.pop()
         if isinstance(here, Call):
             yield here
-        if type(here) not in WITHOUT_CALLS:
-            waiting += [inner for inner in reversed(here) if inner and isinstance(inner, tuple)]
+        for inner in reversed(here):
+            if inner and isinstance(inner, tuple) and type(inner) not in WITHOUT_CALLS:
+                waiting.append(inner)
 
 
 def places_in(node: object) -> Iterator[int]:

@@ -256,7 +256,7 @@ class _Reader(Reader):
             return self.named()
         if kind == "number":
             self.step()
-            return Number(float(text))
+            return self.numbers.get(text) or self.number(text, float(text))
         if kind == "pose":
             self.step()
             return Taught(Form.POSE, text, start)

@@ -240,13 +240,15 @@ def _origin_of(value: Value) -> Origin:
     return NO_ORIGIN
 
 
+_WITH_NUMBERS = (Number, Unknown, Listed, Fields)
+
+
 def numbers_origin(values: Sequence[Value]) -> Origin:
     """Return the literals from whose numbers values are computed, but not those that they contain."""
-    return united(
-        one.origin if isinstance(one, Number | Unknown) else one.numbers_origin
-        for one in values
-        if isinstance(one, Number | Unknown | Listed | Fields)
-    )
+    computed_from = [one for one in values if isinstance(one, _WITH_NUMBERS)]
+    if not computed_from:
+        return NO_ORIGIN
+    return united(one.origin if isinstance(one, Number | Unknown) else one.numbers_origin for one in computed_from)
 
 
 def computed(value: Value, origin: Origin) -> Value:

@@ -1,4 +1,4 @@
-"""Loops whose number of turns the text says: they are followed turn by turn, so that what has one index stays together.
+"""The turns of loops, where the text says how many: they are followed turn by turn, so that what has one index stays together.
 
 Only loops with several elements of lists are: for others, following all turns at once finds the same.
 """

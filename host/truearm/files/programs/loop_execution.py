@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 
 from truearm.files.programs.calls import Calls
-from truearm.files.programs.counted_loops import Turns, counter_values, holds
 from truearm.files.programs.environment import Key
+from truearm.files.programs.known_turns import Turns, counter_values, holds
 from truearm.files.programs.routines import Routines
 from truearm.files.programs.syntax import Expression, Loop, Number
 from truearm.files.programs.values import Unknown, Values, counts, origin_of
