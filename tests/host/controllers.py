@@ -33,6 +33,7 @@ class Move:
     pose: np.ndarray  # (4, 4) of the TCP at its end
     speed: float  # m/s requested, nan for a time
     path: np.ndarray  # (SAMPLES, j) of a line, evenly spaced in time; otherwise (0, j)
+    configuration: tuple[float, ...] = ()  # RAPID's, of its target
 
 
 @dataclass
@@ -47,6 +48,7 @@ class Controller:
     tcp: np.ndarray = field(default_factory=lambda: np.eye(4))
     moves: list[Move] = field(default_factory=list)
     outputs: list[tuple[float, bool]] = field(default_factory=list)
+    configuration: tuple[float, ...] = ()  # of the next moves
     said: list[tuple[int, str]] = field(default_factory=list)  # what the operator confirms, after this many moves
 
     def pose_of(self, q):
@@ -69,7 +71,9 @@ class Controller:
     def move_joints(self, q, seconds=0.0):
         q = np.asarray(q, dtype=float)
         nothing = np.zeros((0, q.size))
-        self.moves.append(Move("joints", self.t, self.t + seconds, q, self.pose_of(q), float("nan"), nothing))
+        self.moves.append(
+            Move("joints", self.t, self.t + seconds, q, self.pose_of(q), float("nan"), nothing, self.configuration)
+        )
         self.t, self.q = self.t + seconds, q
 
     def move_line(self, pose, speed):
@@ -85,7 +89,9 @@ class Controller:
             here = np.eye(4)
             here[:3, :3], here[:3, 3] = turn[k], start[:3, 3] + share[k] * (pose - start)[:3, 3]
             path.append(self.solved(here, path[-1]))
-        self.moves.append(Move("line", self.t, self.t + seconds, path[-1], pose, speed, np.array(path)))
+        self.moves.append(
+            Move("line", self.t, self.t + seconds, path[-1], pose, speed, np.array(path), self.configuration)
+        )
         self.t, self.q = self.t + seconds, path[-1]
 
     def put_out(self, level):

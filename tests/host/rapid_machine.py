@@ -557,12 +557,14 @@ class Machine:
     def robtarget(self, target):
         if len(target) != 4 or [len(part) for part in target] != [3, 4, 4, 6]:
             raise ProgramFault("a robtarget has place, orientation, configuration and external axes")
+        self.controller.configuration = tuple(target[2])
         return self.pose(target)
 
     # instructions and functions
 
     def MoveAbsJ(self, target, speed, zone, tool, t=0.0, noeoffs=False):
         self.use(tool)
+        self.controller.configuration = ()
         self.controller.move_joints(self.jointtarget(target), t)
 
     def MoveJ(self, target, speed, zone, tool, wobj=None, **options):

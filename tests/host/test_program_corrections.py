@@ -17,7 +17,7 @@ from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.rapid_machine import run_rapid
 from tests.host.urscript_machine import run_urscript
 
-from truearm.correct.correction import MARGIN
+from truearm.correct.correction import MARGIN, MOST_TURN
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import ProgramError
@@ -89,8 +89,10 @@ def misses(text, after):
 
 
 def missed(asked, done):
-    assert [move.kind for move in asked] == [move.kind for move in done]
+    assert [(move.kind, move.configuration) for move in asked] == [(move.kind, move.configuration) for move in done]
     q = np.array([move.q for move in done])
+    turned = np.abs(q - np.array([move.q for move in asked])).max(initial=0.0)
+    assert turned < MOST_TURN  # the arm is in the same configuration
     tools = np.linalg.inv(forward(CHAIN, DESIGN, q)) @ np.array([move.pose for move in done])
     error = apart(np.array([move.pose for move in asked]), forward(CHAIN, TRUTH, q) @ tools)
     return np.stack([np.linalg.norm(error[:, :3], axis=1), np.linalg.norm(error[:, 3:], axis=1)], axis=1)
@@ -371,9 +373,29 @@ def statements(draw):
     return program(*lines, *body, "movej(W2)")
 
 
-@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def generated(examples):
+    return settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
+    )
+
+
+@generated(30)
 @given(statements(), st.booleans())
 def test_no_move_is_left_uncorrected_in_silence(tmp_path, text, split):
+    check_no_silence(tmp_path, text, split)
+
+
+@pytest.mark.soak
+@generated(1500)
+@given(statements(), st.booleans())
+def test_no_move_of_many_programs_is_left_uncorrected_in_silence(tmp_path, text, split):
+    check_no_silence(tmp_path, text, split)
+
+
+def check_no_silence(tmp_path, text, split):
     """Whatever the program does: it is refused with a line and a reason, or every move of the true arm ends where it should."""
     refused = ()
     try:
@@ -386,9 +408,20 @@ def test_no_move_is_left_uncorrected_in_silence(tmp_path, text, split):
         assert misses(text, after).max() < 1e-6
 
 
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@generated(15)
 @given(statements(), st.booleans())
 def test_in_part_all_else_is_corrected(tmp_path, text, split):
+    check_all_else(tmp_path, text, split)
+
+
+@pytest.mark.soak
+@generated(700)
+@given(statements(), st.booleans())
+def test_in_part_all_else_of_many_programs_is_corrected(tmp_path, text, split):
+    check_all_else(tmp_path, text, split)
+
+
+def check_all_else(tmp_path, text, split):
     """With ``partial`` each line that is not named as uncorrected has all its moves of the true arm end where they should."""
     done = outcome(tmp_path, text, split=split, partial=True)
     asked, corrected_ones = (Controller(CHAIN, DESIGN, Q[0]) for _ in range(2))
@@ -582,9 +615,20 @@ def modules(draw):
     return module(data, [*body, "MoveJ now,v100,fine,t0;"], *routines)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@generated(40)
 @given(modules(), st.booleans())
 def test_no_move_of_a_module_is_left_uncorrected_in_silence(tmp_path, text, split):
+    check_no_silence_of_module(tmp_path, text, split)
+
+
+@pytest.mark.soak
+@generated(1500)
+@given(modules(), st.booleans())
+def test_no_move_of_many_modules_is_left_uncorrected_in_silence(tmp_path, text, split):
+    check_no_silence_of_module(tmp_path, text, split)
+
+
+def check_no_silence_of_module(tmp_path, text, split):
     """Whatever the module does: it is refused with a line and a reason, or every move of the true arm ends where it should."""
     refused = ()
     try:
