@@ -43,6 +43,7 @@ def fit(
                 damping=lm.Damping(damping, options.plain, options.correctors),
                 cost=cost,
                 move=stepper(problem, columns),
+                ends=options.ends,
             )
         part, iterations = minimum.x, iterations + minimum.iterations
     x = whole(x, columns, part)

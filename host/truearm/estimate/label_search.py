@@ -90,10 +90,10 @@ class _Searched(NamedTuple):
     was: Indices  # (n,)
     thin: Indices  # rows that are fitted
 
-    def fitted(self, labels: Indices, without: Sequence[int] = ()) -> Trial | None:
-        """Return the fit with labels (n,) to all rows except those of some runs."""
+    def fitted(self, labels: Indices, without: Sequence[int] = (), goal: float = 0.0) -> Trial | None:
+        """Return the fit with labels (n,) to all rows except those of some runs; it is of no use above a χ²/ν of ``goal``."""
         rows = self.thin[~np.isin(self.run[self.thin], without)]
-        return tried(self.chain, self.rigs, self.labelled(labels).select(rows), self.free)
+        return tried(self.chain, self.rigs, self.labelled(labels).select(rows), self.free, goal=goal)
 
     def labelled(self, labels: Indices) -> ObservationTable:
         """Return the table with labels (n,)."""
@@ -152,7 +152,7 @@ def relabellings(
     found: list[tuple[Trial, Indices]] = []
     least, count = before.reduced, 0
     for labels in _proposals(search, before, witnesses):
-        after = search.fitted(labels)
+        after = search.fitted(labels, goal=max(least, AS_WELL * before.reduced if before.moved > FAR else 0.0))
         count += 1
         if after is None or not (after.reduced < least or _counts(before, after, count)):
             continue
@@ -234,8 +234,11 @@ def _proposals(search: _Searched, before: Trial, asked: Sequence[Trial]) -> Iter
     yield from (_spread(search, groups, labels) for labels in islice(dict.fromkeys(exchanged), MAX_EXCHANGES))
     n = int(search.run.max()) + 1
     for size in (1, 2) if n <= MAX_RUNS_IN_PAIRS else (1,):
-        fits = [search.fitted(search.was, out) for out in combinations(range(n), size)] if n > size else []
-        best = min((fit for fit in fits if fit is not None), key=lambda fit: fit.reduced, default=None)
+        best: Trial | None = None
+        for out in combinations(range(n), size) if n > size else ():
+            fit = search.fitted(search.was, out, 0.0 if best is None else best.reduced)
+            if fit is not None and (best is None or fit.reduced < best.reduced):
+                best = fit
         if best is not None:
             yield from islice(_by_witness(search, best.known), FITTED_PROPOSALS)
 

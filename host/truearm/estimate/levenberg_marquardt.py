@@ -35,7 +35,7 @@ reach that point. The derivatives by drifts and errors of joints
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +55,9 @@ RELATIVE_END = 1e-6
 ABSOLUTE_END = 1e-10
 STEP_END = 1e-14
 ROUNDING_END = 1e-3  # σ; far below the precision of any estimate, above what the rounding of χ² can hide
+
+
+Ends = Callable[[Sequence[float]], bool]  # χ² at the start and after each step, to whether further steps are of no use
 
 
 class Damping(NamedTuple):
@@ -88,15 +91,18 @@ def minimise(
     damping: Damping = Damping(),  # noqa: B008 (frozen)
     cost: Callable[[Floats, Floats], float] | None = None,
     move: Step = added,
+    ends: Ends | None = None,
 ) -> Minimum:
     """Minimise χ² = fᵀf from x (k,).
 
     ``linearise`` returns root, Qᵀf and χ² at an x; ``on_step`` is called after each step. ``cost(there,
     here)`` is χ² at ``there`` with what J takes as constant, such as weights, as at ``here``; needed only if it depends
-    on x. ``move(x, Δ)`` is the point that a step leads to. An iteration is an accepted step. Failure to converge is a status, not an exception.
+    on x. ``move(x, Δ)`` is the point that a step leads to. ``ends`` may end the iteration before it converges, with the
+    status "max_iterations". An iteration is an accepted step. Failure to converge is a status, not an exception.
     """
     lam, plain, correctors = damping
     here = linearise(x)
+    so_far = [here.chi2]
     for iteration in range(max_iterations + 1):
         if not _finite(here):
             return Minimum(x, "stalled", "residuals or derivatives are not finite numbers", iteration, here)
@@ -142,6 +148,9 @@ def minimise(
         x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
+        so_far.append(chi2)
+        if ends is not None and ends(so_far):
+            return Minimum(x, "max_iterations", "further iterations are of no use", iteration + 1, here)
     return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, here)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.better_fit import thinned
-from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation
+from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation, worst_fitted
 from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import POINT, TURN
@@ -100,17 +100,17 @@ def mirrored(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> It
 
 def likeliest(readings: Sequence[Interpretation]) -> list[Interpretation]:
     """Return the MOST_FITTED interpretations with the smallest residuals before the robot is fitted, in a few rows."""
-    scored = []
+    scored: list[tuple[float, int]] = []
     for i, one in enumerate(readings):
         few = one.table.select(thinned(len(one.table), FEW_ROWS))
         try:
             with np.errstate(all="ignore"):
-                least = placed(one.chain, one.rig, few).reduced
+                least = placed(one.chain, one.rig, few, worst_fitted(scored)).reduced
         except (ProblemError, np.linalg.LinAlgError):
             continue
         if np.isfinite(least):
-            scored.append((least, i))
-    return [readings[i] for _, i in sorted(scored)[:MOST_FITTED]]
+            scored = sorted([*scored, (least, i)])
+    return [readings[i] for _, i in scored[:MOST_FITTED]]
 
 
 def _flipped(rig: Rigs, entry: str, axis: int, only: str = "") -> Rigs | None:

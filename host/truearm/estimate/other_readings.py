@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
@@ -120,20 +121,25 @@ def of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
     """Return the orders and signs of joints with the smallest residuals before the robot is fitted."""
     names = [joint.name for joint in chain.joints]
     few = table.select(thinned(len(table), FEW_ROWS))
-    scored = []
+    scored: list[tuple[float, str, list[int], Floats]] = []
     for order, signs in _arrangements(len(names)):
         if any(chain.joint_units[i] != unit for i, unit in zip(order, chain.joint_units, strict=True)):
             continue
         try:
             with np.errstate(all="ignore"):
-                least = placed(chain, rig, _with_joints(few, order, signs)).reduced
+                least = placed(chain, rig, _with_joints(few, order, signs), worst_fitted(scored)).reduced
         except (ProblemError, np.linalg.LinAlgError):
             continue
         if np.isfinite(least):
             scored.append((least, _arranged(names, order, signs), order, signs))
-    scored.sort(key=lambda one: one[0])
+            scored.sort(key=lambda one: one[0])
     for _, text, order, signs in scored[:MOST_FITTED]:
         yield Interpretation(text, chain, rig, _with_joints(table, order, signs), free)
+
+
+def worst_fitted(scored: Sequence[tuple[Any, ...]]) -> float:
+    """Return χ²/ν of the last interpretation to be fitted among those ``scored``, the best first; inf if there are few."""
+    return float(scored[MOST_FITTED - 1][0]) if len(scored) >= MOST_FITTED else math.inf
 
 
 def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:

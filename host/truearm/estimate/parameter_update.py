@@ -13,6 +13,7 @@ radius, deviate from their tangents by less than the noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import takewhile
 from typing import NamedTuple
@@ -25,7 +26,6 @@ from truearm.kinds.linearised import Indices
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of
 from truearm.model.rotation import screw, skew, turned
-from truearm.model.transforms import cross, mixed
 from truearm.types import Floats
 
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
@@ -86,19 +86,28 @@ def _base(chain: Chain, columns: NDArray[np.bool_]) -> _Base | None:
 class _Pose(NamedTuple):
     """The base at some parameters, and its twist (6, b), (ω, v) in the rig's frame, by each of them."""
 
-    transform: Floats  # (4, 4)
+    rot: Floats  # (3, 3)
+    origin: Floats  # (3,)
     twists: Floats
 
 
 def _posed(base: _Base, x: Floats) -> _Pose:
-    b = len(base.axis)
-    frames = np.empty((b + 1, 4, 4))  # before each constant, and the transform
-    frames[0] = np.eye(4)
-    for i, own in enumerate(mixed(base.axis, base.turns, np.where(base.named, x[base.parameter], base.value))):
-        np.matmul(frames[i], own, out=frames[i + 1])
-    axis, origin = frames[np.arange(b), :3, base.axis].T, frames[:b, :3, 3].T  # (3, b)
-    twists = np.concatenate([axis * base.turns, np.where(base.turns, cross(origin, axis), axis)])
-    return _Pose(frames[b], twists[:, base.named])
+    """Return the pose, constant by constant from the rig's frame on; with six numbers numpy would take three times as long."""
+    axes, origin, twists = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0], []
+    amounts = np.where(base.named, x[base.parameter], base.value)
+    for k, turns, amount in zip(base.axis.tolist(), base.turns.tolist(), amounts.tolist(), strict=True):
+        axis = axes[k]
+        if turns:
+            (ox, oy, oz), (ax, ay, az) = origin, axis
+            twists.append([*axis, oy * az - oz * ay, oz * ax - ox * az, ox * ay - oy * ax])
+            cos, sin = math.cos(amount), math.sin(amount)
+            a, b = axes[(k + 1) % 3], axes[(k + 2) % 3]
+            axes[(k + 1) % 3] = [cos * s + sin * t for s, t in zip(a, b, strict=True)]
+            axes[(k + 2) % 3] = [cos * t - sin * s for s, t in zip(a, b, strict=True)]
+        else:
+            twists.append([0.0, 0.0, 0.0, *axis])
+            origin = [o + amount * s for o, s in zip(origin, axis, strict=True)]
+    return _Pose(np.array(axes).T, np.array(origin), np.array(twists).T[:, base.named])
 
 
 def _small_turn(rot: Floats) -> Floats:
@@ -118,12 +127,12 @@ def _with_base(base: _Base, beside: Indices, x: Floats, added_to: Floats) -> Flo
     if np.linalg.norm(omega) <= STRAIGHT:
         return added_to
     rot, shift = screw(twist)
-    goal_rot, goal_shift = rot @ here.transform[:3, :3], rot @ here.transform[:3, 3] + shift
+    goal_rot, goal_origin = rot @ here.rot, rot @ here.origin + shift
     out = added_to.copy()
     for _ in range(NEWTON_STEPS):
         now = _posed(base, out)
-        left = goal_rot @ now.transform[:3, :3].T
-        error = np.concatenate([_small_turn(left), goal_shift - left @ now.transform[:3, 3]])
+        left = goal_rot @ now.rot.T
+        error = np.concatenate([_small_turn(left), goal_origin - left @ now.origin])
         out[at] += np.linalg.lstsq(now.twists, error, rcond=None)[0]
         if np.abs(error).max() <= NEAR:
             points = x[beside]

@@ -28,7 +28,8 @@ def stuck_joint(
     n, runs = rows.size, _same_readings(table.q[rows])
     for joint, first, end in runs:
         others = rows[np.r_[:first, end:n]]
-        after = tried(chain, rig, table.select(others[thinned(others.size)]), free) if others.size else None
+        some = table.select(others[thinned(others.size)])
+        after = tried(chain, rig, some, free, goal=HUNDREDFOLD * before.reduced) if others.size else None
         if after is None or not explains(before, after, len(runs)):
             continue
         where = f"{named_row(table, rows[first])} to {named_row(table, rows[end - 1])}"

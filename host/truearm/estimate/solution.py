@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.information import Information
-from truearm.estimate.levenberg_marquardt import CORRECTORS
+from truearm.estimate.levenberg_marquardt import CORRECTORS, Ends
 from truearm.estimate.problem import Problem
 from truearm.estimate.solvers import Loss
 from truearm.types import Floats, Residuals
@@ -23,6 +23,7 @@ class Options(NamedTuple):
     plain: bool = False  # damp by λI, for lm
     on_step: Callable[[int, Residuals], None] | None = None  # called with the iteration and the residuals
     correctors: int = CORRECTORS  # for lm, map and ls (``levenberg_marquardt.Damping``)
+    ends: Ends | None = None  # for lm, map and ls: whether to end before the minimum
 
 
 class Solution(NamedTuple):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +30,10 @@ from truearm.types import Floats, ObservationTable, Residuals
 from truearm.units import UNITS
 
 # Wrong inputs are wrong by centimetres: the last thousandth of χ² in a curved valley is not worth its evaluations.
-TRIAL = Options(max_iterations=20, correctors=0)
-PLACING = TRIAL._replace(max_iterations=8)  # if only base, tool and rig are placed
+STEPS = 20
+STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
+IDLE, WORTH = 3, 0.01  # steps that together reduce χ² by a smaller part end a fit
+RECENT = 3  # steps, of which the best one is taken for all those left
 
 
 class Trial(NamedTuple):
@@ -51,9 +54,12 @@ class Trial(NamedTuple):
     root: Floats  # (k, r): its product with its transpose is their covariance
 
 
-def placed(chain: Chain, rig: Rigs, table: ObservationTable) -> Trial:
-    """Return the nominal robot with base, tool and rig fitted to the rows. Raises ProblemError."""
-    return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None)
+def placed(chain: Chain, rig: Rigs, table: ObservationTable, goal: float = 0.0) -> Trial:
+    """Return the nominal robot with base, tool and rig fitted to the rows. Raises ProblemError.
+
+    A fit that will not reach a χ²/ν of ``goal`` is of no use, and may end early.
+    """
+    return _trial(chain, rig, table, np.zeros(len(chain.parameters), dtype=bool), None, goal=goal)
 
 
 def fitted(
@@ -63,12 +69,13 @@ def fitted(
     free: NDArray[np.bool_],
     effects: Sequence[Effect] = (),
     start: Trial | None = None,
+    goal: float = 0.0,
 ) -> Trial:
     """Return the fit of the robot's ``free`` (p,) parameters, base, tool and rig to the rows. Raises ProblemError.
 
-    ``effects`` are errors that are fitted too, without a limit on their size.
+    ``effects`` are errors that are fitted too, without a limit on their size. ``goal`` is as for ``placed``.
     """
-    return _trial(chain, rig, table, free, start or placed(chain, rig, table), effects)
+    return _trial(chain, rig, table, free, start or placed(chain, rig, table), effects, goal)
 
 
 def trial_problem(
@@ -94,18 +101,19 @@ def _trial(
     free: NDArray[np.bool_],
     start: Trial | None,
     effects: Sequence[Effect] = (),
+    goal: float = 0.0,
 ) -> Trial:
     params = chain.params_nominal
     problem, columns, mounted = trial_problem(chain, rig, table, free, effects)
+    count = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
     if start is None:
         x = problem.start
         only = columns & (np.arange(columns.size) >= free.size)
         if only.any():
-            x = fit(problem, only, x, PLACING).x
-        found = fit(problem, columns, x, PLACING)
+            x = fit(problem, only, x, _options(STEPS_TO_PLACE)).x
+        found = fit(problem, columns, x, _options(STEPS_TO_PLACE, goal * count))
     else:
-        x = at(problem, start.known)
-        found = fit(problem, columns, x, TRIAL)
+        found = fit(problem, columns, at(problem, start.known), _options(STEPS, goal * count))
     root = half(spectrum(found.information.root))
     quality = goodness(*of_data(problem, columns, found), prior_shares(root, found.prior_sigma))
     rms = {unit: figures.rms for unit, figures in Figures.by_unit(found.information.residual).items()}
@@ -115,6 +123,20 @@ def _trial(
     names = tuple(name for name, one in zip(problem.names, columns, strict=True) if one)
     moved, shifted = (float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
     return Trial(quality.reduced, quality.freedom, rms, known, moved, shifted, names, off, root)
+
+
+def _options(steps: int, goal: float = 0.0) -> Options:
+    """Return the options of a fit that only tells right from wrong inputs, which by a χ² above ``goal`` are wrong."""
+
+    def ends(chi2: Sequence[float]) -> bool:
+        if len(chi2) > IDLE and chi2[-1] > (1.0 - WORTH) * chi2[-1 - IDLE]:
+            return True
+        if len(chi2) <= RECENT:
+            return False
+        best = min(b / a for a, b in pairwise(chi2[-1 - RECENT :]))
+        return chi2[-1] * best ** (steps + 1 - len(chi2)) > goal > 0.0
+
+    return Options(max_iterations=steps, correctors=0, ends=ends)
 
 
 def at(problem: Problem, known: Mapping[str, float]) -> Floats:
@@ -145,11 +167,12 @@ def tried(
     free: NDArray[np.bool_],
     effects: Sequence[Effect] = (),
     start: Trial | None = None,
+    goal: float = 0.0,
 ) -> Trial | None:
     """Return the result of ``fitted``; None if rows and robot do not define a problem, or nothing is fitted."""
     try:
         with np.errstate(all="ignore"):
-            found = fitted(chain, rig, table, free, effects, start)
+            found = fitted(chain, rig, table, free, effects, start, goal)
     except (ProblemError, np.linalg.LinAlgError):
         return None
     return found if np.isfinite(found.reduced) else None

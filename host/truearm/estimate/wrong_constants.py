@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.better_fit import Found, explains, found_in
+from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in
 from truearm.estimate.information import observe, spectrum, with_prior
 from truearm.estimate.information import seen as significant
 from truearm.estimate.problem import Rigs, build_problem
@@ -50,7 +50,7 @@ def wrong_constants(
         and not all(vague.get(number, False) for number in cause.numbers)
     ]
     for cause in _likely(causes, chain, rig, table, free, before):
-        after = tried(chain, rig, table, free, [Effect(cause.name)], before)
+        after = tried(chain, rig, table, free, [Effect(cause.name)], before, HUNDREDFOLD * before.reduced)
         if after is None or not explains(before, after, len(causes)):
             continue
         units = [UNITS[problem.errors.unit(number)] for number in cause.numbers]

@@ -210,10 +210,12 @@ def _as_described(
             (WrongInput.JOINTS, joint_in_other_unit(chain, rig, given, free)),
         ):
             for one in readings:
-                after = tried(one.chain, one.rig, one.table, one.free)
+                after = tried(one.chain, one.rig, one.table, one.free, goal=AS_WELL * before.reduced)
                 if after is not None and after.shifted < NEAR and after.reduced <= AS_WELL * before.reduced:
                     found.append(found_in(what, one.text, len(given), before, after, 1))
     labels = Search((), "not needed")
+    if any(of.fit.moved < NEAR for of in found):  # then nothing is left for labels to explain
+        return _ranked(found), labels
     if before is None or before.moved > FAR:  # else only a parameter that the rows hardly see is far off
         labels = relabellings(chain, rig, table, rows, free)
     return _ranked([*found, *_by_labels(labels, table, int(rows.sum()))]), labels
@@ -296,7 +298,7 @@ def _explaining(
 ) -> Iterator[Found]:
     """Return the interpretations that explain the observations and reduce χ² below ``ratio`` of its value."""
     for one in readings:
-        after = tried(one.chain, one.rig, one.table, one.free)
+        after = tried(one.chain, one.rig, one.table, one.free, goal=ratio * before.reduced)
         if after is not None and explains(before, after, len(readings), ratio):
             yield found_in(what, one.text, len(one.table), before, after, len(readings))
 

@@ -41,7 +41,16 @@ import numpy as np
 from truearm.errors import RobotError
 from truearm.model import joint_law
 from truearm.model.chain_frames import far_frames
-from truearm.model.constant_folding import Constants, Folded, constants_of, folded, new_numbers, on_axis
+from truearm.model.constant_folding import (
+    Columns,
+    Constants,
+    Folded,
+    columns_of,
+    constants_of,
+    folded,
+    new_numbers,
+    on_axis,
+)
 from truearm.model.joint_law import JointLaw, LawAt, flat
 from truearm.model.transforms import MOTIONS, apply, axis_of, cos_sin, cross, move, turn
 from truearm.types import Floats, Payload
@@ -158,6 +167,11 @@ class Chain:
     def constants(self) -> Constants:
         """Return the elements that are not joints."""
         return constants_of(self.elements)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Return the columns of wrenches by which all derivatives are expressed."""
+        return columns_of(self)
 
 
 class PointTrace(NamedTuple):

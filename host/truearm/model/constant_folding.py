@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from truearm.model.transforms import axis_of, cross, mixed
 from truearm.types import Floats
 
+Indices = NDArray[np.intp]
+
 if TYPE_CHECKING:
     from truearm.model.chain import Chain, Element
 
@@ -24,12 +26,24 @@ if TYPE_CHECKING:
 class Constants(NamedTuple):
     """The c constants of a chain, in runs before, between and after its joints: j + 1 links."""
 
-    axis: NDArray[np.intp]  # (c,)
+    axis: Indices  # (c,)
     turns: NDArray[np.bool_]  # (c,) about the axis; False: along it
     value: Floats  # (c,) of the fixed ones
-    parameter: NDArray[np.intp]  # (c,) −1 for the fixed ones
-    link: NDArray[np.intp]  # (c,)
-    inwards: NDArray[np.intp]  # (longest run, j + 1) each link's constants, starting from its far end, padded with c
+    parameter: Indices  # (c,) −1 for the fixed ones
+    inwards: Indices  # (longest run, j + 1) each link's constants, starting from its far end, padded with c
+    named: Sequence[Indices]  # of each link: its constants that are parameters
+
+
+class Columns(NamedTuple):
+    """The b columns of ``wrenches``: the six in the base frame, then those that each joint adds, then those of its law."""
+
+    own: Floats  # (p, b) 1 where a column is the derivative by a parameter of a joint's law
+    changed: Sequence[
+        tuple[list[int], Floats]
+    ]  # of each joint: the wrench components that it changes, and their columns
+    constant: tuple[
+        Indices, Indices, Indices
+    ]  # parameters of laws with ∂θ/∂parameter = 1, their joints, their components
 
 
 class Folded(NamedTuple):
@@ -49,14 +63,32 @@ def constants_of(elements: Sequence[Element]) -> Constants:
     inwards = np.full((max(map(len, runs)), len(runs)), len(some), dtype=np.intp)
     for i, run in enumerate(runs):
         inwards[: len(run), i] = run
+    parameter = np.array([-1 if e.parameter is None else e.parameter for e in some], dtype=np.intp)
     return Constants(
         axis=np.array([axis_of(e.motion) for e in some], dtype=np.intp),
         turns=np.array([e.motion[0] == "r" for e in some], dtype=bool),
         value=np.array([e.value for e in some]),
-        parameter=np.array([-1 if e.parameter is None else e.parameter for e in some], dtype=np.intp),
-        link=link,
+        parameter=parameter,
         inwards=inwards,
+        named=[np.flatnonzero((link == i) & (parameter >= 0)) for i in range(len(runs))],
     )
+
+
+def columns_of(chain: Chain) -> Columns:
+    """Return the columns of the chain's wrenches."""
+    motions, law = chain.motions, chain.law
+    b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
+    own, changed, at = np.zeros((len(chain.parameters), b)), [], 6
+    for motion, mine in zip(motions, law.columns, strict=True):
+        new = new_numbers(motion)
+        changed.append((new, np.eye(len(new), b, at)))
+        at += len(new)
+        parameters = law.of_column[mine]
+        own[parameters, at + np.arange(len(parameters))] = 1.0
+        at += len(parameters)
+    parameters, joints = np.array(law.constant, dtype=np.intp).reshape(-1, 2).T
+    axes = np.array([on_axis(motions[joint]) for joint in joints.tolist()], dtype=np.intp)
+    return Columns(own, changed, (parameters, joints, axes))
 
 
 def folded(chain: Chain, params: Floats) -> Folded:
@@ -130,29 +162,19 @@ def _carries(transforms: Floats) -> Floats:
 
 
 def _combined(chain: Chain, twists_beyond: Floats, carries: Floats) -> Floats:
-    """Return ``twists`` (b, p): each parameter's twist times the wrench in its frame, by the b columns of ``wrenches``.
-
-    Their order is that of ``chain.along``: the six in the base frame, then those that each joint adds, then those of
-    its law.
-    """
-    motions, law, constants = chain.motions, chain.law, chain.constants
-    b = 6 + sum(len(new_numbers(m)) for m in motions) + len(law.of_column)
-    twists = np.zeros((len(chain.parameters), b), dtype=twists_beyond.dtype)
-    far, at = [carries[0] @ np.eye(6, b)], 6
-    for i, motion in enumerate(motions):
-        new = new_numbers(motion)
+    """Return ``twists`` (b, p): each parameter's twist times the wrench in its frame, by the b columns of ``wrenches``."""
+    columns, constants = chain.columns, chain.constants
+    far = np.zeros((len(carries), 6, columns.own.shape[1]), dtype=twists_beyond.dtype)
+    far[0, :, :6] = carries[0]
+    for i, (new, unit) in enumerate(columns.changed):
         near = far[i].copy()
-        near[new] = np.eye(len(new), b, at)
-        at += len(new)
-        own = law.of_column[law.columns[i]]
-        twists[own, at + np.arange(len(own))] = 1.0
-        at += len(own)
-        far.append(carries[i + 1] @ near)
-    for parameter, joint in law.constant:
-        twists[parameter] = far[joint][on_axis(motions[joint])]
-    named = constants.parameter >= 0
-    wrench = np.stack(far)[constants.link[named]]
-    twists[constants.parameter[named]] = (twists_beyond[named, None] @ wrench)[:, 0]
+        near[new] = unit
+        np.matmul(carries[i + 1], near, out=far[i + 1])
+    twists = columns.own.astype(twists_beyond.dtype)
+    parameters, joints, axes = columns.constant
+    twists[parameters] = far[joints, axes]
+    for which, wrench in zip(constants.named, far, strict=True):
+        twists[constants.parameter[which]] = twists_beyond[which] @ wrench
     return np.ascontiguousarray(twists.T)
 
 

@@ -3,7 +3,7 @@
     δθ_i = Σ_k s_ik · g·(axis_i × (p_k − origin_i))
 
 p_k are points that move with the links beyond joint i: the origins of the frames of further joints and of the end. The
-sum over k is the torque of unit masses at these points. s_ik is joint i's compliance times the mass at p_k, an unknown
+sum over k is the torque of unit masses at these points; g·(a × l) = (g × a)·l. s_ik is joint i's compliance times the mass at p_k, an unknown
 [rad per kg·m, with g of length 1]. Any distribution of masses along the lines between these points has such a torque.
 The geometry is the nominal one. The parameter of (i, k) has ``basis`` (k, gx, gy, gz): the frame with origin p_k (j, the
 number of joints, stands for the end), and the direction of gravity in the base frame.
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from truearm.model.joint_terms.nominal_arm import NominalArm
 from truearm.model.joint_terms.term import Term
-from truearm.model.transforms import axis_of
+from truearm.model.transforms import axis_of, cross
 from truearm.types import Floats
 
 if TYPE_CHECKING:
@@ -56,16 +56,19 @@ class Sag(Term):
         axes, origins = self._lines(frames)
         out = np.zeros((len(q), *q.shape), np.result_type(params, frames[0]))
         for row, (i, k) in enumerate(zip(self.joints, self._frames, strict=True)):
-            lever = origins[k] - origins[i]
+            gravity = self._gravity[row, :, None]
+            pull, moment = cross(gravity, axes[i]), cross(axes[i], origins[k] - origins[i])
             for at, motion in enumerate(self._arm.motions[:k] if k < len(q) else self._arm.motions):
-                if motion[0] == "t":  # a slide beyond the joint moves the mass, one before it moves both
-                    by = np.cross(axes[i], axes[at]) if at > i else np.zeros_like(lever)
+                if motion[0] == "t" and at <= i:  # a slide before the joint moves joint and mass
+                    continue
+                if motion[0] == "t":
+                    by = pull * axes[at]
                 elif at >= i:
-                    by = np.cross(axes[i], np.cross(axes[at], origins[k] - origins[at]))
+                    by = pull * cross(axes[at], origins[k] - origins[at])
                 else:  # rotates joint and mass equally
-                    by = np.cross(axes[at], np.cross(axes[i], lever))
+                    by = cross(gravity, axes[at]) * moment
                 compliance = params[self.parameters[row]] * self._mass[row]
-                out[i, at] += compliance * rates[at] * (by @ self._gravity[row])
+                out[i, at] += compliance * rates[at] * by.sum(axis=0)
         return out
 
     def by_parameters(self, params: Floats, q: Floats) -> Floats:
@@ -74,18 +77,18 @@ class Sag(Term):
     def _torques(self, q: Floats) -> Floats:
         """Return torques (m, n) [kg·m] of unit masses and of the payload, with gravity of length 1."""
         axes, origins = self._lines(self._arm.frames(q))
-        # g·(a × l) = (g × a)·l
         rows = [
-            mass * (np.cross(gravity, axes[i]) * (origins[k] - origins[i])).sum(axis=-1)
+            mass * (cross(gravity[:, None], axes[i]) * (origins[k] - origins[i])).sum(axis=0)
             for i, k, gravity, mass in zip(self.joints, self._frames, self._gravity, self._mass, strict=True)
         ]
         return np.stack(rows) if rows else np.zeros((0, q.shape[1]))
 
     def _lines(self, frames: list[Floats]) -> tuple[list[Floats], list[Floats]]:
-        """Return axes of the joints, and origins of all frames with the payload's centre after them, (n, 3) each."""
-        axes = [frame[..., :3, axis_of(motion)] for frame, motion in zip(frames, self._arm.motions, strict=False)]
-        payload = frames[-1][..., :3, :3] @ np.array(self._payload.centre) + frames[-1][..., :3, 3]
-        return axes, [*(frame[..., :3, 3] for frame in frames), payload]
+        """Return axes of the joints, and origins of all frames with the payload's centre after them, (3, n) each."""
+        axes = [frame[:, :3, axis_of(motion)].T for frame, motion in zip(frames, self._arm.motions, strict=False)]
+        payload = frames[-1][:, :3, :3] @ np.array(self._payload.centre) + frames[-1][:, :3, 3]
+        ends = (frame[:, :3, 3] for frame in frames)
+        return [np.ascontiguousarray(axis) for axis in axes], [np.ascontiguousarray(p.T) for p in (*ends, payload)]
 
 
 TERM = Sag
