@@ -81,7 +81,7 @@ def test_derivatives_of_all_that_can_be_off_are_those_of_the_world():
     rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
     problem = build_problem(CHAIN, RIG, rows)
     lin = problem.groups[0].opened(CHAIN, problem.start)
-    columns = dict(zip(problem.errors.names, error_columns(lin, problem.errors.tool)[0].T, strict=True))
+    columns = dict(zip(problem.errors.names, error_columns(lin, problem.errors.bodies)[0].T, strict=True))
     h = 1e-6
 
     def change(chucks=CHUCKS, q_off=0.0, moved=UNMOVED):
@@ -112,7 +112,7 @@ def test_held_effects_have_the_derivatives_that_the_fit_uses():
     rows = table(random_poses(5, rng), np.full(5, 0.5), [PAIRS[0]] * 5)
     problem = build_problem(CHAIN, RIG, rows)
     which = problem.errors.indices(["joint2", "joint3"])
-    (group,) = with_effects(problem.groups, problem.errors.tool, which, np.ones((5, 2)), np.zeros(2, dtype=bool))
+    (group,) = with_effects(problem.groups, problem.errors.bodies, which, np.ones((5, 2)), np.zeros(2, dtype=bool))
     x, h = np.append(problem.start, [3e-3, -2e-3]), 1e-6
 
     def derivatives(of):

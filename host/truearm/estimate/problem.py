@@ -26,18 +26,18 @@ from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
 from truearm.estimate.systematic_effects import (
     BASE,
     JUMPED,
+    MOTION,
     MOVED,
-    TOOL,
     Cause,
     Errors,
     Modelled,
-    motion_of_tool,
+    motion_of_body,
     with_effects,
 )
 from truearm.kinds.group import Group
 from truearm.kinds.registry import end_points, kinds
 from truearm.kinds.rig_references import RigUse, Scope
-from truearm.kinds.unknowns import Layout
+from truearm.kinds.unknowns import Fault, Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law
 from truearm.types import Floats, ObservationTable, Residuals, Rig
@@ -46,6 +46,7 @@ from truearm.units import UNITS
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns takes 1.8 MB, about the second-level cache
 WIDE = 128  # parameters of a robot; error curves have hundreds
 NO_ERRORS = Errors((), ())
+PLACED = Fault(slice(None))  # a place of sockets, by the motion of all of them
 Rigs = Rig | Mapping[str, Rig]
 
 
@@ -129,7 +130,10 @@ def build_problem(
 def _errors(
     chain: Chain, rigs: Mapping[str, Rig], layout: Layout, uses: Sequence[RigUse]
 ) -> tuple[Errors, tuple[Cause, ...]]:
-    """Return the possible errors of predictions and their causes: rig items, joints, base, and tool if it has several points."""
+    """Return the possible errors of predictions and their causes: rig items, joints, base, and what has several points.
+
+    That is the tool, and places of sockets.
+    """
     rig = [*layout.unknown, *layout.known]
     joints = [joint.name for joint in chain.joints]
     names = (*(number.name for number in rig), *joints, *(name for name, _ in BASE))
@@ -150,12 +154,22 @@ def _errors(
         for what, points in end_points(one).items()
         for label in points
     ]
-    used_points = {name: np.array([value[f"{name}.{k}"] for k in "xyz"]) for name in ends if f"{name}.x" in value}
-    if len(used_points) < 2:
-        return Errors(names, units), tuple(every)
-    every.append(Cause("tool", tuple(name for name, _ in TOOL), MOVED))
-    tool = motion_of_tool(names, used_points)
-    return Errors((*names, *(name for name, _ in TOOL)), (*units, *(unit for _, unit in TOOL)), tool), tuple(every)
+    bodies = {"tool": [name for name in ends if f"{name}.x" in value]}
+    bodies |= {place: list(points) for use in uses for place, points in use.bodies.items()}
+    motions = []
+    for body, points in bodies.items():
+        if len(points) < 2:
+            continue
+        at = {name: np.array([value[f"{name}.{k}"] for k in "xyz"]) for name in points}
+        fault, about = (MOVED, np.zeros(3)) if body == "tool" else (PLACED, np.mean(list(at.values()), axis=0))
+        every.append(Cause(body, tuple(f"{body}.{name}" for name, _ in MOTION), fault))
+        motions.append(motion_of_body(names, at, about))
+    moved = [cause for cause in every if cause.name in bodies]
+    return Errors(
+        (*names, *(number for cause in moved for number in cause.numbers)),
+        (*units, *(unit for _ in moved for _, unit in MOTION)),
+        np.concatenate(motions, axis=1) if motions else np.zeros((0, 0)),
+    ), tuple(every)
 
 
 def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
@@ -182,9 +196,9 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
     errors = Errors(
         (*problem.errors.names[before], *names, *problem.errors.names[of]),
         (*problem.errors.units[before], *units, *problem.errors.units[of]),
-        np.insert(problem.errors.tool, [unknown] * len(names), 0.0, axis=0)
-        if problem.errors.tool.size
-        else problem.errors.tool,
+        np.insert(problem.errors.bodies, [unknown] * len(names), 0.0, axis=0)
+        if problem.errors.bodies.size
+        else problem.errors.bodies,
     )
     return replace(
         problem,
@@ -193,7 +207,7 @@ def _with_effects(problem: Problem, effects: Sequence[Modelled]) -> Problem:
         units=(*problem.units, *units),
         start=np.concatenate([problem.start, np.zeros(at.size)]),
         prior_sigma=np.concatenate([problem.prior_sigma, [UNITS[unit].wide_sigma for unit in units]]),
-        groups=with_effects(problem.groups, problem.errors.tool, at, profiles, ~(joints | drifts)),
+        groups=with_effects(problem.groups, problem.errors.bodies, at, profiles, ~(joints | drifts)),
     )
 
 

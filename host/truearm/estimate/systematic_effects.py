@@ -1,8 +1,8 @@
 """Systematic errors as additional parameters of a fit: items of the rig, joint readings or motions that were off.
 
 An effect adds to the prediction. Each row already has the derivatives of its prediction by the numbers of the rig
-(including known ones), by each joint reading, by a motion of the robot's base and by a motion of the tool with all its
-points. An effect is one or several of these derivatives, times a profile over the rows: 1 in the rows that it concerns;
+(including known ones), by each joint reading, by a motion of the robot's base and by a motion of the tool, or of a place of
+sockets, with all its points. An effect is one or several of these derivatives, times a profile over the rows: 1 in the rows that it concerns;
 for a drift, the time or the box's temperature, scaled from −½ at the lowest to ½ at the highest. The parameter of an
 effect therefore has the unit of what is off: metres for a bar's zero or a chuck's coordinates, radians for a joint.
 
@@ -32,7 +32,7 @@ from truearm.types import Floats
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.
 BASE = (("base.x", "m"), ("base.rx", "rad"), ("base.y", "m"), ("base.ry", "rad"), ("base.z", "m"), ("base.rz", "rad"))
-TOOL = (("tool.x", "m"), ("tool.y", "m"), ("tool.z", "m"), ("tool.rx", "rad"), ("tool.ry", "rad"), ("tool.rz", "rad"))
+MOTION = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))  # of several points together
 MOVED = Fault(slice(None), constant=False)  # base or tool: a constant pose error is a parameter of the robot
 JUMPED = Fault(
     slice(None), constant=False, step=False, window=True, moved=True
@@ -44,7 +44,7 @@ class Errors(NamedTuple):
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    tool: Floats = np.zeros((0, 0))  # (c, t) motion of the tool in terms of the columns before it
+    bodies: Floats = np.zeros((0, 0))  # (c, t) motions of tool and places in terms of the columns before them
 
     def unit(self, name: str) -> str:
         """Return the SI unit of a column."""
@@ -123,19 +123,19 @@ def profile(effect: Effect, rows: Circumstances) -> Floats:
     return out
 
 
-def error_columns(lin: Linearised, tool: Floats) -> Floats:
-    """Return derivatives (w, n, c + t) of the predictions of ``Group.opened`` by rig, joints, base and tool (c, t)."""
+def error_columns(lin: Linearised, bodies: Floats) -> Floats:
+    """Return derivatives (w, n, c + t) of the predictions of ``Group.opened`` by rig, joints, base and ``Errors.bodies`` (c, t)."""
     single = np.concatenate([lin.jac_rig, lin.by_joints, lin.wrenches[..., : len(BASE)]], axis=2)
-    return np.concatenate([single, single @ tool], axis=2) if tool.size else single
+    return np.concatenate([single, single @ bodies], axis=2) if bodies.size else single
 
 
-def motion_of_tool(names: Sequence[str], points: Mapping[str, Floats]) -> Floats:
-    """Return (c, 6) the columns that move the end, with all its ``points`` (x, y, z by name), in its own axes (TOOL)."""
+def motion_of_body(names: Sequence[str], points: Mapping[str, Floats], about: Floats) -> Floats:
+    """Return (c, 6) the columns that move some ``points`` (x, y, z by name) together, as MOTION, turned ``about`` (3,)."""
     at = {name: i for i, name in enumerate(names)}
-    out = np.zeros((len(names), len(TOOL)))
-    for name, p_end in points.items():
+    out = np.zeros((len(names), len(MOTION)))
+    for name, point in points.items():
         rows = [at[f"{name}.{k}"] for k in "xyz"]
-        out[rows, :3], out[rows, 3:] = np.eye(3), np.cross(np.eye(3), p_end).T
+        out[rows, :3], out[rows, 3:] = np.eye(3), np.cross(np.eye(3), point - about).T
     return out
 
 
@@ -151,7 +151,7 @@ class EffectRows(Group):
     COMPONENTS = ()  # those of ``inner``, set per instance
 
     inner: Group
-    tool: Floats  # (c, t) of ``Errors``
+    bodies: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     whole: NDArray[np.bool_]  # (e,)
     profile: Floats  # (n, e)
@@ -184,7 +184,7 @@ class EffectRows(Group):
         for number in np.unique(self.setting):
             mine = np.flatnonzero(self.setting == number)
             amount = np.where(self.whole, off * self.profile[mine[0]], 0.0)
-            lin, errors = _with_items_off(self.inner.take(mine), chain, inside, self.tool, self.columns, amount)
+            lin, errors = _with_items_off(self.inner.take(mine), chain, inside, self.bodies, self.columns, amount)
             parts.append((lin, errors[:, :, self.columns] * self.profile[mine]))
             some.append(mine)
         if len(parts) == 1:
@@ -229,26 +229,26 @@ class EffectRows(Group):
 
 
 def _with_items_off(
-    group: Group, chain: Chain, x: Floats, tool: Floats, columns: Indices, amount: Floats
+    group: Group, chain: Chain, x: Floats, bodies: Floats, columns: Indices, amount: Floats
 ) -> tuple[Linearised, Floats]:
     """Return a group with items off by an ``amount`` (e,) of some ``columns`` of its ``error_columns``; and these at it.
 
     The numbers of the rig are other numbers. The base is moved by a rotation vector about its origin, then displaced:
     the chain begins with that motion. Its wrenches at the origin are returned in the axes of the base before it, as the
-    chain's ``twists`` need them. A motion of the tool moves each of its points as its derivatives say.
+    chain's ``twists`` need them. A motion of the tool or a place moves each of its points as its derivatives say.
     """
     p, joints = len(chain.parameters), len(chain.joints)
     rig = x.size - p + group.constants.size
-    motion = np.zeros(rig + joints + len(BASE) + tool.shape[1])
+    motion = np.zeros(rig + joints + len(BASE) + bodies.shape[1])
     np.add.at(motion, columns, amount)
-    off = motion[:rig] + (tool[:rig] @ motion[rig + joints + len(BASE) :] if tool.size else 0.0)
+    off = motion[:rig] + (bodies[:rig] @ motion[rig + joints + len(BASE) :] if bodies.size else 0.0)
     unknown, known = np.split(off, [x.size - p])
     there = np.concatenate([x[:p], x[p:] + unknown])
     group = replace(group, constants=group.constants + known) if known.any() else group
     base = motion[rig + joints :][: len(BASE)]
     if not base.any():
         lin = group.opened(chain, there)
-        return lin, error_columns(lin, tool)
+        return lin, error_columns(lin, bodies)
     shift, turn = base[::2], base[1::2]
     lin = group.opened(replace(chain, elements=(*_moved_by(shift, turn), *chain.elements)), there)
     force, moment = lin.wrenches[..., : len(BASE) : 2], lin.wrenches[..., 1 : len(BASE) : 2]
@@ -256,7 +256,7 @@ def _with_items_off(
     by_base, of_base, rot = np.empty((*force.shape[:2], 6)), lin.wrenches.copy(), rotation(turn)
     by_base[..., ::2], by_base[..., 1::2] = force, moment @ left_jacobian(turn)
     of_base[..., : len(BASE) : 2], of_base[..., 1 : len(BASE) : 2] = force @ rot, moment @ rot
-    errors = error_columns(lin._replace(wrenches=by_base), tool)
+    errors = error_columns(lin._replace(wrenches=by_base), bodies)
     return lin._replace(wrenches=of_base, twists=group.take(slice(0, 1)).opened(chain, there).twists), errors
 
 
@@ -268,7 +268,7 @@ def _moved_by(shift: Floats, turn: Floats) -> tuple[Element, ...]:
 
 
 def with_effects(
-    groups: Sequence[Group], tool: Floats, columns: Indices, profiles: Floats, whole: NDArray[np.bool_]
+    groups: Sequence[Group], bodies: Floats, columns: Indices, profiles: Floats, whole: NDArray[np.bool_]
 ) -> tuple[Group, ...]:
     """Return the groups with effects (n_rows, e) as further parameters; knowledge that is not a row has no effects.
 
@@ -281,7 +281,7 @@ def with_effects(
             sensor_cov=group.sensor_cov,
             constants=np.zeros(0),
             inner=group,
-            tool=tool,
+            bodies=bodies,
             columns=columns,
             whole=whole,
             profile=np.zeros((len(group.sensor_cov), columns.size)) if group.row is None else profiles[group.row],

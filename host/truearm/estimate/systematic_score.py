@@ -237,7 +237,7 @@ def whiten_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_], fit: Fi
         lin = block.opened(problem.chain, x)
         by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p]
         residuals = lin.residual.reshape(len(block.sensor_cov), -1).T[:, :, None]
-        parts = [by_robot, by_rig[:, :, columns[p:]], error_columns(lin, problem.errors.tool), residuals]
+        parts = [by_robot, by_rig[:, :, columns[p:]], error_columns(lin, problem.errors.bodies), residuals]
         stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in parts])
         whiten(stacked, residual_cov(block.sensor_cov, lin.jac_joints, problem.joint_cov))
         whole = stacked.transpose(2, 1, 0).reshape(-1, len(stacked))

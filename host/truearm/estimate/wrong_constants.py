@@ -10,7 +10,7 @@ itself are from their places counts against it in the evidence, in tolerances of
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ def wrong_constants(
         if after is None or not explains(before, after, len(causes)):
             continue
         units = [UNITS[problem.errors.unit(number)] for number in cause.numbers]
-        text, allow = _text(cause, units[0], before, after), str(Effect(cause.name))
+        text, allow = _text(cause, units, before, after), str(Effect(cause.name))
         far = max(abs(after.off[number]) / unit.wide_sigma for number, unit in zip(cause.numbers, units, strict=True))
         after = after._replace(moved=max(after.moved, far))
         found = found_in(WrongInput.CONSTANT, text, len(table), before, after, len(causes))
@@ -86,15 +86,17 @@ def _drop(by: Floats, rhs: Floats, followed: Floats) -> float:
     return float(rhs @ (rest @ along))
 
 
-def _text(cause: Cause, unit: Unit, before: Trial, after: Trial) -> str:
-    off = np.array([after.off[number] for number in cause.numbers])
-    at_these = [after.names.index(number) for number in cause.numbers]
+def _text(cause: Cause, units: Sequence[Unit], before: Trial, after: Trial) -> str:
+    """Return by how much the item is off: the norm of the numbers in the unit of the first, and each number."""
+    alike = [number for number, unit in zip(cause.numbers, units, strict=True) if unit is units[0]]
+    off = np.array([after.off[number] for number in alike])
+    at_these = [after.names.index(number) for number in alike]
     size = float(np.linalg.norm(off))
     sigma = float(np.linalg.norm((off / size if size > 0.0 else off) @ after.root[at_these]))
-    scale = unit.scale
+    scale = units[0].scale
     each = ", ".join(
-        f"{number.rpartition('.')[2]} {scale.text(value, '.3g')}"
-        for number, value in zip(cause.numbers, off, strict=True)
+        f"{number.rpartition('.')[2]} {unit.scale.text(after.off[number], '.3g')}"
+        for number, unit in zip(cause.numbers, units, strict=True)
     )
     more = counted(len(cause.numbers), "further parameter")
     return (

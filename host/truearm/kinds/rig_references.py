@@ -7,6 +7,7 @@ builds the groups.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -35,10 +36,14 @@ class Scope(NamedTuple):
 
 
 class RigUse(NamedTuple):
-    """What some rows use of the rig, and how to build their groups once all numbers have their positions."""
+    """What some rows use of the rig, and how to build their groups once all numbers have their positions.
+
+    ``bodies`` are points that the rig places and that can be off together, by the name of what they are on.
+    """
 
     used: tuple[Used, ...]
     make: Callable[[Layout], list[Group]]
+    bodies: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
 
 def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) -> tuple[list[Hashable], Indices]:

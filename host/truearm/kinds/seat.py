@@ -87,7 +87,17 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
         )
         return [group, *known_distances(rig, sockets, layout)]
 
-    return RigUse((balls, sockets), make)
+    return RigUse((balls, sockets), make, _places(scope, sockets))
+
+
+def _places(scope: Scope, sockets: Used) -> dict[str, tuple[str, ...]]:
+    """Return the places with several sockets that the rig places, with the names of these sockets."""
+    found: dict[str, tuple[str, ...]] = {}
+    for label, numbers in zip(sockets.labels, sockets.numbers, strict=True):
+        if isinstance(label, tuple) and label in scope.rig.sockets and np.isfinite(numbers[0].sigma):
+            place = scope.prefix + ".".join(filter(None, ("place", label[0])))
+            found[place] = (*found.get(place, ()), numbers[0].name.rpartition(".")[0])
+    return {place: names for place, names in found.items() if len(names) > 1}
 
 
 def _sockets(scope: Scope, rows: Indices, balls: Used) -> Used:
