@@ -9,6 +9,7 @@ compared under the weights of the first (``information.weighed``).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,9 +88,17 @@ def _callbacks(
 
     if problem.joint_cov is None and held(problem, x) is problem:
         return lambda part: at(problem, part), None
+    nothing = np.zeros_like(columns)
+
+    @lru_cache(maxsize=1)
+    def weighed_at(here: bytes) -> Problem:
+        point = whole(x, columns, np.frombuffer(here))
+        return weighed(held(problem, point), point)
 
     def cost(there: Floats, here: Floats) -> float:
-        point = whole(x, columns, here)
-        return at(weighed(held(problem, point), point), there).chi2
+        of, point = weighed_at(here.tobytes()), whole(x, columns, there)
+        data = observe(of, point, nothing) if loss is Loss.LINEAR else observe_robustly(of, point, nothing, loss)[0]
+        error, sigma = prior_error(problem, columns, point)
+        return data.chi2 + float(((error / sigma) ** 2).sum())
 
     return lambda part: at(problem, part), cost

@@ -29,6 +29,7 @@ from truearm.estimate.identifiability import (
     suggested_free,
 )
 from truearm.estimate.information import Information, half, observe, spectrum, with_prior
+from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.other_fits import with_all_rows, without_bad
@@ -53,6 +54,7 @@ from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
 DAMPINGS = ("scaled", "plain")
+WORTH = 1e-4  # of χ², by all of the last steps: a figure of the nominal robot, and a start, need no more
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -315,7 +317,7 @@ def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
     if not rig_only.any():
         return problem.start, observe(problem, problem.start, rig_only).residual
     # The nominal robot's errors do not make rows outliers: no gate and no robust loss.
-    found = fit(problem, rig_only, problem.start, Options(max_iterations))
+    found = fit(problem, rig_only, problem.start, Options(max_iterations, ends=idle(WORTH)))
     return found.x, found.information.residual
 
 
@@ -332,7 +334,7 @@ def _before(
     if not mounted.any():
         return x, raw
     mounts[: problem.n_robot] = mounted
-    x = fit(only(problem, ~gross), mounts, x, Options()).x
+    x = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH))).x
     return x, observe(problem, x, mounts).residual
 
 

@@ -60,6 +60,14 @@ ROUNDING_END = 1e-3  # σ; far below the precision of any estimate, above what t
 Ends = Callable[[Sequence[float]], bool]  # χ² at the start and after each step, to whether further steps are of no use
 
 
+IDLE = 3  # steps
+
+
+def idle(worth: float) -> Ends:
+    """Return the end of an iteration whose last IDLE steps together reduced χ² by less than the part ``worth``."""
+    return lambda chi2: len(chi2) > IDLE and chi2[-1] > (1.0 - worth) * chi2[-1 - IDLE]
+
+
 class Damping(NamedTuple):
     """How steps are damped: by λ, ``start`` at first (0: full Gauss–Newton steps), of scaled columns or, ``plain``, λI.
 
@@ -148,7 +156,7 @@ def minimise(
         x, here = goal, there
         if on_step is not None:
             on_step(iteration + 1, here)
-        so_far.append(chi2)
+        so_far.append(here.chi2)
         if ends is not None and ends(so_far):
             return Minimum(x, "max_iterations", "further iterations are of no use", iteration + 1, here)
     return Minimum(x, "max_iterations", _too_few(max_iterations), max_iterations, here)

@@ -19,6 +19,7 @@ from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import half, observe, spectrum
+from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, Rigs, build_problem
 from truearm.estimate.solution import Options, of_data
@@ -32,7 +33,7 @@ from truearm.units import UNITS
 # Wrong inputs are wrong by centimetres: the last thousandth of χ² in a curved valley is not worth its evaluations.
 STEPS = 20
 STEPS_TO_PLACE = 8  # if only base, tool and rig are placed
-IDLE, WORTH = 3, 0.01  # steps that together reduce χ² by a smaller part end a fit
+WORTH = 0.01  # of χ², by all of the last steps
 RECENT = 3  # steps, of which the best one is taken for all those left
 
 
@@ -127,9 +128,10 @@ def _trial(
 
 def _options(steps: int, goal: float = 0.0) -> Options:
     """Return the options of a fit that only tells right from wrong inputs, which by a χ² above ``goal`` are wrong."""
+    idles = idle(WORTH)
 
     def ends(chi2: Sequence[float]) -> bool:
-        if len(chi2) > IDLE and chi2[-1] > (1.0 - WORTH) * chi2[-1 - IDLE]:
+        if idles(chi2):
             return True
         if len(chi2) <= RECENT:
             return False
