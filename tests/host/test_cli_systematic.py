@@ -8,7 +8,7 @@ import fault_worlds as worlds
 import numpy as np
 import pytest
 from command_line import Run, told
-from puma_bench import CHAIN
+from puma_bench import CHAIN, SIGMA
 from result_schema import check_schema
 
 from truearm.files.observation_table import write_table
@@ -209,3 +209,25 @@ def test_a_slip_in_a_table_that_is_sorted_by_a_joint_is_named_by_its_times(run: 
     assert abs(found["rows"][0] - (at + 1)) <= 15
     row = int(np.flatnonzero(np.argsort(table.q[:, 1]) == found["rows"][0] - 1)[0])
     assert found["from"] == f"sorted.csv row {row + 2}", "the row of the file"
+
+
+def test_an_amount_that_the_rows_determine_in_part_leaves_the_error_of_the_tool_open(run: Run, tmp_path) -> None:
+    """A chuck is 1 mm off in x, y and z. Along z, base and arm turn with it, so nothing is known of z. Seed 940040."""
+    plan, off = worlds.plan(), np.zeros((360, 3))
+    off[plan.chuck == "c1"] = 1e-3
+    noise = SIGMA * np.random.default_rng(940040).normal(size=360)
+    write_table(tmp_path / "poses.csv", worlds.table(plan, worlds.lengths(plan, off) + noise), CHAIN.joint_units)
+    write_rig(tmp_path / "rig.toml", worlds.RIG)
+    files = ["--rig", tmp_path / "rig.toml", "--joint-laws", "none", "--out", tmp_path / "r.json"]
+    outcome = run("identify", tmp_path / "poses.csv", "--model", "puma560", *files)
+    document = json.loads((tmp_path / "r.json").read_text())
+    (found,) = document["systematic"]
+    x, y, z = found["off_by"]
+    assert found["what"] == "chuck.c1"
+    assert [of["value"] for of in (x, y)] == pytest.approx([1e-3, 1e-3], abs=2e-4)
+    assert z["sigma"] is None or z["sigma"] > 1e-3
+    assert document["predicted_error"] is None
+    assert re.search(r"chuck\.c1 is off by x \S+ mm \(σ \S+ mm\), y \S+ mm \(σ \S+ mm\), z not determined", outcome.out)
+    assert "These rows hardly determine chuck.c1.z, and the position of the tool depends on it." in outcome.out
+    assert "Tool error predicted" not in outcome.out
+    assert "These sigmas predict" not in outcome.out

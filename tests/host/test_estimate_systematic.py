@@ -224,7 +224,7 @@ def test_a_size_that_the_rows_do_not_tell_is_none():
     assert np.isnan(found.sigma)
 
 
-@pytest.mark.parametrize("size", [0.6e-3, 4e-3, 10e-3])
+@pytest.mark.parametrize("size", [0.6e-3, 4e-3, pytest.param(10e-3, marks=pytest.mark.soak)])
 def test_a_fixture_that_was_moved_is_one_finding_and_once_allowed_none_is_left(size):
     """The first 60 rows belong to another set-up. The choice of the default prior knows the error that is allowed."""
     plan, rng, off = worlds.plan(), np.random.default_rng(1), np.zeros((360, 3))

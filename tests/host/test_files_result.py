@@ -199,6 +199,7 @@ def test_a_damaged_result_is_refused_or_the_same(tmp_path: Path, n: int) -> None
     assert same < 0.1 * n
 
 
+FINDING = {"form": "offset", "rows": [3, 9], "first_within": [3, 3], "last_within": [9, 9], "unit": "m", "chance": 1e-9}
 IMPOSSIBLE = {
     "a negative error": (("rms_after_mm",), -0.1, "rms_after_mm: '-0.1' is not a size"),
     "an error in words": (("rms_after_mm",), "small", "rms_after_mm: 'small' is not a size"),
@@ -227,6 +228,44 @@ IMPOSSIBLE = {
     "a systematic error that is a number": (("systematic",), [1], "systematic: item 1: "),
     "a systematic error without rows": (("systematic",), [{"form": "offset"}], "systematic: item 1: "),
     "an explanation in a word": (("explanations",), ["units"], "explanations: item 1: "),
+    "a rank in words": (("rank",), "full", "rank: 'full' is not a count"),
+    "a rank that is a truth value": (("rank",), True, "rank: 'True' is not a count"),
+    "more independent parameters than are free": (("rank",), 37, "rank: is larger than n_free"),
+    "a negative gap of the rank": (("rank_gap",), -2.0, "rank_gap: is negative"),
+    "a gap in words": (("rank_gap",), "wide", "rank_gap: 'wide' is of another type"),
+    "half an iteration": (("iterations",), 4.5, "iterations: '4.5' is not a count"),
+    "iterations that are missing": (("iterations",), None, "iterations: null is of another type"),
+    "a list of free parameters as their number": (("n_free",), ["link1.x"], "n_free: "),
+    "a χ² that is a truth value": (("chi2_reduced",), True, "chi2_reduced: 'True' is not a size"),
+    "a message that is a number": (("message",), 3, "message: 3 is of another type"),
+    "a search that is none": (("relabelling_search",), False, "relabelling_search: false is of another type"),
+    "a band from its end to its beginning": (("chi2_band",), [1.1, 0.9], "chi2_band: are not in order"),
+    "a mean beyond its range": (
+        ("unexplained",),
+        {"by": "held out", "mean_mm": 0.5, "low_mm": 0.1, "high_mm": 0.4, "n_mm": 9},
+        "mean_mm, high_mm: are not in order",
+    ),
+    "an RMS beyond the largest error": (
+        ("held_out",),
+        {"rms_mm": 2.0, "max_mm": 1.0, "n": 3},
+        "rms_mm, max_mm: are not",
+    ),
+    "a systematic error from its last row to its first": (
+        ("systematic",),
+        [FINDING | {"rows": [9, 3]}],
+        "systematic: item 1: rows: are not in order",
+    ),
+    "a systematic error of no form": (
+        ("systematic",),
+        [FINDING | {"form": "jump"}],
+        "systematic: item 1: its form or unit is not known",
+    ),
+    "a chance beyond certainty": (
+        ("systematic",),
+        [FINDING | {"chance": 1.5}],
+        "systematic: item 1: chance: is larger",
+    ),
+    "an explanation that is not known": (("explanations",), [{"what": "luck"}], "explanations: item 1: what: 'luck'"),
     "a negative variance": (("covariance", "matrix", 0, 0), -1e-9, "covariance: exceeds its variances"),
     "a sigma of another covariance": (("parameters", 0, "sigma"), 1.0, "parameter link1.x: its sigma is not that"),
     "options that are a number": (("made_with",), 7, "made_with: allow: is not a list of texts"),

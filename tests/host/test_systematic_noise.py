@@ -98,6 +98,7 @@ def gradual(found):
     return any(name.startswith("a gradual change of ") for name in found.rivals)
 
 
+@pytest.mark.soak
 def test_a_wander_is_not_named_as_a_step_alone():
     """An autoregressive zero, ρ = 0.98 from row to row and as large as the noise: of steps found, at most one in five is only a step."""
     plan, steps = worlds.plan(), []

@@ -2,7 +2,7 @@
 
 Chucks, spheres and sockets that are all wrong by one motion leave no residual: base or tool move with them, and the tool
 errs by that motion. So does a single wrong item along directions that no row sees. A base or tool beyond a drawing's
-tolerance is therefore reported. Usually nobody measured its place, and then it means nothing.
+tolerance is therefore reported. On nearly every real robot nobody measured its place: then this is a note, and no fault.
 """
 
 from __future__ import annotations

@@ -22,8 +22,11 @@ def displacement_sentences(document: Mapping[str, Any]) -> list[str]:
                 sizes.append(scale.text(size, digits))
         each.append(f"the {one['frame']} {' and '.join(sizes)} from where it is described")
     text = " and ".join(each)
-    it, was = ("it", "was") if len(each) == 1 else ("they", "were")
+    place, they_are, they_were = (
+        ("its place", "it is", "it was") if len(each) == 1 else ("their places", "they are", "they were")
+    )
     return [
-        f"The fit places {text}. If {it} {was} not moved there, positions in the rig are wrong by as much, and so is the tool. No "
-        "residual shows this: check the positions in the rig."
+        f"The fit places {text}. This is normal if nobody measured {place}: the rig then defines where {they_are}. If {they_were} "
+        "measured, positions in the rig are wrong by as much, and so is the tool. No residual shows this: check the positions "
+        "in the rig."
     ]
