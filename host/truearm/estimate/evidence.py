@@ -102,10 +102,10 @@ def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats])
         half = np.concatenate([_half(block.covariance(variance)) @ root[block.columns] for block, variance in parts])
         inner += half.T @ half
     lower = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
-    x = scipy.linalg.solve_triangular(lower, np.column_stack([root.T, rhs]), lower=True, check_finite=False)
-    y = x[:, -1]
+    # On its own the transpose is in LAPACK's order, which takes half the time of one array with the right side.
+    x, y = (scipy.linalg.solve_triangular(lower, of, lower=True, check_finite=False) for of in (root.T, rhs))
     nats = 0.5 * float(rhs @ rhs - y @ y) - float(np.log(np.diag(lower)).sum())
-    return Weighed(x[:, :-1], x[:, :-1].T @ y, nats)
+    return Weighed(x, x.T @ y, nats)
 
 
 def _half(covariance: Floats) -> Floats:
