@@ -18,7 +18,6 @@ import typer
 from truearm.cli.options import (
     BaseOption,
     BranchOption,
-    ForceOption,
     JsonOption,
     SeedOption,
     TipOption,
@@ -37,6 +36,7 @@ from truearm.cli.truth_options import (
     RepeatabilityOption,
     StiffnessOption,
     ToleranceOption,
+    TruthForceOption,
     TruthOutOption,
     TruthSeedOption,
     WornOption,
@@ -100,7 +100,7 @@ def demo(
     stiffness: StiffnessOption = DEFAULT_STIFFNESS,
     truth_out: TruthOutOption = None,
     truth_seed: TruthSeedOption = None,
-    force: ForceOption = False,
+    force: TruthForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.

@@ -91,8 +91,8 @@ def init(
 ) -> None:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
-    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. rig.toml has the line device and
-    sockets as comments: use what you have. In this folder and below it, commands
+    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. A line device and sockets are
+    commented out in rig.toml: remove the "#" in front of those that you have. In this folder and below it, commands
     take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
     \b

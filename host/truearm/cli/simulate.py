@@ -14,7 +14,6 @@ import typer
 from truearm.cli.options import (
     BaseOption,
     BranchOption,
-    ForceOption,
     PlanOption,
     SeedOption,
     TipOption,
@@ -33,6 +32,7 @@ from truearm.cli.truth_options import (
     RepeatabilityOption,
     StiffnessOption,
     ToleranceOption,
+    TruthForceOption,
     TruthOutOption,
     TruthSeedOption,
     WornOption,
@@ -130,7 +130,7 @@ def simulate(
     stiffness: StiffnessOption = DEFAULT_STIFFNESS,
     truth_out: TruthOutOption = None,
     truth_seed: TruthSeedOption = None,
-    force: ForceOption = False,
+    force: TruthForceOption = False,
     seed: SeedOption = 1,
     level: Annotated[
         str,

@@ -64,6 +64,10 @@ RepeatabilityOption = Annotated[
 TruthOutOption = Annotated[
     Path | None, typer.Option("--truth-out", metavar="FILE", help="Write the hidden truth (.json).")
 ]
+TruthForceOption = Annotated[
+    bool,
+    typer.Option("--force", help="Overwrite the file of --truth-out if truearm wrote it. Does not apply to --out."),
+]
 TruthSeedOption = Annotated[
     int | None,
     typer.Option(
