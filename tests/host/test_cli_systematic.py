@@ -89,9 +89,11 @@ def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
     [
         (["--allow", "chuck.c9"], "no systematic error of 'chuck.c9' can be estimated here; name one of chuck.c1,"),
         (["--allow", "chuck.c1@0"], "--allow 'chuck.c1@0' is not NAME"),
-        (["--allow", "chuck.c1@9:3"], "--allow 'chuck.c1@9:3' is not NAME"),
+        (["--allow", "chuck.c1@9:3"], "--allow 'chuck.c1@9:3': row 9 comes after row 3; give the lower row first"),
+        (["--allow", "chuck.c1@1:0"], "--allow 'chuck.c1@1:0' is not NAME"),
         (["--allow", "chuck.c1@361"], "the table has rows 1 to 360"),
         (["--leave-out", "x"], "--leave-out 'x' is not FIRST:LAST"),
+        (["--leave-out", "5:2"], "--leave-out '5:2': row 5 comes after row 2; give the lower row first"),
         (["--leave-out", "poses.csv row 1"], "names no row of the inputs; the first is poses.csv row 2"),
         (["--leave-out", "300:361"], "rows 300 to 361 cannot be left out: the table has rows 1 to 360"),
         (["--leave-out", "1:360"], "no observations are left to fit"),

@@ -290,7 +290,7 @@ def test_a_corrected_program_on_an_arm_whose_truth_is_hidden(corrected, capsys):
         path = (forward(arm.chain, arm.truth, moves[k].path) @ tools[k])[:, :3, 3]
         chord = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
         beside = np.linalg.norm(path - path[0] - np.outer((path - path[0]) @ chord, chord), axis=1).max()
-        assert beside < 1.1e-4 or "will deviate from a straight line" in " ".join(document["warnings"])
+        assert beside < 1.1e-4 or "will deviate from a straight path" in " ".join(document["warnings"])
     assert page.read_text().count("<tr>") > 2 * len(targets) // 2
     assert not document["refused"]
 

@@ -223,7 +223,7 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     )
     least, most = edges["falling_later_ns"]
     if least is not None:
-        yield f"  the input shows falling edges of the box's output later than rising ones by {_of_ns(least, '.0f')} to {_of_ns(most, '.0f')} µs (below 0: earlier)"
+        yield f"  the input's delay of falling edges, minus that of rising edges: {_of_ns(least, '.0f')} to {_of_ns(most, '.0f')} µs"
 
 
 def _dwells(document: Mapping[str, Any]) -> Iterator[str]:
@@ -315,7 +315,7 @@ def _explained(reason: str, planned: bool) -> str:
     if reason != "no plan match":
         return ""
     if planned:
-        return " (the robot stood where the plan has no pose; these look like stops between poses)"
+        return " (the robot stood where the plan has no pose, probably between two poses)"
     return " (the session does not say which bar, chuck and sphere were mounted; decide with truearm relabel)"
 
 

@@ -220,7 +220,7 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
             raise InputError(f"{result}: belongs to robot {frames.name[:60]!r}; give its file as ", Argument("robot"))
         name = frames.name
     base, tip = frames_of(name, base, tip, stored)
-    called = name if choice.robot else f"{name} (built-in, taken because the result names no other file)"
+    called = name if choice.robot else f"{name} (built-in, because no other was given)"
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 

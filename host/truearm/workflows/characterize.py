@@ -142,7 +142,7 @@ def characterized(
         rejected = sum((Counter(result.reasons) for result in results), Counter[str]())
         raise SessionError(
             f"{parts[0].name}: only {counted(len(found.dwells), 'dwell')} can be used, {LEAST_VISITS} are needed "
-            f"({reasons_text(rejected) or 'there are no others'}); see truearm inspect {parts[0].name}"
+            f"({reasons_text(rejected) or 'the session has no others'}); see truearm inspect {parts[0].name}"
         )
     for part, one in zip(parts, of_parts, strict=True):
         if one.rests and one.period_s != found.period_s:

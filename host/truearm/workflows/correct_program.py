@@ -295,7 +295,7 @@ def _placed(
     flange = _given(options.flange) or _described(names) or flange_of(language, names.end, names.brought, axis) or other
     for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
         if found is None:
-            same = " (all 0 for the same frame)"
+            same = " X,Y,Z,RX,RY,RZ, or as 0,0,0,0,0,0 if the two frames are the same"
             wrong = f"the calibration uses frame {frame[:60]}; the pose of the controller's {what} in this frame is not known; give it as "
             own = (f"{same}, or use the robot's own frames with ", Argument("own_frames")) if names.brought else (same,)
             raise ProgramError(wrong, Argument(argument), *own)

@@ -157,8 +157,8 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
             said.append(
-                f"{counted(bent.size, 'straight move')} will deviate from a straight line by more than {MM.text(STRAIGHT, '.1f')}, to {_several([moves.places[i] for i in bent])}; "
-                f"the worst by {MM.text(float(drive.deviation[worst]), '.2f')}, to {moves.places[worst]}. Add targets between their ends."
+                f"{counted(bent.size, 'straight move')} will deviate from a straight path by more than {MM.text(STRAIGHT, '.1f')}: {_several([moves.places[i] for i in bent])}. "
+                f"The largest deviation is {MM.text(float(drive.deviation[worst]), '.2f')} ({moves.places[worst]}). Add targets between the ends."
             )
         blocked = np.flatnonzero(~drive.drivable)
         if blocked.size:

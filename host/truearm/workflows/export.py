@@ -64,7 +64,7 @@ class ExportedRobot:
     >>> written.missing[0]
     'joint1.gain'
     >>> print(written)  # doctest: +ELLIPSIS
-    Mountings (written at both ends):
+    Mountings (the file contains them):
     ...
     The format urdf has no place for joint1.gain, ...
     Refitted over 600 poses. Error without the parameters that the file cannot hold or that are not adjusted: ... mm RMS (... at most), ... deg RMS;
@@ -254,7 +254,11 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
 
 def _mountings(calibration: Calibration, params: Floats, options: ExportOptions) -> list[str]:
     """Describe where the mountings are, and their values."""
-    kept = "written at both ends" if FORMATS[options.form].mountings and not options.own_frames else "left out"
+    kept = (
+        "the file contains them"
+        if FORMATS[options.form].mountings and not options.own_frames
+        else "the file does not contain them"
+    )
     return [
         f"Mountings ({kept}):",
         *(f"  {one_line(line)}" for line in mounting_lines(calibration.chain, calibration.nominal, params)),

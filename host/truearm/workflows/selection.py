@@ -197,7 +197,9 @@ def parse_effect(text: str) -> Effect:
     )
     first = int(match[3] or 1) if match else 0
     last = int(match[4]) if match and match[4] else None
-    if match is None or first < 1 or (last is not None and last < first):
+    if match is not None and last is not None and 1 <= last < first:
+        raise InputError(ALLOW, f" {text!r}: row {first} comes after row {last}; give the lower row first")
+    if match is None or first < 1 or last == 0:
         raise InputError(
             ALLOW,
             f" {text!r} is not NAME, NAME.drift, NAME.thermal_drift, JOINT.backlash, JOINT.settling or one of these followed by @FIRST or @FIRST:LAST, rows counted from 1",
@@ -213,10 +215,12 @@ def parse_rows(text: str, sources: NDArray[np.str_]) -> list[tuple[int, int]]:
     """
     match = re.fullmatch(r"(?:(.+) )?([0-9]{1,9})(?::([0-9]{1,9}))?", text)
     first, last = (int(match[2]), int(match[3] or match[2])) if match else (0, 0)
-    if match is None or not 1 <= first <= last:
+    if match is None or first < 1:
         raise InputError(
             LEAVE_OUT, f" {text!r} is not FIRST:LAST, rows counted from 1 over all inputs, or a row as messages name it"
         )
+    if last < first:
+        raise InputError(LEAVE_OUT, f" {text!r}: row {first} comes after row {last}; give the lower row first")
     if match[1] is None:
         return [(first - 1, last)]
     parts = [source.rpartition(" ") for source in sources.tolist()]
