@@ -338,9 +338,9 @@ run, because its calibration needs a URDF and a configuration file for each arm;
 - **UR10** (Fraunhofer IPA, laser tracker): a random fifth of the rows of series C and A is held out. Series A is a grid, so a random split only tests interpolation. Its other split holds out 4 of 22 clusters of
   joint space (k-means of all joint readings, scaled to their standard deviations).
 - **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
-  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 holds it out, and it has the largest error in that row of the table.
-  Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position, and 0.54 to 0.61 mm, in that row, in the five that hold it out.
-  Geometry alone errs by 1.32 mm in this row. In the next row of the table, the split is the same, but
+  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 (the line `--hold-out 0.2` of the table) holds it out, and the largest error is that of the home position.
+  Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position, and 0.54 to 0.61 mm, at the home position, in the five that hold it out.
+  Geometry alone errs by 1.32 mm there. In the line `--hold-out 0.2, row 1 left out`, the split is the same, but
   the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
 - **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks were placed at random
   (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
