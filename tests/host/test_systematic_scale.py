@@ -77,6 +77,20 @@ def test_the_bar_is_named_and_not_the_scale_of_the_tracker():
     assert "tracker.t.scale" not in found.rivals
 
 
+def test_if_bar_and_tracker_explain_the_rows_equally_both_are_named_and_none_is_advised():
+    """One mount: the bar's lengths all change by the same amount, as by its zero. Seed 940102, air that is 1 ‰ wrong."""
+    rows = both(940102, scale=1.001)
+    rows = rows.select((rows.kind == "position") | ((rows.chuck == rows.chuck[0]) & (rows.sphere == rows.sphere[0])))
+    estimate = identified(rows)
+    (found,) = estimate.systematic.found
+    assert {found.effect.what, *found.rivals} >= {"bar.bar46.zero", "tracker.t.scale"}
+    sentence, which, _ = systematic_sentences(systematic_entries(estimate.systematic, rows), "--{}".format)
+    assert "; or, nearly as well supported: a constant error of " in sentence
+    assert which.startswith("The rows do not show which of these explanations is right")
+    assert "--allow bar" not in which
+    assert "--allow tracker" not in which
+
+
 def test_neither_is_named_if_both_are_right():
     assert identified(both(940002)).systematic is None
 
