@@ -88,8 +88,8 @@ class IdentifyOptions:
     fit_only : tuple of str
         Groups such as ``"place=front"``: only their rows are fitted, all others are used for judging.
     leave_out : tuple of str
-        Rows that are neither fitted nor used for judging, such as ``"120:140"`` (counted from 1 over all inputs) or
-        ``"poses.csv row 100"`` (as messages and ``source`` name it).
+        Rows that are neither fitted nor used for judging, such as ``"120:140"`` (counted from 1 over all inputs, in a file
+        with times in their order) or ``"poses.csv row 100"`` (as messages and ``source`` name it).
     joint_laws : str
         "none", "curve" (error curves of the joints), "sag" (joints that deflect under gravity) or "auto" (both, if geometry
         and declared noise do not explain the residuals). Each law is included if the evidence in the fitted rows
