@@ -820,6 +820,7 @@ SILENT = {
     # what the run before has left, wherever it ended
     "left by the cycle before": ("rapid", ["MoveL aa{1},v10,fine,tool0;", "IF n=1 THEN", f"aa{{1}}:={T1};", "ExitCycle;", "ENDIF"], [1, 5], []),
     "left by a run that was ended": ("rapid", ["MoveL aa{1},v10,fine,tool0;", f"aa{{1}}:={T1};", "IF n=1 EXIT;", f"aa{{1}}:={T2};"], [1, 4, 6], []),
+    "shifted on from run to run": ("rapid", [f"MoveL {T1},v10,fine,tool0;", "z.trans.z:=z.trans.z+4;", "MoveL z,v10,fine,tool0;", "MoveL aa{1},v10,fine,tool0;"], [1, 3], [5]),
     "displaced in the cycle before": ("rapid", [f"MoveL {T1},v10,fine,tool0;", "PDispSet d;"], [3], [3]),
     "back by a jump": ("rapid", [f"z:={T1};", "again:", "MoveL z,v10,fine,tool0;", f"z:={T2};", "GOTO again;"], [3, 6], []),
 }  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import count
 
 from truearm.errors import ProgramError
 from truearm.files.programs.choices import ABSENT, PRESENT, asked_of, present
@@ -290,8 +291,9 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
     record: dict[Key, dict[Value, None]] = {}
     flow.environment.records.append(record)
     kept_keys = {(0, name) for name in kept}
-    for turn in range(MAX_ROUNDS):
-        grown = False
+    lost: set[Key] = set()  # what changes from run to run, and is not followed any more
+    for turn in count():
+        grown: set[Key] = set()
         for routine in entries:
             own: dict[Key, dict[Value, None]] = {}
             flow.environment.records.append(own)
@@ -300,22 +302,25 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
             ends = {(0, name): flow.environment.get((0, name)) or () for name in _STATES} if resets else {}
             flow.environment.end()
             flow.environment.records.pop()
-            for key in kept_keys.intersection(own):
+            for key in kept_keys.intersection(own) - lost:
                 # All values it ever had: the run may be stopped anywhere, or ended by ExitCycle.
                 before = flow.environment.get(key)
                 after = joined(before, ends.get(key, tuple(own[key])))
                 if turn and counts(before, after):
                     why = f"{key[1]} changes from one run of the program to the next"
                     after = (Unknown(why, 0, "", origin_of(after)),)
-                grown |= after != before
+                if after != before:
+                    grown.add(key)
                 flow.environment.set(key, after)
         if not grown:
             break
-        if turn == MAX_ROUNDS - 2:
-            for name in kept:
-                why = f"{name} changes from one run of the program to the next"
-                origin = origin_of(flow.environment.get((0, name)) or ())
-                flow.environment.set((0, name), (Unknown(why, 0, "", origin),))
+        if turn >= FEW_ROUNDS:
+            new = grown if turn < MANY_ROUNDS else kept_keys - lost
+            lost |= new
+            for key in sorted(new):
+                why = f"{key[1]} changes from one run of the program to the next"
+                origin = origin_of(flow.environment.get(key) or ())
+                flow.environment.set(key, (Unknown(why, 0, "", origin),))
     flow.environment.records.pop()
     flow.environment.begin_any_time(record)
     for routine in routines:  # code that may run at any time: traps, service routines, and what only such routines call
@@ -331,7 +336,7 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
     return flow
 
 
-MAX_ROUNDS = 4
+FEW_ROUNDS, MANY_ROUNDS = 2, 8  # runs after which what still changes is given up, and then all that may change
 
 
 def _assigned_elsewhere(modules: Sequence[Module]) -> tuple[str, ...]:
