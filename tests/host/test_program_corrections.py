@@ -449,10 +449,14 @@ def mm(pose):
 def robtarget(k, tool=0, work=0):
     """Return the k-th good pose of a tool in a work object, with the configuration of the controller's model."""
     users, own = (matrix(frame) for frame in OBJECTS[work])
-    quarters = np.floor(Q[k] / (0.5 * np.pi)).astype(int)
-    return (
-        f"[{mm(np.linalg.inv(users @ own) @ tool_point(k, tool))},[{quarters[0]},{quarters[3]},{quarters[5]},0],{FREE}]"
-    )
+    return robtarget_at(Q[k], np.linalg.inv(users @ own) @ tool_point(k, tool))
+
+
+def robtarget_at(q, pose=None):
+    """Return a pose with the configuration of joints q, without one that of the flange at q."""
+    quarters = np.floor(q / (0.5 * np.pi)).astype(int)
+    there = forward(CHAIN, DESIGN, q[None])[0] if pose is None else pose
+    return f"[{mm(there)},[{quarters[0]},{quarters[3]},{quarters[5]},0],{FREE}]"
 
 
 def jointtarget(k):
@@ -544,6 +548,15 @@ def test_a_calibration_from_noisy_lengths_is_as_good_in_a_program_as_it_is_itsel
     assert len(q) == 9
     assert own.min() > 1e-6
     assert np.sqrt(np.mean(misses(text, after)[:, 0] ** 2)) <= 1.2 * np.sqrt(np.mean(own**2))
+
+
+def test_quarter_turns_that_fit_two_configurations_are_said(tmp_path):
+    """The elbow of a PUMA may be up or down with axes 1, 4 and 6 in the same quarter turns."""
+    elbow = (-0.4247, 0.0277, 2.2586, 1.1040, 1.1720, -2.5915)
+    both = f"MoveJ {robtarget_at(np.array(elbow))},v100,fine,tool0;"
+    known = "MoveAbsJ " + jointtarget(1) + ",v100,fine,tool0;"
+    said = [outcome(tmp_path, module([], lines)).notes for lines in ([both], [known, both])]
+    assert ["does not determine" in " ".join(notes) for notes in said] == [True, False]
 
 
 def test_configurations_that_are_not_watched_do_not_count(tmp_path):

@@ -166,6 +166,16 @@ def search(
     return chosen
 
 
+def several_fit(chain: Chain, params: Floats, targets: Floats, quadrants: Floats) -> NDArray[np.bool_]:
+    """Return for which targets (n, 4, 4) several solutions within the joint limits lie in the quarter turns (n, j), as in ``search``."""
+    stock = _solutions(chain, params, targets, oriented=True)
+    found = np.zeros(len(targets), dtype=bool)
+    for i, asked in enumerate(quadrants):
+        q = turned(chain, params, stock.q[i], np.where(np.isnan(asked), 0.0, 0.5 * np.pi * (asked + 0.5)))
+        found[i] = (stock.reached[i] & within(chain, q) & (_misplaced(q, asked) == 0.0)).sum() > 1
+    return found
+
+
 def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
     """Return solutions (n, k) for targets, ignoring limits; those of targets near another start from its solutions."""
     lower, upper = _sampled_range(chain)

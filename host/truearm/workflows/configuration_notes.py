@@ -29,22 +29,21 @@ def _other_quarters(lines: Sequence[int], q: Floats, quarters: Floats, wrong: ND
 
 
 def configuration_notes(
-    q: Floats, near: Floats, quarters: Floats, after: Sequence[bool], lines: Sequence[int], home: bool
+    q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[int], home: bool
 ) -> list[str]:
     """Return the arm configurations to check: those found by a search, and those that contradict the program's own
     data.
 
-    ``after``: the program shows where the robot comes from. ``home``: the user gave joints near those of the first target.
+    ``determined`` (n,): the program determines the configuration. ``home``: the user gave joints near those of the first target.
     """
-    told = np.isfinite(near).any(axis=1) | np.isfinite(quarters).any(axis=1) | np.array(after, dtype=bool)
     wrong = (np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)
     n = int(wrong.any(axis=1).sum())
     check = (
         f"The configuration data of {counted(n, 'robtarget')} {'differs' if n == 1 else 'differ'} from the quarter turns of the axes by this model: "
         f"{'; '.join(_other_quarters(lines, q, quarters, wrong))}. Correct the data before you run the program, or the controller may stop."
     )
-    unknown = listed([str(line) for line, is_told in zip(lines, told, strict=False) if not is_told])
+    unknown = listed([str(line) for line, is_told in zip(lines, determined, strict=False) if not is_told])
     chosen = "The arm's configuration there is the one nearest to home." if home else SEARCHED
     return [
         f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
-    ] * bool((~told).any()) + [check] * bool(wrong.any())
+    ] * bool((~determined).any()) + [check] * bool(wrong.any())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, correct, joined
-from truearm.correct.inverse import Origins
+from truearm.correct.inverse import Origins, several_fit
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
@@ -221,14 +221,27 @@ def correct_program(
             *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
             *configuration_notes(
                 correction.q[: len(kept)],
-                near[rows],
                 quarters[rows],
-                [targets.origins[i] is not None for i in rows],
+                _determined(how.pair, done, targets, near, quarters)[rows],
                 lines_of,
                 how.home is not None,
             ),
         ),
     )
+
+
+def _determined(
+    pair: ModelPair, done: Correction, targets: ProgramTargets, near: Floats, quarters: Floats
+) -> NDArray[np.bool_]:
+    """Return for which targets (n,) the program determines the arm's configuration: by joints, by the robot's previous
+    position, or by quarter turns if only one configuration fits them.
+    """
+    n = len(targets.poses)
+    told = np.isfinite(near[:n]).any(axis=1) | np.array([one is not None for one in targets.origins], dtype=bool)
+    fits = np.flatnonzero(~told & np.isfinite(quarters[:n]).any(axis=1))
+    if fits.size:
+        told[fits] = ~several_fit(pair.chain, pair.nominal, believed(pair, done.q_nominal[fits]), quarters[fits])
+    return told
 
 
 def _straight_moves(
