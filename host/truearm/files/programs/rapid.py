@@ -85,6 +85,7 @@ class _Reader(ExpressionReader):
         routines: list[Routine] = []
         records: dict[str, tuple[tuple[str, str], ...]] = {}
         hidden: set[str] = set()
+        self.assigned = set()
         self.take("module")
         name = self.word("the module's name")
         if self.text == "(":
