@@ -129,7 +129,8 @@ clean: ## remove what was built (not .venv)
 	@$(PIP) install -e .
 	@touch $@
 
+# A module is compiled when it is first imported, and most of these never are.
 .venv/installed-test: pyproject.toml | .venv/python
 	@echo "installing into .venv, with what the tests need"
-	@$(PIP) install -e '.[test]'
+	@$(PIP) install --no-compile -e '.[test]'
 	@touch $@ .venv/installed
