@@ -40,7 +40,7 @@ from truearm.estimate.problem import Problem, Rigs, build_problem, settled, with
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
-from truearm.estimate.systematic import moves, systematic_errors
+from truearm.estimate.systematic import moves, systematic_errors, with_robot_prior
 from truearm.estimate.systematic_effects import Modelled, modelled_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
@@ -143,8 +143,7 @@ def identify(
     raw = observe(problem, x_raw, columns).residual if gross.any() else raw
     x_before, before = _before(problem, columns, x_raw, raw, gross)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
-    # Fitting robot and a distant rig at once is a curved valley; starting from a rig with a prior is closer (decision
-    # 19).
+    # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
     solve = solver_of(options.solver)
     found = every = solve(problem, columns, start, how_to)
@@ -180,15 +179,15 @@ def identify(
     untimed = _untimed(data.root, names)
     known = dict(zip(problem.names, x, strict=True))
     how = measured_order(table, chain, fitted)
-    chi2, freedom = unweighted.reduced * unweighted.freedom, unweighted.freedom
     wrong = None  # the tests are about a minimum of χ²
     if found.status == "converged" or SOLVERS[options.solver].ends_by_recipe:
         with step("testing for systematic errors"):
             # With the derivatives at the readings as they are: the test subtracts what the parameters follow of them.
             alike = all(one is other for one, other in zip(still.groups, taken.groups, strict=True))
             as_fitted = data if alike else _data_root(taken, columns, found)
-            state = FitChi2(chi2, freedom, unweighted.band[1])
+            state = FitChi2(unweighted.reduced * unweighted.freedom, unweighted.freedom, unweighted.band[1])
             wrong = systematic_errors(taken, x, columns, Fitted.of(as_fitted), state, how, table.q[fitted])
+            wrong = with_robot_prior(wrong, columns, as_fitted.root, half(parts))
     if wrong is not None:
         if not state.explained and loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise:
             made = Fitting(

@@ -73,6 +73,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,6 +148,22 @@ def systematic_errors(
     ratio = math.sqrt(left / before) if before > 0.0 else math.nan
     reduced = after.state.chi2 / max(after.state.freedom, 1.0)
     return SystematicErrors(described, reduced, shift, held_out_ratio=ratio)
+
+
+def with_robot_prior(
+    found: SystematicErrors | None, columns: NDArray[np.bool_], root: Floats, half: Floats
+) -> SystematicErrors | None:
+    """Return the findings with the shift of a fit that has a prior of the robot; the tests are those of a fit without it.
+
+    Without the prior, the shift is large along combinations that the rows hardly determine: the prior holds them.
+    ``root`` (r, k) is R of the rows and the rig's prior for the ``columns``, ``half`` (k, s) is S with S Sᵀ the covariance
+    of the fit with all priors. The gradient RᵀR Δ is that of the rows, so the step is S Sᵀ RᵀR Δ.
+    """
+    if found is None:
+        return None
+    shift = found.shift.copy()
+    shift[columns] = half @ (half.T @ (root.T @ (root @ shift[columns])))
+    return replace(found, shift=shift)
 
 
 def moves(chain: Chain, x: Floats, there: Floats, q: Floats) -> float:
