@@ -165,7 +165,7 @@ class TestTheBoxGoes:
         assert sum("the link to the box was lost" in line for line in lines) == 1
         assert "the box was gone at the end" in gone
         assert str(out) in gone
-        assert "link lost 1 times; ended: duration" in said.out
+        assert "link lost 1 time; ended: duration" in said.out
         assert main(["inspect", str(out), "--json"]) == 0
         losses = json.loads(capsys.readouterr().out)["losses"]
         (silence,) = losses["silences"]

@@ -55,7 +55,7 @@ def test_a_stream_that_was_held_up_is_complete_if_nothing_is_missing(tmp_path, l
     if lost:
         assert "the robot sent more than could be stored: 7 readings are missing" in done.stderr.splitlines()[-1]
     else:
-        assert "late, none is missing" in done.stdout
+        assert "late; none is missing" in done.stdout
     stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]
     assert stored == [*range(BURST), *range(BURST + lost, BURST + lost + 100)]
 

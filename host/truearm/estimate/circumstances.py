@@ -22,13 +22,14 @@ class Circumstances(NamedTuple):
     """Circumstances in which n rows were measured: times [s] and temperatures [°C] (n,), NaN where unknown.
 
     For each joint by its name, ``direction`` (n,) is that in which it last moved, −1 or 1, and ``move`` (n,) [rad or m]
-    how far it moved from the pose before; 0 where unknown.
+    how far it moved from the pose before; 0 where unknown. ``q`` (n, j) are the readings.
     """
 
     time: Floats
     temperature: Floats
     direction: Mapping[str, Floats]
     move: Mapping[str, Floats]
+    q: Floats
 
     @classmethod
     def of(cls, table: ObservationTable, chain: Chain) -> Circumstances:
@@ -40,6 +41,7 @@ class Circumstances(NamedTuple):
             table.temperature,
             dict(zip(joints, direction.T, strict=True)),
             dict(zip(joints, move.T, strict=True)),
+            table.q,
         )
 
     def __len__(self) -> int:
@@ -65,6 +67,18 @@ class Circumstances(NamedTuple):
             case never:
                 assert_never(never)
         return along if np.isfinite(along).all() and np.ptp(along) > 0.0 else None
+
+
+def beside_pose(profile: Floats, q: Floats) -> Floats:
+    """Return the part of a profile (n,) that cubic polynomials of each joint reading (n, j) do not follow.
+
+    A joint that is at a large angle has probably come from a smaller one. What depends on the pose, such as sag that no
+    parameter describes, therefore looks as if it depended on the last move.
+    """
+    spread = np.where(np.ptp(q, axis=0) > 0.0, np.ptp(q, axis=0), 1.0)
+    scaled = (q - q.min(axis=0)) / spread * 2.0 - 1.0
+    ways = np.concatenate([np.ones((len(q), 1)), scaled, scaled**2, scaled**3], axis=1)
+    return np.asarray(profile - ways @ np.linalg.lstsq(ways, profile, rcond=None)[0])
 
 
 def last_directions(table: ObservationTable) -> Floats:

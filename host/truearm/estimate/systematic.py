@@ -20,6 +20,12 @@ is not seated makes a bar longer in one run of rows with the same items mounted.
 **Drifts.** A drift is linear in time, from the first row of a session to its last, or linear in the box's temperature
 if that changed. Its zero is unknown, so an offset is fitted with it.
 
+**Last moves.** An error of a joint that is linear in the direction of its last move (backlash) or in the move itself. A
+joint at a large angle has probably come from a smaller one, so only the part of these is tested that cubic polynomials of
+the joint readings do not follow. On a regular path even this part follows what the model lacks, such as curves of gears:
+in a grid of a UR10 it explained 2.6 % of χ² for a joint that has no such error once the curves are fitted. Where the noise
+does not explain χ², less than LEAST_SHARE of it is therefore not reported.
+
 **Blocks.** Rows that do not fit the rest: each first or last part of a run of rows with one item mounted. Leaving e_B
 out reduces χ² by e_BᵀQ_B(I − Q_BᵀQ_B)⁻¹Q_Bᵀe_B + e_Bᵀe_B, which is χ² with as many degrees of freedom as e_B has
 residuals.

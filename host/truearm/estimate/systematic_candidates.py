@@ -36,6 +36,7 @@ WINDOW_KNOTS = 36  # of the rows at which a joint may begin or cease to be off; 
 WANDER_KNOTS = 12
 WANDER_SIGMA = tuple(2.0**-k for k in range(7))  # of a step of a random walk, in priors of the item's unit
 LEAST_WARMING = 1.0  # °C: two steps of a microcontroller's internal sensor; less is not a temperature change
+LEAST_SHARE = 0.05  # of χ² that noise does not explain, for an error that follows the last move
 MOST_OFF = 20.0  # σ of manual mounting (units: 0.2 m, 1 rad, a gain of 20 %): nothing that was ever used is off by more
 LEAST_ROWS = 5  # in which a step applies, and in which it does not: fewer are treated as outliers, one by one
 MOST_BLOCK = 300  # rows: each of their residuals is a column
@@ -154,6 +155,9 @@ def _search(family: Family, test: ScoreTest) -> Best | None:
     state = test.state
     drop, freedom, known = _block_drops(family, test.rows) if family.cause is None else _drops(family, test)
     if not freedom.any():
+        return None
+    follows_move = family.drift is not None and not family.drift.has_offset
+    if follows_move and not state.explained and drop.max() < LEAST_SHARE * state.chi2:
         return None
     half_drop, variance = drop / 2.0, np.ones(1)
     if not state.explained:

@@ -12,7 +12,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import special
 
-from truearm.estimate.circumstances import Circumstances
+from truearm.estimate.circumstances import Circumstances, beside_pose
 from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
@@ -133,7 +133,10 @@ class Family(NamedTuple):
         by = item_columns(self.cause, errors, rows)
         if self.drift:
             span = int(self.first[0]), int(self.last[0])
-            by = by_profile(by, self.drift, effect_profile(self.cause.name, self.drift, *span, how)[rows.row])
+            of_rows = effect_profile(self.cause.name, self.drift, *span, how)
+            if not self.drift.has_offset:
+                of_rows[:-1] = beside_pose(of_rows[:-1], how.table.q[how.row])
+            by = by_profile(by, self.drift, of_rows[rows.row])
         return by
 
     def summed(self, errors: Errors, rows: WhitenedResiduals, how: Measured) -> Family:
