@@ -42,13 +42,17 @@ def explains(before: Trial, after: Trial, count: int, least: float = HUNDREDFOLD
     An interpretation that shrinks everything explains nothing, and neither does one that requires the robot to shrink.
     """
     ratio = after.reduced / before.reduced
-    fits = all(rms <= UNITS[unit].weak_sigma for unit, rms in after.rms.items())
     return (
-        fits
+        fits(after)
         and after.shifted < LARGEST_SHIFT
         and ratio < least
         and log_chance(ratio, after.freedom) + math.log(count) < math.log(LEVEL)
     )
+
+
+def fits(trial: Trial) -> bool:
+    """Return whether the residuals of a trial are within the tolerances of a drawing."""
+    return all(rms <= UNITS[unit].weak_sigma for unit, rms in trial.rms.items())
 
 
 def found_in(

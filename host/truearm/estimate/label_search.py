@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
+from truearm.estimate.better_fit import fits
 from truearm.estimate.label_test import CLEARLY, Labels, labellings, log_chance, permuted
 from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
@@ -182,8 +183,8 @@ def _changes(search: _Searched, labels: Indices, chosen: Indices, before: Trial,
 
 
 def _counts(before: Trial, after: Trial, count: int) -> bool:
-    """Return whether a fit is better tenfold, or as good with base and tool close to their described poses; beyond chance."""
-    turned = before.moved > FAR and after.moved < NEAR and after.reduced < AS_WELL * before.reduced
+    """Return whether a fit is better tenfold, or as good and not absurd with base and tool close to their described poses; beyond chance."""
+    turned = before.moved > FAR and after.moved < NEAR and after.reduced < AS_WELL * before.reduced and fits(after)
     better = after.reduced < TENFOLD**2 * before.reduced
     return (turned or better) and _log_chance(before, after, count) < math.log(LEVEL)
 
