@@ -102,7 +102,7 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     assert main(["inspect", str(out)]) == 0
     said = capsys.readouterr().out
     assert (
-        "added afterwards from joints.csv; their arrival was not observed. Their time is utc; its error is unknown"
+        "added afterwards from joints.csv; their arrival was not observed. Controller time: utc; its error is unknown"
         in said
     )
     assert "later than the fastest one" not in said  # what would be said of arrivals

@@ -51,10 +51,10 @@ def test_inspect_lists_the_passes(folder, said):
     text = said("inspect", folder / "both.mcap")
     assert "lines: 4 planned, 4 driven, " in text
     assert "a constant delay remains" in text
-    rows = [line.split() for line in text.splitlines() if line.endswith((", up", ", down"))]
-    assert [(row[0], *row[-2:]) for row in rows] == [
-        *(("1", "l1,", "up"), ("2", "l1,", "down")),
-        *(("3", "l2,", "up"), ("4", "l2,", "down")),
+    rows = [line.split() for line in text.splitlines() if line.endswith((", y increases", ", y decreases"))]
+    assert [(row[0], row[-3], row[-1]) for row in rows] == [
+        *(("1", "l1,", "increases"), ("2", "l1,", "decreases")),
+        *(("3", "l2,", "increases"), ("4", "l2,", "decreases")),
     ]
     passes = json.loads(said("inspect", folder / "both.mcap", "--json"))["passes"]
     assert (passes["planned"], passes["found"], passes["rejected"]) == (4, 4, {})

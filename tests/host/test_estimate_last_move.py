@@ -85,12 +85,12 @@ def test_an_error_that_follows_the_last_move_is_named(form, joint):
 def test_the_message_says_what_to_look_at():
     rows = by_last_move(0, FORMS["settling"][0], 0)
     said = " ".join(systematic_sentences(systematic_entries(worlds.identified(rows).systematic, rows), str))
-    assert "joint1 is off in proportion to its last move, by " in said
+    assert "joint1 is off in proportion to its last move: the error changes by " in said
     assert "(read before the arm stood still?)" in said
     assert "allow joint1.settling" in said
     rows = by_last_move(0, FORMS["backlash"][0], 0)
     said = " ".join(systematic_sentences(systematic_entries(worlds.identified(rows).systematic, rows), str))
-    assert "in the direction in which it last moved (backlash)" in said
+    assert "joint1 has a backlash of " in said
 
 
 def test_without_moves_in_both_directions_nothing_can_be_estimated():

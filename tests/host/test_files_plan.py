@@ -85,7 +85,7 @@ def test_a_plan_of_dwells_is_written_as_ever():
     ("old", "new", "says"),
     [
         (",via,,,,0.2", ",fly,,,,0.2", "row 3 column move: 'fly' is not one of dwell, via, line"),
-        ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: names bar but not bar, chuck and sphere"),
+        ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: names bar and chuck but not sphere; name all three or none"),
         (",via,,,,0.2", ",via,left,,,0.2", "row 3 column line: only lines have this value"),
         (",via,,,,0.2", ",via,,,100,0.2", "row 3 column speed_mm_s: only lines have this value"),
         (",,,line,left,ball", "bar46,,,line,left,ball", "row 5 column bar: no bar is mounted"),

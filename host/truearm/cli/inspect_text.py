@@ -194,7 +194,7 @@ def _robot(robot: Mapping[str, Any], added: Mapping[str, str]) -> Iterator[str]:
     if added:
         when = added.get("time", "?")
         yield "  " + one_line(
-            f"added afterwards from {added.get('source', '?')}; their arrival was not observed. Their time is {when}; its error is unknown"
+            f"added afterwards from {added.get('source', '?')}; their arrival was not observed. Controller time: {when}; its error is unknown"
         )
         return
     for report in robot["clock"]:
@@ -280,7 +280,7 @@ def _passes(passes: Mapping[str, Any]) -> Iterator[str]:
 def _pass_line(row: Mapping[str, Any]) -> str:
     noise = " ".join(_number(value, ".1f", UM) for value in row["noise_m"])
     joints = _number(max(row["joint_noise"], default=None), ".1f", URAD)
-    way = {1: ", up", -1: ", down"}.get(row["direction"], "")
+    way = {1: ", y increases", -1: ", y decreases"}.get(row["direction"], "")
     dropped = "".join(f", {counted(count, 'point')} not made: {reason}" for reason, count in row["dropped"].items())
     became = f", {row['reason']}" if row["reason"] else ""
     return (

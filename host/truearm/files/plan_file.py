@@ -114,7 +114,8 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
         _speed(cells["speed_mm_s"], where)
         return
     if len(fitted) not in (0, 3):
-        raise PlanError(f"{where}: names {fitted[0]} but not bar, chuck and sphere; name all three or none")
+        missing = " and ".join(name for name in BAR_MOUNTED if name not in fitted)
+        raise PlanError(f"{where}: names {' and '.join(fitted)} but not {missing}; name all three or none")
     for name in ("line", "target", "speed_mm_s"):
         if cells.get(name):
             raise PlanError(f"{where} column {name}: only lines have this value; leave it empty")

@@ -159,11 +159,11 @@ def _linear(entry: Mapping[str, Any]) -> str:
             seconds = entry["over_s"]  # None: in the order of the rows
             return f"drifts linearly {'' if seconds is None else f'in {round(seconds / 60.0)} min '}by {_size(entry)}"
         case DriftWith.DIRECTION:
-            return f"is off by ±½ of {_size(entry)} in the direction in which it last moved (backlash)"
+            return f"has a backlash of {_size(entry)}"
         case DriftWith.MOVE:
             return (
-                f"is off in proportion to its last move, by {_size(entry)} between the largest moves in both directions "
-                "(read before the arm stood still?),"
+                f"is off in proportion to its last move: the error changes by {_size(entry)} from the largest negative to the "
+                "largest positive move (read before the arm stood still?),"
             )
         case drift:
             assert_never(drift)

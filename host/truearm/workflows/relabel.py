@@ -320,7 +320,8 @@ def _label(
         if pairing is None and why in ("", "not answered"):
             what = " ".join(found.pairings[best]) if best < len(found.pairings) else "nothing that the rig has"
             detail = (
-                f"{detail}: " * bool(detail) + f"{what} with {found.probability[at, best]:.2%}, {SURE:.2%} are needed"
+                f"{detail}: " * bool(detail)
+                + f"{what} has a probability of {found.probability[at, best]:.2%}; {SURE:.2%} is needed"
             )
         elif pairing in found.pairings:
             p = float(found.probability[at, found.pairings.index(pairing)])
