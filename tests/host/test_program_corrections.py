@@ -314,7 +314,7 @@ def test_a_move_that_needs_several_values_has_no_remedy(tmp_path):
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
     assert {(one.line, one.remedy) for one in caught.value.refused} == {(6, "")}
-    assert "its tool, frame or offset differs between the ways to it" in caught.value.refused[0].why
+    assert "its tool, frame or offset depends on how the program reaches this move" in caught.value.refused[0].why
 
 
 def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):

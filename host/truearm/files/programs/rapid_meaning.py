@@ -331,7 +331,7 @@ def analyse(work: Work, modules: Sequence[Module], given: Mapping[str, Listed], 
     flow.environment.end()
     for call in flow.choices.never_followed():
         if call.function in (MOVES.keys() | AIMLESS) and call.start not in flow.motions:
-            why = "it is reached only with an optional argument that no call in this file gives, or omits"
+            why = "whether it runs depends on an optional argument, and with the calls in this file it never does"
             flow.uncertain(call.function, call.start, call.end, why)
     return flow
 

@@ -21,9 +21,7 @@ def why_sent(values: Iterable[Value]) -> str | None:
     if found is None:
         return None
     word = re.split(r"\W", found[0])[0]
-    return (
-        f"it sends a {word} as text, which is not corrected where it is run; correct the program that the text is for"
-    )
+    return f"it sends a {word} as text, which truearm does not correct; correct the program that the text is for"
 
 
 def text_of(given: Sequence[Value], at: int) -> Value:

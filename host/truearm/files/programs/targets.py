@@ -261,7 +261,7 @@ def _assigned(
                     shared, other = line(candidates[i][0].start), line(motions[taken].start)
                     why = f"it shares the target of line {shared} with the move of line {other}, but needs different numbers there"
                     if motions[taken] is motion:
-                        why = f"its tool, frame or offset differs between the ways to it, which need different numbers in the target of line {shared}"
+                        why = f"its tool, frame or offset depends on how the program reaches this move, and each case needs different numbers in the target of line {shared}"
                 if own is None and goal.start >= 0 > goal.end:
                     why += "; the call that gives its target may do more, so it is not replaced"
                 elif own is None and (n := _goals_at(goal, motion)) > 1:
@@ -314,7 +314,7 @@ def _why_read(program: Program, place: int) -> str:
     line = program.source.line(place)
     if place in program.motion_at:
         return f"the move in line {line} computes its tool, frame or offset from the numbers of its target"
-    return f"line {line} decides by the numbers of its target; it could decide otherwise by corrected ones"
+    return f"a decision in line {line} depends on the numbers of its target, and could change with corrected numbers"
 
 
 def _split(goal: Goal, motion: Motion) -> PoseTarget | None:
