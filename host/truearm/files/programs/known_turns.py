@@ -6,7 +6,7 @@ Only loops with several elements of lists are: for others, following all turns a
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 from truearm.files.programs.syntax import Element, Expression, Loop, Number, Operation
 from truearm.files.programs.values import Values
@@ -31,8 +31,9 @@ class Turns:
         """Return whether a loop has several elements of lists."""
         known = self._worth.get(id(loop))
         if known is None:
-            found = _indexes_in(loop.body)
-            known = self._worth[id(loop)] = next(found, None) is not None and next(found, None) is not None
+            known, inner = _several_indexes(loop.body)
+            self._worth[id(loop)] = known
+            self._worth |= dict.fromkeys(inner, False) if not known else {}  # none of them has more than all together
         return known
 
     def take(self) -> bool:
@@ -45,14 +46,20 @@ class Turns:
         return turns <= self._left
 
 
-def _indexes_in(node: object) -> Iterator[Element]:
-    waiting = [node]
+def _several_indexes(node: object) -> tuple[bool, list[int]]:
+    """Return whether a body has several elements of lists, and the identities of the loops seen in it before that."""
+    waiting, loops, several = [node], list[int](), 0
     while waiting:
         here = waiting.pop()
         if isinstance(here, Element) and not isinstance(here.at, str | Number):
-            yield here
+            several += 1
+            if several > 1:
+                return True, loops
+        elif isinstance(here, Loop):
+            loops.append(id(here))
         if isinstance(here, tuple) and not isinstance(here, Number):
             waiting += here
+    return False, loops
 
 
 def holds(condition: Expression, value: Callable[[Expression], Values]) -> bool | None:
