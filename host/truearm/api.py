@@ -448,7 +448,7 @@ def plan_ball_bar(
     Parameters
     ----------
     robot : Robot
-        A six-joint robot; its file must have a ``[branch]`` table.
+        A robot with six or more revolute joints, whose file has a ``[branch]`` table.
     rig : Rig
         Chucks, spheres and bars.
     poses, minutes : int, float
@@ -569,7 +569,8 @@ def export_robot(
     adjust : sequence of str
         Patterns of the parameters that may change, such as ``"joint*.offset"``. Default: all.
     over : array (n, j), optional
-        Joint vectors [rad, m] over which a refit minimises the error. Default: the full range within the joint limits.
+        Joint vectors [rad, m] over which a refit minimises the error. Default: 600 random ones within the joint limits, or within
+        the fitted readings if the result has joint laws.
 
     Returns
     -------

@@ -41,7 +41,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
                 f"95th percentile {_range(band['share_95_s'], S)}; {counted(band['visits'], 'visit')}"
             )
     if any(band["visits"] for band in settling["bands"]):
-        yield "  a visit counts if the bar came from at least four times that distance, and its noise is below a sixth of it"
+        yield "  a visit counts for a distance if the bar's length was at least four times that far from its final value on the way, and its noise is below a sixth of the distance"
     own = settling["dwells_begin_s"]
     yield f"dwells begin {own['median']:.2f} s (median) after the joints stop, {own['largest']:.2f} s at most"
     yield from _noise(document)

@@ -50,7 +50,7 @@ def correct(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Frame of the targets in the base frame [mm, deg]; for a program the controller's base. NAME=…: a work object that the "
+            help="Frame of the targets in the calibration's base frame [mm, deg]; for a program, the controller's base (RAPID: its world frame) in it. NAME=…: a work object that the "
             "program does not declare. Repeatable.",
         ),
     ] = None,
@@ -91,7 +91,10 @@ def correct(
     ] = False,
     harmless: Annotated[
         list[str] | None,
-        typer.Option(metavar="ROUTINE", help="Routine declared elsewhere that does not move the robot. Repeatable."),
+        typer.Option(
+            metavar="ROUTINE",
+            help="Routine declared elsewhere, instruction, or external axis (eax_a) that does not move the robot. Repeatable.",
+        ),
     ] = None,
     home: Annotated[
         str | None,

@@ -328,7 +328,10 @@ def characterize(
     rounds: Annotated[
         int,
         typer.Option(
-            min=2, max=100, metavar="N", help="Number of times that each pose is reached from each of eight directions."
+            min=2,
+            max=100,
+            metavar="N",
+            help="Number of rounds. In each, every pose is reached once from each combination of joint directions (eight for six or seven joints).",
         ),
     ] = option_defaults.ROUNDS,
     long_s: Annotated[

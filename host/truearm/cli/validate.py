@@ -31,7 +31,7 @@ def validate(
         bool,
         typer.Option(
             "--keep-rig",
-            help="Hold the rig at its identified values: trackers, targets, chucks, bars, and what --allow estimated in all rows. Only if nothing was moved since.",
+            help="Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated over all rows (without @FIRST). Only if nothing was moved since.",
         ),
     ] = False,
     as_json: JsonOption = False,

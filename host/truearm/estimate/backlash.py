@@ -34,7 +34,7 @@ class Backlash(NamedTuple):
             return None
         width, sigma = np.array(rig.backlash), np.array(rig.backlash_sigma)
         if joint_cov is None or width.shape != joint_cov.shape[:1] or sigma.shape != width.shape:
-            raise ProblemError("backlash needs joint_cov and a width and a sigma for each joint")
+            raise ProblemError("backlash needs joint_cov; backlash and backlash_sigma need one value for each joint")
         left = np.diag(joint_cov) - 0.25 * width**2
         if (left < -ROUNDING * np.diag(joint_cov)).any():
             raise ProblemError("joint_cov must include the backlash: a joint's sigma must be at least half of it")

@@ -57,9 +57,11 @@ def parse_plan(text: str, name: str) -> Plan:
     names = _names(moving, named)
     expected = [*names, *_joints(len(header) - len(names))]
     if not len(names) < len(header) <= len(names) + MAX_JOINTS or header != expected:
-        wrong = next((title for title, right in zip(header, expected, strict=False) if title != right), "the last")
+        wrong = next((title for title, right in zip(header, expected, strict=False) if title != right), None)
+        many = f"has more than {MAX_JOINTS} joint columns" if len(header) > len(names) else "has no joint columns"
+        fault = many if wrong is None else f"column {wrong[:40]!r} is wrong"
         raise PlanError(
-            f"{name} row 1: column {wrong[:40]!r} is wrong; the header is {','.join(_names(False, False))},q1_rad,... "
+            f"{name} row 1: {fault}; the header is {','.join(_names(False, False))},q1_rad,... "
             f"or {','.join(_names(True, False))},q1_rad,..., with or without {ROBOT} before the joints"
         )
     if len(rows) == 1:

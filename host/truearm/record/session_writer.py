@@ -311,7 +311,9 @@ class SessionWriter:
                 self._move()
                 self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
             case FileLoss.TRUNCATED if ended:
-                self.losses.append(f"{old}: was truncated at the end; run truearm recover to save what is left")
+                self.losses.append(
+                    f"{old}: was truncated as the recording ended; run truearm recover to save what is left"
+                )
             case FileLoss.TRUNCATED:
                 self._begin_again()
                 self.losses.append(

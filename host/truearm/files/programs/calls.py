@@ -90,7 +90,15 @@ class Calls(Moves, ABC):
             places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
         doubled = self.routines.doubled(routine, places)
         for name, root in doubled.items():
-            self.set(root, (Unknown(f"{routine.name} changes it under two names, {root} and {name}", routine.start),))
+            self.set(
+                root,
+                (
+                    Unknown(
+                        f"{routine.name} reaches and changes one variable under two names, {root} and {name}",
+                        routine.start,
+                    ),
+                ),
+            )
         given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
         effect = self._effect(_Entry(routine, call is not None, given, doubled, parent))
         here = self.environment.get(HERE) or ANYWHERE
@@ -189,7 +197,12 @@ class Calls(Moves, ABC):
         for name, root in entry.doubled.items():
             self.set(
                 name,
-                (Unknown(f"{routine.name} changes it under two names, {root} and {name}", routine.start),),
+                (
+                    Unknown(
+                        f"{routine.name} reaches and changes one variable under two names, {root} and {name}",
+                        routine.start,
+                    ),
+                ),
                 "local",
             )
         if routine.handlers:
