@@ -351,7 +351,7 @@ run, because its calibration needs a URDF and a configuration file for each arm;
 
 ## Public data that are not in the repository
 
-These sets were fitted once, with the same options, after all constants had been chosen. They are not copied here, so `make benchmark` does not repeat them. All of them are
+These sets were fitted with the same options, after all constants had been chosen. UR10 B and D are other series of the arm above. The constants were chosen on an IRB 120 too, probably this one, so it is no independent test. They are not copied here, so `make benchmark` does not repeat them. All of them are
 public repositories of other projects.
 
 | data | split | geometry | with joint laws |

@@ -29,8 +29,8 @@ class Fault(NamedTuple):
 
     ``constant``: by an offset in all rows; ``step``: by an offset from some row on; ``window``: by an offset from some
     row to another; ``run``: by an offset while the same items are mounted, as by a ball that is not seated; ``drift``: by
-    a part that changes linearly over a session; ``moved``: in the direction of a
-    joint's last move, or in proportion to it.
+    a part that changes linearly over a session; ``moved``: in the
+    direction of a joint's last move, or in proportion to it.
     """
 
     numbers: slice  # of the item's list

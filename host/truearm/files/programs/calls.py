@@ -90,15 +90,7 @@ class Calls(Moves, ABC):
             places = dict(zip((one.name for one in required), call.arguments, strict=False)) | dict(call.named)
         doubled = self.routines.doubled(routine, places)
         for name, root in doubled.items():
-            self.set(
-                root,
-                (
-                    Unknown(
-                        f"{routine.name} reaches and changes one variable under two names, {root} and {name}",
-                        routine.start,
-                    ),
-                ),
-            )
+            self.set(root, _under_two_names(routine, root, name))
         given = dict(zip((one.name for one in required), arguments, strict=False)) | dict(named)
         effect = self._effect(_Entry(routine, call is not None, given, doubled, parent))
         here = self.environment.get(HERE) or ANYWHERE
@@ -195,16 +187,7 @@ class Calls(Moves, ABC):
             why = f"{parameter.name} is an argument of {routine.name} that no call in this file passes"
             self.set(parameter.name, value or (Unknown(why, routine.start),), "local")
         for name, root in entry.doubled.items():
-            self.set(
-                name,
-                (
-                    Unknown(
-                        f"{routine.name} reaches and changes one variable under two names, {root} and {name}",
-                        routine.start,
-                    ),
-                ),
-                "local",
-            )
+            self.set(name, _under_two_names(routine, root, name), "local")
         if routine.handlers:
             self.environment.records.append(record)
         ordered = not self.loose
@@ -242,3 +225,9 @@ class Calls(Moves, ABC):
             self.environment.begin_any_time(record)
             self.run(block)
             self.environment.end()
+
+
+def _under_two_names(routine: Routine, root: str, name: str) -> Values:
+    return (
+        Unknown(f"{routine.name} reaches and changes one variable under two names, {root} and {name}", routine.start),
+    )
