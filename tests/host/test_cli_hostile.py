@@ -217,7 +217,7 @@ OPTIONS = {
     f"{PLAN} --region 1e300:2e300,0:1,0:1": "cannot reach the region",
     f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "LOW below HIGH",
     f"{PLAN} --branch -9999:9999,0:1,0:1,0:1,0:1,0:1": "the bounds of joint1 must lie within its limits, -165 to 165 deg",
-    f"{PLAN} --reserve-mm 1e9": "100000",
+    f"{PLAN} --reserve-mm 1e9": "is not in the range 0.0<=x<=100000.0",
     f"{PLAN} --reserve-mm 1e5": "lower --reserve-mm",
     f"{PLAN} --result result.json": "differ from those of robot irb120",
     f"{PLAN} --measured rows.csv": "'short' is not in the rig",
