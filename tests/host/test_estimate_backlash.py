@@ -78,7 +78,7 @@ def test_rows_of_three_residuals_have_it_too():
 @pytest.mark.parametrize(
     ("rig", "says"),
     [
-        (replace(WORN, joint_cov=()), "joint_cov and a width"),
+        (replace(WORN, joint_cov=()), "backlash needs joint_cov"),
         (replace(WORN, backlash=WORN.backlash[:3]), "for each joint"),
         (replace(WORN, backlash_sigma=()), "for each joint"),
         (replace(WORN, backlash=tuple(3.0 * B)), "at least half of it"),
