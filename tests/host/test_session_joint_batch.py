@@ -1,5 +1,6 @@
 """Joint readings as columns: the recorder's columns equal the robot's lines."""
 
+import gc
 import json
 
 import cbor2
@@ -213,3 +214,15 @@ def test_messages_are_decoded_together_as_one_by_one():
 def test_messages_with_other_columns_are_not_joined(other):
     assert unpack(pack(other)) is not None
     assert unpack(pack(batch_of(1)), pack(other)) is None
+
+
+def test_the_collector_is_as_it_was():
+    """It is paused while lines become columns, also where one cannot be read, and stays off where it was off."""
+    line = json.dumps({"t": 1.5, "q": [1.0]}).encode()
+    for enabled in (gc.disable, gc.enable):
+        enabled()
+        before = gc.isenabled()
+        assert len(parse_lines([line, b"no"], [1, 2])) == 1
+        with pytest.raises(ValueError, match="shorter"):
+            parse_lines([line, b"no"], [1])
+        assert gc.isenabled() == before
