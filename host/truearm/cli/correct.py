@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
+    AllowUnusableOption,
     IdentifiedBaseOption,
     IdentifiedRobotOption,
     IdentifiedTipOption,
@@ -110,6 +111,7 @@ def correct(
         Path | None,
         typer.Option(metavar="FILE", help="Write a report (.html): shifts, expected errors, margins, straight moves."),
     ] = None,
+    allow_unusable: AllowUnusableOption = False,
     force: Annotated[
         bool,
         typer.Option(
@@ -139,7 +141,7 @@ def correct(
     from truearm.cli.correct_text import lines, refused_lines
     from truearm.files.robot_file import RobotChoice
     from truearm.text import one_line
-    from truearm.workflows.calibration import read_calibration
+    from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
     from truearm.workflows.correction_findings import refusal_of
@@ -162,7 +164,7 @@ def correct(
         harmless=frozenset(harmless or ()),
     )
     files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report, force)
-    calibration = read_calibration(files.result, files.robot).carrying(*payload_of(payload))
+    calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     options = CorrectOptions(
         method=method,
         steps=steps,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from truearm.cli.options import (
+    AllowUnusableOption,
     ForceOption,
     IdentifiedBaseOption,
     IdentifiedRobotOption,
@@ -65,6 +66,7 @@ def export(
             help="Write the joints' error curves too (.csv): reading, error, sigma, and whether the calibration covered the reading.",
         ),
     ] = None,
+    allow_unusable: AllowUnusableOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -82,7 +84,7 @@ def export(
     from truearm.workflows.export import ExportOptions, export_file
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()), payload_of(payload))
-    found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force)
+    found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force, allow_unusable)
     if as_json:
         print_json(document(found, out, curves))
     else:

@@ -11,6 +11,7 @@ import typer
 
 from truearm.bounds import CELL
 from truearm.cli.options import (
+    AllowUnusableOption,
     ForceOption,
     IdentifiedBaseOption,
     IdentifiedRobotOption,
@@ -71,6 +72,7 @@ def map_(
     ] = None,
     own_frames: OwnFramesOption = False,
     payload: PayloadOption = None,
+    allow_unusable: AllowUnusableOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -82,7 +84,7 @@ def map_(
     """
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
-    from truearm.workflows.calibration import read_calibration
+    from truearm.workflows.calibration import read_usable
     from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
     if task is None and within is not None:
@@ -90,7 +92,7 @@ def map_(
     varied, shown = _joints_of(joints), numbers_of("--at", at)
     wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)
-    calibration = read_calibration(files.result, files.robot).carrying(*payload_of(payload))
+    calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
     found = map_files(calibration, files, section, wanted)

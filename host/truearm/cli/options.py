@@ -64,6 +64,11 @@ AllowDamagedOption = Annotated[
 ]
 
 
+AllowUnusableOption = Annotated[
+    bool, typer.Option("--allow-unusable", help="Use the result although its fit is not usable.")
+]
+
+
 # The robot
 def _robot(default: str = "") -> Any:
     names = ", ".join(builtin_names())

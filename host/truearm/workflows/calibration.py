@@ -224,6 +224,22 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
     return calibration_of(stored, load_robot(name, base, tip), called, str(result))
 
 
+def read_usable(result: Path, choice: RobotChoice = DEFAULT, allow_unusable: bool = False) -> Calibration:
+    """Read a result and its robot, for a command that corrects a robot by it.
+
+    Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.
+    """
+    calibration = read_calibration(result, choice)
+    status, because = calibration.stored.status, calibration.document.get("unusable_because")
+    because = because or (None if status == "converged" else "not converged")  # older results give only the status
+    if because and not allow_unusable:
+        raise InputError(
+            f"{result}: the fit is not usable ({because}); correct its inputs and identify again (truearm report says why), or give ",
+            Argument("allow_unusable"),
+        )
+    return calibration
+
+
 def frames_of(robot: str, base: str | None, tip: str | None, stored: StoredResult) -> tuple[str | None, str | None]:
     """Return the first and the last link of a URDF: those given, or else those of the result."""
     return (base or stored.robot.base_frame, tip or stored.robot.end_frame) if is_urdf(robot) else (base, tip)

@@ -27,7 +27,7 @@ from truearm.workflows.calibration import (
     check_within,
     largest_readings,
     mounting_lines,
-    read_calibration,
+    read_usable,
 )
 from truearm.workflows.curve_table import curve_table, looks_like_curves
 from truearm.workflows.selection import matching
@@ -129,6 +129,7 @@ def export_file(
     over: Path | None = None,
     curves: Path | None = None,
     force: bool = False,
+    allow_unusable: bool = False,
 ) -> ExportedRobot:
     """Write the calibrated robot.
 
@@ -140,7 +141,7 @@ def export_file(
     check_writable(out, force, inputs=inputs, ours=looks_like_ours, suffixes=[FORMATS[options.form].suffix])
     if curves is not None:
         check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves, suffixes=[".csv"])
-    calibration = read_calibration(result, robot).carrying(*options.payload)
+    calibration = read_usable(result, robot, allow_unusable).carrying(*options.payload)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
     table = None if curves is None else curve_table(_curves(calibration, curves))
     write_atomic(out, found.text)

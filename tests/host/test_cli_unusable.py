@@ -1,0 +1,48 @@
+"""Commands that correct a robot refuse a fit that is not usable, unless it is asked for."""
+
+import json
+from dataclasses import replace
+
+import correct_bench
+import pytest
+
+from truearm.results import Unusable
+
+COMMANDS = {
+    "export": ["--format", "mdh", "--out", "robot.toml"],
+    "correct": ["targets.csv", "--own-frames", "--out", "corrected.csv"],
+    "map": ["--cell", "60", "--out", "map.csv"],
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "targets.csv").write_text("name,x_mm,y_mm,z_mm\na,500,200,300\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_fit_that_is_not_usable_is_refused(command, folder, run):
+    estimate = replace(correct_bench.identified(), status="max_iterations", unusable=Unusable.NOT_CONVERGED)
+    bad = correct_bench.write(folder / "bad.json", estimate)
+    before = {path.name for path in folder.iterdir()}
+    code, said, err = run(command, bad, *COMMANDS[command])
+    assert (code, said) == (2, "")
+    assert "bad.json: the fit is not usable (not converged); " in err
+    assert err.rstrip().endswith("or give --allow-unusable")
+    assert {path.name for path in folder.iterdir()} == before
+    code, _, err = run(command, bad, *COMMANDS[command], "--allow-unusable")
+    assert code == 0, err
+    assert (folder / COMMANDS[command][-1]).exists()
+
+
+def test_results_of_earlier_versions_say_only_whether_they_converged(folder, run):
+    bad = correct_bench.write(folder / "bad.json", replace(correct_bench.identified(), status="max_iterations"))
+    document = json.loads(bad.read_text())
+    for later in ("checksum", "usable", "unusable_because", "explanations"):
+        del document[later]
+    bad.write_text(json.dumps(document | {"format_version": 2}))
+    code, _, err = run("map", bad, "--cell", "60")
+    assert code == 2
+    assert "(not converged)" in err
