@@ -26,7 +26,7 @@ TEMPERATURE_MDEGC = CALIBRATED_MDEGC  # of the box, unless the world warms up
 
 @dataclass(frozen=True)
 class Edge:
-    """An edge on a trigger line at ``t_ns``: true time when reported to the lab, device time since boot in a grant."""
+    """An edge of a trigger input at ``t_ns``: true time when reported to the lab, device time since boot in a grant."""
 
     t_ns: int
     line: int

@@ -25,7 +25,7 @@ WIRED = RobotInput(
 
 
 def recorded(path, seed, seconds, rate=500.0):
-    """The world of a session with a trigger line, and its box."""
+    """The world of a session with a trigger wire, and its box."""
     world = World(seed, standard_plan(27, seed), setup=Setup(robot_rate=rate, robot_input=WIRED))
     box = SimulatedBox(world, power_on=partial(VmBox, interpreter()), seed=seed)
     try:

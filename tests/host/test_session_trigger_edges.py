@@ -1,4 +1,4 @@
-"""Edges of a trigger line compared with the truth: always within the bound, about 1/n of a cycle wide; inconsistent
+"""Edges of a trigger wire compared with the truth: always within the bound, about 1/n of a cycle wide; inconsistent
 edges are left out and counted.
 """
 

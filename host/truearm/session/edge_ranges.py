@@ -1,4 +1,4 @@
-"""Find the range of the controller's clock that all edges of a trigger line together allow.
+"""Find the range of the controller's clock that all edges of a trigger wire together allow.
 
 Edges of both directions are used.
 
@@ -184,7 +184,7 @@ class _Block:
         return found if np.isfinite(found).all() else None
 
     def _ends(self, objectives: Sequence[Floats], later_ns: tuple[float, float]) -> Iterator[tuple[float, float]]:
-        from scipy.optimize import linprog  # type: ignore[attr-defined]  # takes 0.1 s, and sessions without a trigger line do without
+        from scipy.optimize import linprog  # type: ignore[attr-defined]  # takes 0.1 s, and sessions without a trigger wire do without
 
         limits = [(None, None)] * (self.matrix.shape[1] - 1) + [later_ns]
         for objective in objectives:

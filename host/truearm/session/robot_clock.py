@@ -5,7 +5,7 @@ arrivals that is nearest to them on average (the lower hull's edge at their midd
 and a busy host only delay arrivals. Windows of 60 s overlap by half and are blended as in ``clock_windows``.
 
 **The shortest latency cannot be observed**: a constant latency is part of the offset. It is not removed here; the
-parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger line
+parameter τ of the identification absorbs it. It does not matter for a robot at rest. Edges of a trigger wire
 (``edges``) do reveal it.
 
 The **bound** covers the rest: how far the line may be from that of the shortest latency. It is not a hard bound,
@@ -58,7 +58,7 @@ class RobotClock:
     offset_ns: Floats  # (k,)
     rate: Floats  # (k,)
     bound_ns: Floats  # (k,) of the error near each centre; for "arrivals" excluding the link's shortest latency, which is unknown
-    source: str = "arrivals"  # or "edges", of a trigger line
+    source: str = "arrivals"  # or "edges", of a trigger wire
 
     def bound_at(self, t_robot_s: Floats) -> Floats:
         """Return bounds (n,) [ns] at controller times: the larger one of the two windows around each."""
@@ -124,7 +124,7 @@ class RobotClockReport:
     jitter_ns: float  # mean height of the arrivals above the line; median over the half windows
     windows: int
     bound_ns: float  # largest of the clock in use; for arrivals excluding the shortest latency
-    edges: EdgeReport | None = None  # of a trigger line, if the box toggled one
+    edges: EdgeReport | None = None  # of a trigger wire, if the box toggled one
 
 
 @dataclass

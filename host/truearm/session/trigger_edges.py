@@ -1,4 +1,4 @@
-r"""Relate robot controller time to device time by the edges of a trigger line.
+r"""Relate robot controller time to device time by the edges of a trigger wire.
 
 The box toggles a digital input of the controller at random times (SPEC §6). Its hardware stamps each edge; the
 controller's readings show between which two of them the input changed. An input is delayed differently in each
