@@ -211,7 +211,7 @@ OPTIONS = {
     f"{PLAN} --minutes 5": "give one budget, either",
     f"{PLAN.replace('--poses 36', '--minutes 1e308')}": "--minutes",
     f"{PLAN.replace('--poses 36', '--minutes nan')}": "--minutes",
-    f"{PLAN.replace('--poses 36', '--poses 99999')}": "ask for fewer poses",
+    f"{PLAN.replace('--poses 36', '--poses 99999')}": "ask for fewer --poses",
     f"{PLAN} --dwell-s 1e300": "--dwell-s",
     f"{PLAN} --region nan:1,0:1,0:1": "LOW below HIGH",
     f"{PLAN} --region 1e300:2e300,0:1,0:1": "cannot reach the region",

@@ -177,7 +177,14 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--measured", "missing.csv"], "missing.csv"),
         (["--out", "-"], "-: is not a file name"),
         (["--program", "x.txt"], "programs cannot be written as '.txt'"),
-        (["--poses", "5000"], "candidates to choose 5000 from"),
+        (
+            ["--poses", "61"],
+            "61 poses cannot be chosen from 60 candidates; ask for fewer --poses or more --candidates",
+        ),
+        (
+            ["--poses", "60", "--branch=-10:10,-60:60,-60:60,-60:60,10:60,-60:60"],
+            "of 60 candidates are within reach with the bar attached, too few for 60 poses; ask for fewer --poses or",
+        ),
         (["--criterion", "Q"], "'Q'"),
     ],
 )

@@ -23,6 +23,7 @@ from truearm.plan.roadmap import roadmaps
 from truearm.plan.route import ONCE, Route, Visits, n_checks, route
 from truearm.plan.shells import candidates
 from truearm.progress import Advance, part_of, step
+from truearm.text import counted
 from truearm.types import Floats, Plan, Rig
 from truearm.units import UNITS
 
@@ -103,6 +104,11 @@ def plan_ballbar(
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
         raise PlanError("give one budget, either a number of poses or minutes")
+    if (wanted.n_poses or 0) > wanted.n_candidates:
+        raise PlanError(
+            f"{wanted.n_poses} poses cannot be chosen from {wanted.n_candidates} candidates; ask for fewer ",
+            *(Argument("poses"), " or more ", Argument("candidates")),
+        )
     with step("planning poses") as advance:
         return _planned(site, known, pairings, wanted, pace, region, advance)
 
@@ -121,6 +127,13 @@ def _planned(
         found = candidates(site, pairings, wanted.n_candidates, wanted.seed, wanted.spread)
     with part_of(advance, looked, linked):
         found, graphs = roadmaps(site, found)
+    if (wanted.n_poses or 0) > len(found):
+        raise PlanError(
+            f"only {len(found)} of {wanted.n_candidates} candidates are within reach with the bar attached, too few for "
+            f"{counted(wanted.n_poses or 0, 'pose')}; ask for fewer ",
+            *(Argument("poses"), " or more ", Argument("candidates"), ", lower ", Argument("reserve"), ", widen "),
+            *(Argument("branch"), ", or move the chucks"),
+        )
     aim = _aim(site, found, region, wanted.seed)
     table = bar_table(known, found)
     poses = wanted.n_poses if wanted.n_poses is not None else int(60.0 * (wanted.minutes or 0.0) / (pace.dwell + MOVE))
@@ -142,7 +155,7 @@ def _planned(
             stock = stock[told]
 
     if wanted.n_poses is not None:
-        best = _with_room(site, chosen, wanted.n_poses, len(found), wanted.visits)
+        best = _with_room(site, chosen, wanted.n_poses, wanted.visits)
         way = route(site, best, pace, graphs, wanted.visits)
     else:
         trials = (linked + (1.0 - linked) * k / TRIALS for k in count(1))
@@ -188,9 +201,9 @@ def with_doubted_bars(known: Known) -> Known:
     return replace(known, rig=replace(known.rig, bars=bars))
 
 
-def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, most: int, visits: Visits) -> Plan:
+def _with_room(site: Site, chosen: Callable[[int], Plan], n: int, visits: Visits) -> Plan:
     """Return poses that make ``n`` visits including check poses; the first mount may have fewer poses than wanted."""
-    best = chosen(max(n - 2 * visits.check_poses, 1) if n <= most else n)
+    best = chosen(max(n - 2 * visits.check_poses, 1))
     for _ in range(TRIALS):
         short = n - len(best) - n_checks(site, best, visits)
         if (

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.branch_inverse import Arm, inverse
 from truearm.plan.forecast import Known, known_arm
@@ -76,12 +76,12 @@ def candidates(site: Site, pairings: Sequence[Pairing], n: int, seed: int = 0, s
     count = -(-n // len(pairings))
     for pairing in pairings:
         if _out_of_reach(site, pairing):
-            raise PlanError(_unreached(pairing))
+            raise PlanError(*_unreached(pairing))
     seeking = steps_of(pairings, f"looking for poses in reach of {len(pairings)} pairings")
     parts = [_of_pairing(site, pairing, count, spread, rng) for pairing in seeking]
     sizes = [len(q) for q in parts]
     if min(sizes) == 0:
-        raise PlanError(_unreached(pairings[sizes.index(0)]))
+        raise PlanError(*_unreached(pairings[sizes.index(0)]))
     names = [(f"{p.bar}-{p.chuck}", p.bar, p.chuck, p.sphere) for p in pairings]
     return Plan(np.concatenate(parts), *np.repeat(names, sizes, axis=0).T)
 
@@ -93,10 +93,11 @@ def _out_of_reach(site: Site, pairing: Pairing) -> bool:
     return far > site.arm.reach + float(np.linalg.norm(mounted.p_sphere)) + bar.zero + 0.5 * abs(bar.gain) * bar.travel
 
 
-def _unreached(pairing: Pairing) -> str:
+def _unreached(pairing: Pairing) -> tuple[str, ...]:
     return (
         f"the arm cannot reach any pose with bar {pairing.bar} between chuck {pairing.chuck} and sphere {pairing.sphere}; "
-        "give another length of the bar, move the chucks, or allow more of the joints' range"
+        "give another length of the bar, move the chucks, or allow more of the joints' range with ",
+        Argument("branch"),
     )
 
 
