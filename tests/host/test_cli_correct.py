@@ -332,6 +332,15 @@ def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys
         assert says in err
 
 
+def test_an_error_of_the_program_is_said_before_its_frames_are_asked_for(bench, tmp_path, capsys):
+    (tmp_path / "bad.script").write_text("def p():\n  movej(\nend\n")
+    given = ("correct", bench.folder / "result.json", tmp_path / "bad.script", "--out", tmp_path / "o.script")
+    code, _, err = run(capsys, *given)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "bad.script line 3: expected" in err
+    assert "--work" not in err
+
+
 def test_what_was_not_seen_is_said(tmp_path, capsys):
     """Balls in sockets of unknown place do not say where the base stands; a calibration by them is said to be so."""
     urdf, rows, rig = (MUKCA / name for name in ("panda.urdf", "panda_3.csv", "rig.toml"))

@@ -132,12 +132,12 @@ def correct_program(
     """
     language = language_of(path)
     check_names(path, language, options.tool, options.tools, options.works)
-    base, flange = _placed(language, names, options, _last_axis(how.pair))
     tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
     tool_of, work_of = ({name.lower(): six for name, six in of.items()} for of in (options.tools, options.works))
     surroundings = Surroundings(tool, tool_of, work_of, options.harmless)
     program = read_program(path, surroundings)
     check_used(path, program, options.works)
+    base, flange = _placed(language, names, options, _last_axis(how.pair))
     at_joints = [m.start for m in program.motions if any(not isinstance(goal.target, Pose) for goal in m.goals)]
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
