@@ -327,6 +327,8 @@ def test_results_that_are_none_are_failures_or_not_measured(junk):
 
 def test_advice_names_commands_for_this_box():
     few, none = {"ok": 0, "value": 0, "unit": ""}, {"ok": 0, "value": 1, "unit": ""}
-    found = {f.name: f.advice for f in findings({"stops": few, "thermometers_missing": none}, "/dev/ttyACM1")}
+    results = {"stops": few, "thermometers_missing": none, "excitation": few}
+    found = {f.name: f.advice for f in findings(results, "/dev/ttyACM1")}
     assert "run truearm box config set magnetostrictive.period_us=0 --box /dev/ttyACM1" in found["stops"]
     assert "truearm box config get --box /dev/ttyACM1 prints" in found["thermometers_missing"]
+    assert "run truearm box config set channel.NAME.over= --box /dev/ttyACM1 for each" in found["excitation"]

@@ -110,6 +110,23 @@ def test_a_calibration_is_replaced_as_a_whole_or_removed():
     assert "calibration" not in with_file(config, head + "calibration = {}\n", "x")["channels"][0]
 
 
+def test_a_value_that_may_be_missing_is_removed():
+    config = full()
+    config["channels"][0]["over"] = "excitation"
+    config["thermometers"] = {"bar": "28ff641e0316c2a5"}
+    assert "over" not in with_file(config, '[[channel]]\nname = "lvdt"\nover = ""\n', "x")["channels"][0]
+    new = with_assignment(with_assignment(config, "channel.lvdt.over="), "thermometers.bar = ")
+    assert differences(config, new) == [
+        ("channel.lvdt.over", '"excitation"', ""),
+        ("thermometers.bar", '"28ff641e0316c2a5"', ""),
+    ]
+    assert firmware.check(new) is new
+    assert with_assignment(new, "channel.lvdt.over=") == new
+    assert with_assignment(config, "magnetostrictive.serial=")["magnetostrictive"]["serial"] == ""
+    with pytest.raises(ConfigError, match="osr"):
+        with_assignment(config, "osr=")
+
+
 @pytest.mark.parametrize(
     ("change", "key", "wire"),
     [

@@ -132,7 +132,7 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     """Return ``config`` with the settings in the TOML ``text``, checked.
 
     Channels are matched by name, or by order if there are four. A calibration replaces the previous one completely; an
-    empty one removes it. Raises ConfigError, which refers to the file as ``name``.
+    empty one, or an empty ``over``, removes it. Raises ConfigError, which refers to the file as ``name``.
     """
     given = read(CONFIG, parse_toml(text, name, ConfigError, parse_float=parse_number), name, ConfigError)
     new = copy.deepcopy(dict(config))
@@ -147,6 +147,8 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
         target |= channel
         if channel.get("calibration") == {}:
             del target["calibration"]
+        if channel.get("over") == "":
+            del target["over"]
     return check(new)
 
 
@@ -168,6 +170,7 @@ def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], na
 def with_assignment(config: Mapping[str, Any], text: str) -> Values:
     """Return ``config`` with one KEY=VALUE changed, such as ``channel.lvdt.gain=2``. Raises ConfigError.
 
+    Without a value, a key that the box does not need is removed: ``channel.lvdt.over=``.
     Combinations of values are not checked here; call ``check`` after all changes.
     """
     path, equals, value = text.partition("=")
@@ -180,6 +183,9 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
         parts = [] if "." in path else ["channel.NAME.…", "magnetostrictive.…", "thermometers.NAME"]
         check_known({name: value} if name not in keys else {}, [*keys, *parts])
         key = keys[name]
+        if not value.strip() and not key.needed:
+            target.pop(key.called, None)
+            return new
         with at(path.strip()):
             raw = _value(value.strip(), isinstance(key.value, UnquotedText))
             target[key.called] = key.value.parse(raw, key.spellings[name])

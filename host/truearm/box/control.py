@@ -90,7 +90,9 @@ class BoxControl:
         """Ask for the ident. Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
         self._send(wire.IDENTIFY, (), lambda: self._identified == self._awaited, RETRY_NS, retries)
         if self.ident is None:
-            raise ProtocolError(f"{self._link.name}: the box answers but does not identify itself; update its firmware")
+            raise ProtocolError(
+                f"{self._link.name}: the box answers but does not identify itself; update its firmware with truearm box flash"
+            )
         return self.ident
 
     def command(self, kind: int, *arguments: Any, retry_ns: int = RETRY_NS, retries: int = RETRIES) -> bytes:
@@ -159,10 +161,12 @@ class BoxControl:
             document = load_document(data)
         except cbor2.CBORError as exc:
             raise ProtocolError(
-                f"{self._link.name}: the box's {what} cannot be decoded ({exc}); update its firmware"
+                f"{self._link.name}: the box's {what} cannot be decoded ({exc}); update its firmware with truearm box flash"
             ) from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
-            raise ProtocolError(f"{self._link.name}: the box's {what} is not a table; update its firmware")
+            raise ProtocolError(
+                f"{self._link.name}: the box's {what} is not a table; update its firmware with truearm box flash"
+            )
         return document
 
     def _send(

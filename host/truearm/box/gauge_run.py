@@ -208,7 +208,7 @@ def _find(ident: Ident, name: str, device: str) -> tuple[Stream, int]:
     if found[0].channels[found[1]].fault:
         raise InputError(
             f"channel {name} cannot be used: {found[0].channels[found[1]].fault}; correct it with "
-            f"{box_command('config set', device)}"
+            f"{box_command(f'config set channel.{name}.KEY=VALUE', device)}"
         )
     return found
 

@@ -104,7 +104,7 @@ def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[st
     channel = stream.channels[index]
     if channel.fault:
         return [
-            f"channel {name} cannot be used: {channel.fault}; correct it with {box_command('config set', device)}"
+            f"channel {name} cannot be used: {channel.fault}; correct it with {box_command(f'config set channel.{name}.KEY=VALUE', device)}"
         ], []
     if channel.length_unit is None:
         return [

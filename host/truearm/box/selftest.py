@@ -31,7 +31,8 @@ class Finding:
 class _Item:
     """``inner``: a value in this range passes without a warning; the displayed unit is the wire's times 1 / ``per``.
 
-    ``advice`` may contain the commands {off}, which switches the head off, and {get}, which prints the configuration.
+    ``advice`` may contain the commands {off}, which switches the head off, {get}, which prints the configuration,
+    {undivided}, which removes ``over``, and {address}, which changes the address of a thermometer.
     """
 
     what: str
@@ -57,7 +58,7 @@ _ITEMS = {
     "excitation": _Item(
         "current of the LVDT's primary, as a voltage",
         f"check the LVDT's plug, primary and supply ({_HARDWARE}); "
-        "without an LVDT, remove the key 'over' (the channel to divide by) from all channels of the configuration",
+        "without an LVDT, run {undivided} for each channel that has the key 'over' (the channel to divide by)",
         (60_000, 1_100_000), "mV", 1000, ".1f",
     ),
     "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,
@@ -74,7 +75,7 @@ _ITEMS = {
     "temperature": _Item("temperature of the chip", "cool or warm the box", (-10_000, 60_000), "°C", 1000, ".1f"),
     "thermometers_missing": _Item(
         "thermometers of the configuration that do not answer",
-        "check the wires at J1 and the addresses: {get} prints those of the configuration",
+        "check the wires at J1 and the addresses: {get} prints those of the configuration, {address} changes one",
         (0, 0),
     ),
 }  # fmt: skip
@@ -94,17 +95,22 @@ def findings(results: Mapping[str, Any], device: str = "DEVICE") -> list[Finding
 
 def _finding(name: str, result: Any, device: str) -> Finding:
     item = _ITEMS.get(
-        name, _Item(name[:40], "the box's firmware is newer than this truearm; update it", (-(2.0**63), 2.0**63))
+        name, _Item(name[:40], "the box's firmware is newer than this truearm; update truearm", (-(2.0**63), 2.0**63))
     )
     what = item.what.format(name[-1])
     advice = item.advice.format(
-        off=box_command("config set magnetostrictive.period_us=0", device), get=box_command("config get", device)
+        off=box_command("config set magnetostrictive.period_us=0", device),
+        get=box_command("config get", device),
+        undivided=box_command("config set channel.NAME.over=", device),
+        address=box_command("config set thermometers.NAME=ADDRESS", device),
     )
     if result is None:
         return Finding(name, WARN, what, "", f"the box did not measure it; {advice}")
     value = result.get("value") if isinstance(result, dict) else None
     if type(value) is not int or abs(value) >= 2**63 or result.get("ok") not in (0, 1):
-        return Finding(name, FAIL, what, "", "the box's answer cannot be read; update its firmware")
+        return Finding(
+            name, FAIL, what, "", "the box's answer cannot be read; update its firmware with truearm box flash"
+        )
     unit = item.unit if name in _ITEMS else str(result.get("unit", ""))[:10]
     shown = f"{_scaled(value, item)} {unit}".strip()
     if not result["ok"]:

@@ -61,7 +61,8 @@ def put(
 ) -> None:
     """Change a box's configuration; print what changes.
 
-    Values that you do not give stay unchanged. The box stores the new configuration at once. If the power fails meanwhile, it
+    Values that you do not give stay unchanged; KEY= without a value removes one that may be missing, such as
+    channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it
     keeps either the old or the new one.
 
     \b

@@ -60,7 +60,9 @@ def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | N
         return Gravity(of_robot or DOWN, of_robot is not None)
     length = np.linalg.norm(given[rows], axis=1)
     if not length.all():
-        raise InputError(f"{table.source[rows[length == 0.0][0]]}: gravity is 0; give its direction in the base frame")
+        raise InputError(
+            f"{table.source[rows[length == 0.0][0]]}: gravity is 0; give its direction in the base frame (gravity_x_m_s2, …)"
+        )
     unit = given[rows] / length[:, None]
     x, y, z = mean = unit.mean(axis=0) / max(float(np.linalg.norm(unit.mean(axis=0))), LEAST_TORQUE)
     return Gravity((float(x), float(y), float(z)), True, float(np.arccos(np.clip(unit @ mean, -1.0, 1.0)).max()))

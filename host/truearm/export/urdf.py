@@ -238,7 +238,7 @@ def new_urdf(robot: LinkFrames, comment: str = "") -> str:
             kind = "continuous"
         else:
             raise RobotError(
-                f"joint {joint.name} is prismatic without limits, which a URDF cannot express; add its limits to the robot file"
+                f"joint {joint.name} is prismatic without limits, which a URDF cannot express; add its lower_mm and upper_mm to the robot file"
             )
         moving = f'    <axis xyz="0 0 1"/>\n{limit}'
         at = origin @ joint_motion(joint, float(robot.offsets[i]))

@@ -240,7 +240,9 @@ class _Recorder:
 
     def _ident(self) -> Ident:
         if self._box.ident is None:
-            raise ProtocolError(f"{self._link.name}: the box answers but does not identify itself; update its firmware")
+            raise ProtocolError(
+                f"{self._link.name}: the box answers but does not identify itself; update its firmware with truearm box flash"
+            )
         return self._box.ident
 
     def _check_end(self) -> None:

@@ -111,7 +111,9 @@ def decode_ident(data: bytes) -> Ident:
     try:
         document = load_document(data)
     except cbor2.CBORError as exc:
-        raise ProtocolError(f"the box's description of itself cannot be decoded ({exc}); update its firmware") from exc
+        raise ProtocolError(
+            f"the box's description of itself cannot be decoded ({exc}); update its firmware with truearm box flash"
+        ) from exc
     return parse_ident(document)
 
 
@@ -136,7 +138,9 @@ def parse_ident(document: object) -> Ident:
     try:
         return _ident(_plain(_typed(document, dict, "document")))
     except _Wrong as exc:
-        raise ProtocolError(f"the box's description of itself: {exc}; update its firmware") from exc
+        raise ProtocolError(
+            f"the box's description of itself: {exc}; update its firmware with truearm box flash"
+        ) from exc
 
 
 def parse_ident_json(text: str) -> Ident:
@@ -197,7 +201,7 @@ def _check_protocol(version: object) -> None:
     if not isinstance(version, list) or len(version) < 2 or not all(type(v) is int for v in version):
         raise _Wrong("it does not report its protocol version")
     if version[0] != PROTOCOL_MAJOR:
-        side = "truearm" if version[0] > PROTOCOL_MAJOR else "the box's firmware"
+        side = "truearm" if version[0] > PROTOCOL_MAJOR else "the box's firmware with truearm box flash"
         spoken = ".".join(_shown(v) for v in version[:2])
         raise ProtocolError(f"the box speaks protocol {spoken}, this truearm {PROTOCOL_MAJOR}.x; update {side}")
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.errors import RigError
+from truearm.errors import Argument, RigError
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.box_temperature import BoxTemperature, box_temperature
@@ -329,7 +329,8 @@ def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
         if mounted[key] not in known:
             names = ", ".join(sorted(known)) or "none"
             raise RigError(
-                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names}); add it to the rig, or give the right rig"
+                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names}); add it to the rig, or give the right rig as ",
+                Argument("rig"),
             )
 
 

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import RigError
+from truearm.errors import Argument, RigError
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, LinePass
@@ -310,5 +310,6 @@ def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
         if mounted.get(key) and mounted[key] not in names and not as_they_come:
             have = ", ".join(sorted(names)) or "none"
             raise RigError(
-                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig"
+                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
+                Argument("rig"),
             )

@@ -19,6 +19,7 @@ from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_c
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
 from truearm.session.message_columns import Ints
+from truearm.text import box_command, one_line
 from truearm.types import BallBar, Floats
 from truearm_wire import messages as wire
 
@@ -63,13 +64,14 @@ def extension(counts: NDArray[Any], channel: Channel) -> Floats:
     """
     if channel.fault:
         raise SessionError(
-            f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct the box's configuration and "
-            "record again"
+            f"channel {channel.name!r} of the box cannot be used: {channel.fault}; correct it with "
+            f"{box_command(f'config set channel.{one_line(channel.name)}.KEY=VALUE', 'DEVICE')}, then record again"
         )
     unit = channel.length_unit
     if unit is None:
         raise SessionError(
-            f"channel {channel.name!r} of the box has no calibration to metres; record with a calibrated box"
+            f"channel {channel.name!r} of the box has no calibration to metres; calibrate it with "
+            f"{box_command(f'gauge {one_line(channel.name)}', 'DEVICE')}, then record again"
         )
     return np.asarray(unit.to_si(np.polynomial.polynomial.polyval(volts(counts, channel), channel.poly)))
 

@@ -107,7 +107,9 @@ class RtdeLink:
         full_hz = FULL_RATE_HZ[version[0] >= 5]
         self._hz = hz or full_hz
         if full_hz % self._hz:  # packages would not be evenly spaced, and seq would count wrong
-            raise InputError(f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz")
+            raise InputError(
+                f"{self.name}: give a rate that divides the controller's {full_hz:g} Hz, such as ?hz={full_hz / 4.0:g}"
+            )
         self._recipe = self._agree()
         if self._ask(rtde.START, rtde.package(rtde.START)) != b"\1":
             raise LinkError(f"{self.name}: the controller refuses to send data packages; restart the controller")
