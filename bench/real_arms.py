@@ -369,21 +369,19 @@ the IRB 120 and the readings that its controller gave.
 
 def picture(outcomes: Sequence[Outcome]) -> str:
     """Return a bar chart of the mean held-out errors, with geometry alone and with joint laws, as SVG."""
-    left, step, width = 330, 34, 420
+    left, step, width = 450, 34, 420
     most = max(float(out.geometry.mean()) for out in outcomes)
     parts = []
     for i, out in enumerate(outcomes):
         y = 44 + i * step
-        parts.append(
-            f'<text x="{left - 8}" y="{y + 14}" text-anchor="end">{out.case.name}, {out.case.split[:34]}</text>'
-        )
+        parts.append(f'<text x="{left - 8}" y="{y + 14}" text-anchor="end">{out.case.name}, {out.case.split}</text>')
         for k, (colour, error) in enumerate((("#8a8f98", out.geometry), ("#1769aa", out.laws))):
             mean = float(error.mean())
             length = width * min(mean / min(most, 0.6), 1.0)
             parts.append(f'<rect x="{left}" y="{y + 12 * k}" width="{length:.1f}" height="10" fill="{colour}"/>')
             parts.append(f'<text x="{left + length + 5:.1f}" y="{y + 12 * k + 9}" font-size="10">{mean:.3f}</text>')
     height = 60 + step * len(outcomes)
-    title = '<text x="12" y="22" font-size="14">Mean held-out error [mm]: geometry (grey), with joint laws (blue); bars end at 0.6 mm</text>'
+    title = '<text x="12" y="22" font-size="14">Mean held-out error [mm]: geometry (grey), with joint laws (blue). A bar of more than 0.6 mm is cut</text>'
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + width + 60} {height}" font-family="sans-serif" font-size="12">'
         f'<rect width="100%" height="100%" fill="white"/>{title}{"".join(parts)}</svg>\n'

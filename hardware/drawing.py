@@ -10,6 +10,7 @@ from hardware.sheet import SUPPLIES, Part, Point, Sheet, wires
 
 UNIT = 10  # pixels per grid unit
 PER_MM = UNIT / 2.54
+NOTE_LETTER = 0.62  # grid units: the width of a letter of a note at most, on average over a sentence
 STYLE = (
     "text{font:8px sans-serif;fill:#222}.n{font-size:11px;fill:#245}.p{fill:#777;font-size:6.5px}.l{fill:#830;font-size:7.5px}"
     ".w{stroke:#063;fill:none}.s{stroke:#222;fill:none}.b{stroke:#222;fill:#fffbe8}.d{fill:#063}.e{opacity:.45}"
@@ -40,7 +41,8 @@ def svg(sheet: Sheet, shared: frozenset[str]) -> str:
         p[1] for p, _ in sheet.notes
     ]
     x0, y0 = (min(xs) - 9) * UNIT, (min(ys) - 5) * UNIT
-    width, height = (max(xs) + 11) * UNIT - x0, (max(ys) + 5) * UNIT - y0
+    right = max(max(xs) + 11, *(round(p[0] + NOTE_LETTER * len(text)) + 1 for p, text in sheet.notes))
+    width, height = right * UNIT - x0, (max(ys) + 5) * UNIT - y0
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x0} {y0} {width} {height}" role="img">\n'
         f"<title>{escape(sheet.title)}</title>\n<style>{STYLE}</style>\n"

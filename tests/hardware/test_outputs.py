@@ -1,5 +1,6 @@
 """The committed hardware files are what the sources generate, and their numbers follow from the sources."""
 
+import html
 import math
 import re
 
@@ -18,6 +19,16 @@ def test_committed_files_are_what_the_sources_make():
 def test_nothing_else_lies_among_the_committed_files():
     made = set(outputs.committed())
     assert {path for folder in (outputs.OUT, outputs.DRAWINGS) for path in folder.iterdir()} <= made
+
+
+def test_a_note_of_a_drawing_is_within_it():
+    for sheet in outputs.DRAWINGS.glob("*.svg"):
+        text = sheet.read_text(encoding="utf-8")
+        x0, _, width, _ = map(float, re.search(r'viewBox="([^"]+)"', text)[1].split())
+        for x, note in re.findall(r'<text class="n" x="(\d+)"[^>]*>([^<]*)<', text):
+            assert float(x) + 6.0 * len(html.unescape(note)) <= x0 + width, (
+                sheet.name
+            )  # an 11 px sans-serif is narrower
 
 
 def test_no_date_and_no_path_is_in_them():
