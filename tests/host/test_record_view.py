@@ -162,7 +162,7 @@ class TestCheck:
         old = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2024-11-22"}}
         verdict = check_box(box(**old), Purpose(ball_bar=True, osr=128), TODAY)
         assert verdict.warned == (
-            "channel lvdt was calibrated 730 days ago, on 2024-11-22",
+            "channel lvdt was calibrated 730 days ago, on 2024-11-22; calibrate it again with truearm box gauge lvdt --box DEVICE",
             "stream adc samples at oversampling ratio (osr) 4096, not 128 as requested",
         )
         soon = {"calibration": {"unit": "m", "poly": [[1, 0]], "date": "2030-01-01"}}

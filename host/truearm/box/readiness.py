@@ -110,10 +110,10 @@ def _channel(ident: Ident, name: str, today: date, device: str) -> tuple[list[st
         return [
             f"channel {name} is not calibrated to a length; calibrate it with {box_command(f'gauge {name}', device)}"
         ], []
-    return [], _old(name, _described(ident, stream, index), today)
+    return [], _old(name, _described(ident, stream, index), today, device)
 
 
-def _old(name: str, described: Mapping[str, Any], today: date) -> list[str]:
+def _old(name: str, described: Mapping[str, Any], today: date, device: str) -> list[str]:
     calibration = described.get("calibration")
     made = calibration.get("date") if isinstance(calibration, dict) else None
     try:
@@ -122,7 +122,10 @@ def _old(name: str, described: Mapping[str, Any], today: date) -> list[str]:
         return []
     if days < 0:
         return [f"channel {name} was calibrated on {made}, which is in the future; check the date of this computer"]
-    return [f"channel {name} was calibrated {days} days ago, on {made}"] if days > OLD_DAYS else []
+    if days <= OLD_DAYS:
+        return []
+    again = box_command(f"gauge {name}", device)
+    return [f"channel {name} was calibrated {days} days ago, on {made}; calibrate it again with {again}"]
 
 
 def _described(ident: Ident, stream: Stream, index: int) -> Mapping[str, Any]:

@@ -145,7 +145,7 @@ def beyond_stroke(rows: ObservationTable, rig: Rig) -> list[str]:
             first = f"{mine.source[beyond[0]]}, {MM.text(float(mine.value[beyond[0]]), '.1f')}"
             out.append(
                 f"beyond the stroke of bar {name}, {MM.of(low):.1f} to {MM.text(high, '.1f')}: {beyond.size} of its {len(mine)} "
-                f"rows (first {first}); check the bar in these rows, and its zero and travel in the rig"
+                f"rows (first {first}); check the bar in these rows, and its zero_mm and travel_mm in the rig"
             )
     return out
 
