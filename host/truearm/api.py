@@ -23,7 +23,6 @@ from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
 from truearm.errors import Argument, InputError, SessionError, TableError
-from truearm.estimate.problem import Rigs
 from truearm.export.formats import FORMATS
 from truearm.file_names import no_such_file
 from truearm.files import observation_table, result_file, rig_file, robot_file
@@ -31,7 +30,7 @@ from truearm.files.disk import write_atomic
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
-from truearm.types import ObservationTable, Rig
+from truearm.types import ObservationTable, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification

@@ -6,7 +6,7 @@ Shapes: ``n`` rows, ``p`` parameters of the problem.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, NamedTuple, assert_never
@@ -84,6 +84,17 @@ class NullDirection:
 
     names: tuple[str, ...]
     weights: tuple[float, ...]
+
+
+def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Floats:
+    """Return the weights (k, d) of k parameters in d directions; 0 for those that a direction does not contain."""
+    at = {name: i for i, name in enumerate(names)}
+    weights = np.zeros((len(names), len(directions)))
+    for column, direction in enumerate(directions):
+        for name, weight in zip(direction.names, direction.weights, strict=True):
+            if name in at:
+                weights[at[name], column] = weight
+    return weights
 
 
 class Observability(NamedTuple):

@@ -283,6 +283,14 @@ class Rig:
         return replace(self, **(own if field in self.__dataclass_fields__ else {"entries": {**self.entries, **own}}))
 
 
+Rigs = Rig | Mapping[str, Rig]  # one for all rows, or several by the names in a table's column ``rig``
+
+
+def rigs_by_name(rig: Rigs) -> Mapping[str, Rig]:
+    """Return rigs by the names in the column ``rig``; "" is the name of a single one."""
+    return {"": rig} if isinstance(rig, Rig) else rig
+
+
 def _absent() -> Any:
     """Return a placeholder for a column that was not given; ObservationTable fills it."""
     return None
@@ -515,6 +523,11 @@ class Plan:
 def rms(values: Floats) -> float:
     """Return the root mean square of all values; NaN if there are none."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+
+
+def thinned(n: int, most: int) -> NDArray[np.intp]:
+    """Return an evenly spaced selection of ``most`` of n rows, or all if there are fewer."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
 
 
 def not_left_out(weight: Floats) -> NDArray[np.bool_]:

@@ -228,7 +228,7 @@ def test_targets_near_each_other_have_the_solutions_of_each_alone(name, monkeypa
     """Those of a neighbour lead to as many as a search for each target by itself finds: that misses a few per cent near singularities, and others."""
     chain = builtin_robot(name).chain
     rng = np.random.default_rng(5)
-    lower, upper = inverse_kinematics.limits_of(chain)
+    lower, upper = chain.limits
     q = np.repeat(rng.uniform(lower, upper, (10, 6)), 10, axis=0) + rng.uniform(-0.05, 0.05, (100, 6))
     targets = forward(chain, chain.params_nominal, q)
     found = inverse_kinematics._solutions(chain, chain.params_nominal, targets, True)

@@ -11,10 +11,10 @@ from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, le
 import truearm
 from truearm.errors import InputError
 from truearm.estimate import systematic_candidates
-from truearm.estimate.identify import SolverOptions, identify, modelled_of
+from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
-from truearm.estimate.problem import build_problem
+from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_candidates import in_all_rows
 from truearm.estimate.systematic_confirmation import FOLDS, STRETCHES, path_inflation

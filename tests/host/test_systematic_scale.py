@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, FREE, SIGMA, TRUTH, random_poses
 
-from truearm.estimate.identify import SolverOptions, identify, modelled_of
-from truearm.estimate.problem import build_problem
+from truearm.estimate.identify import SolverOptions, identify
+from truearm.estimate.problem import build_problem, modelled_of
 from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.report.systematic_words import systematic_sentences

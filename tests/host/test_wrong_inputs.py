@@ -18,7 +18,6 @@ from ur10_bench import ROBOT as UR10
 import truearm
 from truearm.cli import identify_text
 from truearm.estimate import wrong_inputs
-from truearm.estimate.better_fit import thinned
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.misread_columns import mirrored
 from truearm.estimate.other_readings import Candidate
@@ -30,7 +29,7 @@ from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.usability_words import usability_sentences
 from truearm.results import Unusable, WrongInput
-from truearm.types import ObservationTable
+from truearm.types import ObservationTable, thinned
 
 ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
 PUMA = builtin_robot("puma560")

@@ -303,7 +303,7 @@ def _followed(origin: NDArray[np.int_]) -> list[int]:
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
     """Return joint readings (…, j) shifted by whole turns as close to ``near`` (j,) as the limits allow."""
     turn, law = 2.0 * np.pi / np.abs(chain.law.gain.of(params)), chain.law
-    lower, upper = limits_of(chain)
+    lower, upper = chain.limits
     turning = np.array([joint.kind == "revolute" for joint in chain.joints])
     turns = np.clip(np.round((near - q) / turn), np.ceil((lower - q) / turn), np.floor((upper - q) / turn))
     turns = np.where(turning, turns, 0.0)
@@ -316,13 +316,8 @@ def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
 
 def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:
     """Return whether joint readings (…, j) are inside the limits by ``room`` [rad, m]."""
-    lower, upper = limits_of(chain)
+    lower, upper = chain.limits
     return np.asarray(((q >= lower + room) & (q <= upper - room)).all(axis=-1))
-
-
-def limits_of(chain: Chain) -> tuple[Floats, Floats]:
-    """Return the joints' limits (j,) [rad or m]; infinite where there is none."""
-    return np.array([joint.lower for joint in chain.joints]), np.array([joint.upper for joint in chain.joints])
 
 
 def _sampled_range(chain: Chain) -> tuple[Floats, Floats]:

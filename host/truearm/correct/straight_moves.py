@@ -61,7 +61,7 @@ def limit_margins(chain: Chain, q: Floats) -> Floats:
 
     It is negative outside the limits, and inf where there is none.
     """
-    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    lower, upper = chain.limits
     return np.asarray(np.minimum(q - lower, upper - q))
 
 

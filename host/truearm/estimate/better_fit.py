@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from truearm.estimate.label_test import log_chance
 from truearm.estimate.trial_fit import Trial
 from truearm.results import Explanation, WrongInput
+from truearm.types import thinned
 from truearm.units import UNITS
 
 HUNDREDFOLD = 0.01  # of χ²
@@ -65,6 +66,6 @@ def found_in(
     return Found(Explanation(what, text, apply, n, before.rms, after.rms, chance), after, score)
 
 
-def thinned(n: int, most: int = MOST_ROWS) -> NDArray[np.intp]:
-    """Return an evenly spaced selection of n rows."""
-    return np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.intp))
+def some_rows(rows: NDArray[np.bool_], most: int = MOST_ROWS) -> NDArray[np.intp]:
+    """Return the numbers of an evenly spaced selection of masked ``rows`` (n,)."""
+    return np.flatnonzero(rows)[thinned(int(rows.sum()), most)]

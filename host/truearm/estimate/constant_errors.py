@@ -16,18 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.better_fit import thinned
-from truearm.estimate.circumstances import Circumstances
+from truearm.estimate.better_fit import some_rows
 from truearm.estimate.fit import fit
-from truearm.estimate.problem import Problem, Rigs, build_problem
+from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.systematic_candidates import AS_LIKELY, in_all_rows, largest_errors
-from truearm.estimate.systematic_effects import Cause, modelled_effects
+from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.systematic_score import FitChi2, log_chance
 from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.results import Effect, OffBy, SystematicError, SystematicErrors
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, Rigs
 
 MOST_ROWS = 400  # of a fit that ranks the items
 FITS = Options(max_iterations=20)
@@ -54,13 +53,11 @@ class Fitting(NamedTuple):
     def refit(self, cause: Cause, rows: NDArray[np.bool_]) -> tuple[Problem, NDArray[np.bool_], Solution]:
         """Return the fit of some ``rows`` (n,) with an item off in all of them, its problem and its columns."""
         effects = [*self.effects, Effect(cause.name)]
-        every = modelled_effects(
-            build_problem(self.chain, self.rig, self.table).causes, effects, Circumstances.of(self.table, self.chain)
-        )
+        every = modelled_of(self.chain, self.rig, self.table, effects)
         modelled = [one.select(self.fitted) for one in every]
         problem = build_problem(self.chain, self.rig, self.table.select(self.fitted), self.prior_sigma, modelled)
         known = dict(zip(self.problem.names, self.x, strict=True))
-        x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
+        x = problem.at(known)
         columns = np.concatenate([self.columns, np.ones(x.size - self.x.size, dtype=bool)])
         return problem, columns, fit(only(problem, rows), columns, x, FITS)
 
@@ -71,7 +68,7 @@ def one_constant(of: Fitting, found: SystematicErrors, state: FitChi2) -> System
     ``state`` is χ² of the fit. ``moves`` of what is returned is not known yet.
     """
     few = np.zeros(of.used.size, dtype=bool)
-    few[np.flatnonzero(of.used)[thinned(int(of.used.sum()), MOST_ROWS)]] = True
+    few[some_rows(of.used, MOST_ROWS)] = True
     ranked = sorted(((_chi2(of, cause, few), cause) for cause in in_all_rows(of.problem)), key=lambda one: one[0])
     if not ranked or not math.isfinite(ranked[0][0]):
         return None

@@ -29,17 +29,17 @@ from scipy import special
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
 from truearm.estimate.identifiability import identifiability, spread, suggested_free, weakly_identifiable
-from truearm.estimate.information import RANK_TOLERANCE, observe, with_prior
+from truearm.estimate.information import RANK_TOLERANCE, of_rows
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
-from truearm.estimate.problem import Problem, Rigs, build_problem, settled
+from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solution import Options
 from truearm.estimate.solvers import Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
 from truearm.results import Defaults, StillJoint
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, Rigs
 from truearm.units import UNITS
 
 Mask = NDArray[np.bool_]
@@ -70,8 +70,7 @@ def choose_defaults(
     if len(table) == 0:
         return free, np.full(free.size, np.inf), Defaults()
     problem = build_problem(chain, rig, table, None, effects)
-    p = problem.n_robot
-    rig_only = np.arange(problem.start.size) >= p
+    p, rig_only = problem.n_robot, problem.of_rig
     x = fit(problem, rig_only, problem.start, Options()).x if rig_only.any() else problem.start
     gross, x = gross_rows(problem, rig_only, x)
     unit, names = weak_prior(chain), np.array(chain.parameter_names)
@@ -134,7 +133,7 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
     everywhere = np.concatenate(
         [np.where(mounted, np.inf, wide_prior(problem.chain)), problem.prior_sigma[free.size :]]
     )
-    columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
+    columns = problem.columns(free)
     wide = replace(problem, prior_sigma=everywhere)
     _, x = gross_rows(wide, columns, fit(wide, columns, x, Options(PRELIMINARY)).x)
     misfit, rms = _misfit(problem, x, columns)
@@ -148,8 +147,8 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
 
 def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
     """Return the rows of a table, repeated if there are few, in random poses: what the same fixtures could determine."""
-    lower, upper = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
     rows = np.resize(np.arange(len(table)), max(len(table), LEAST_POSES))
+    lower, upper = chain.limits
     q = np.random.default_rng(0).uniform(lower, upper, (rows.size, len(chain.joints)))
     return replace(table.select(rows), q=q)
 
@@ -213,7 +212,4 @@ def _root(problem: Problem, x: Floats, free: Mask) -> Floats:
     Of x, only the P values of the problem are used.
     """
     x = x[: problem.start.size]
-    columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
-    sigma = np.where(np.arange(problem.start.size) < free.size, np.inf, problem.prior_sigma)[columns]
-    seen = observe(settled(problem, x), x, columns)
-    return with_prior(seen, np.zeros(sigma.size), sigma).root
+    return of_rows(settled(problem, x), x, problem.columns(free)).root

@@ -55,7 +55,7 @@ def mounting(chain: Chain, params: Floats) -> Mounting:
 def _mounting(chain: Chain, numbers: bytes) -> Mounting:
     params = np.frombuffer(numbers)
     rng = np.random.default_rng(0)
-    lower, upper = (np.array([getattr(joint, side) for joint in chain.joints]) for side in ("lower", "upper"))
+    lower, upper = chain.limits
     q = rng.uniform(np.maximum(lower, -RANGE), np.minimum(upper, RANGE), (N_POSES, len(chain.joints)))
     pose = forward(chain, params, q)
     trace = trace_point(chain, params, q, np.zeros(3))

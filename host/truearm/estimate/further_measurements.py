@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from truearm.estimate.identifiability import identifiable_columns, suggested_free
 from truearm.estimate.information import fold, observe, with_prior
-from truearm.estimate.problem import Rigs, build_problem, settled
+from truearm.estimate.problem import build_problem, settled
 from truearm.kinds.proposals import Proposal
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
 from truearm.results import Addition
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, ObservationTable, Rig, Rigs
 
 
 def additions(

@@ -13,7 +13,6 @@ from truearm import option_defaults
 from truearm.errors import ProblemError
 from truearm.estimate.bad_rows import MOST as MOST_BAD
 from truearm.estimate.bad_rows import without_bad_rows
-from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.constant_errors import Fitting, one_constant
 from truearm.estimate.declared_noise import residual_parts
 from truearm.estimate.fit import fit
@@ -28,7 +27,7 @@ from truearm.estimate.identifiability import (
     spread,
     suggested_free,
 )
-from truearm.estimate.information import Information, half, observe, spectrum, with_prior
+from truearm.estimate.information import half, observe, of_rows, spectrum
 from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
@@ -36,12 +35,12 @@ from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
-from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
-from truearm.estimate.solution import Options, Solution, of_data
+from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.solution import Options, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
 from truearm.estimate.systematic import moves, systematic_errors, with_robot_prior
-from truearm.estimate.systematic_effects import Modelled, modelled_effects
+from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
@@ -49,7 +48,7 @@ from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain
 from truearm.progress import step
 from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
-from truearm.types import Floats, ObservationTable, Residuals, not_left_out
+from truearm.types import Floats, ObservationTable, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -123,7 +122,7 @@ def identify(
         raise ProblemError("no observations are left to fit; hold out fewer")
     modelled = modelled_of(chain, rig, table, options.effects)
     problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
-    columns = np.concatenate([free, np.ones(len(problem.names) - free.size, dtype=bool)])
+    columns = problem.columns(free)
     history: list[dict[str, float]] = []
 
     def on_step(iteration: int, residual: Residuals) -> None:
@@ -134,7 +133,7 @@ def identify(
     x_raw, raw = _raw(problem, options.max_iterations)
     gross = np.zeros(problem.n_rows, dtype=bool)
     rejects = options.reject and SOLVERS[options.solver].has_loss and options.loss == Loss.LINEAR
-    of_rig = np.arange(columns.size) >= problem.n_robot
+    of_rig = problem.of_rig
     if options.outliers is not None:
         gross = options.outliers[fitted]
         x_raw = fit(only(problem, ~gross), of_rig, x_raw, Options()).x if of_rig.any() else x_raw
@@ -168,8 +167,8 @@ def identify(
         fit_quality = goodness(*weighted_chi2(tolerated, x, loss), shares)
     taken = only(problem, found.weight > 0.0)
     still = settled(taken, x)
-    data = _data_root(still, columns, found)
-    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
+    data = of_rows(still, x, columns)
+    names = problem.names_of(columns)
     sight = identifiability(data.root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = weak_prior(chain)[free]
@@ -184,7 +183,7 @@ def identify(
         with step("testing for systematic errors"):
             # With the derivatives at the readings as they are: the test subtracts what the parameters follow of them.
             alike = all(one is other for one, other in zip(still.groups, taken.groups, strict=True))
-            as_fitted = data if alike else _data_root(taken, columns, found)
+            as_fitted = data if alike else of_rows(taken, x, columns)
             state = FitChi2(unweighted.reduced * unweighted.freedom, unweighted.freedom, unweighted.band[1])
             wrong = systematic_errors(taken, x, columns, Fitted.of(as_fitted), state, how, table.q[fitted])
             wrong = with_robot_prior(wrong, columns, as_fitted.root, half(parts))
@@ -277,15 +276,6 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
     return out
 
 
-def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
-    """Return the parameters of effects, based on everything that the table uses."""
-    return (
-        modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
-        if effects
-        else []
-    )
-
-
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:
     """Return the time offsets that the data hardly determine, whose sigma would be meaningless."""
     offsets = [k for k, name in enumerate(names) if name.rpartition(".")[2] == TIME_OFFSET]
@@ -312,7 +302,7 @@ def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
     An unmeasured position of a ball or chuck is not an error of the robot. With a guessed rig, the identification would
     be credited with correcting it.
     """
-    rig_only = np.arange(len(problem.names)) >= problem.n_robot
+    rig_only = problem.of_rig
     if not rig_only.any():
         return problem.start, observe(problem, problem.start, rig_only).residual
     # The nominal robot's errors do not make rows outliers: no gate and no robust loss.
@@ -328,21 +318,12 @@ def _before(
     Starts from the result of ``_raw``. The mounting of base and tool is not an error of the robot either. Only the free
     parameters that move nothing else are fitted.
     """
-    mounts = np.arange(columns.size) >= problem.n_robot
     mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
     if not mounted.any():
         return x, raw
-    mounts[: problem.n_robot] = mounted
+    mounts = problem.columns(mounted)
     x = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH))).x
     return x, observe(problem, x, mounts).residual
-
-
-def _data_root(problem: Problem, columns: NDArray[np.bool_], found: Solution) -> Information:
-    """Return the information of rows and of the rig, without the robot's prior."""
-    n_robot = int(columns[: problem.n_robot].sum())
-    rig_prior = problem.prior_sigma[columns]
-    rig_prior[:n_robot] = np.inf
-    return with_prior(observe(problem, found.x, columns), (problem.start - found.x)[columns], rig_prior)
 
 
 def judged(
@@ -362,8 +343,7 @@ def judged(
     )
     known = dict(zip(fitted.names, x_fit, strict=True))
     columns = np.array([name not in known for name in problem.names])
-    x = np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
-    solution = fit(problem, columns, x, Options())
+    solution = fit(problem, columns, problem.at(known), Options())
     error, x = solution.information.residual, solution.x
     judging = has_freedom(problem, columns, x)
     if not judging.any():

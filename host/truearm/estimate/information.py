@@ -125,6 +125,11 @@ def with_prior(information: Information, error: Floats, sigma: Floats) -> Inform
     )
 
 
+def of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> Information:
+    """Return the information at x about x[columns] of the rows and of the rig, without the robot's prior."""
+    return with_prior(observe(problem, x, columns), (problem.start - x)[columns], problem.rig_prior[columns])
+
+
 def fold(triangle: Floats, rows: Floats, overwrite: bool = False) -> Floats:
     """Fold rows (m, k) into an upper triangle (k, k); with ``overwrite`` both inputs may be overwritten.
 

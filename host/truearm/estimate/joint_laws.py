@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
-from truearm.estimate.identify import judged, merged, modelled_of, rms_of
+from truearm.estimate.identify import judged, merged, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
@@ -32,7 +32,7 @@ from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
 from truearm.estimate.pose_noise import PoseNoise, normal_matrix
-from truearm.estimate.problem import Rigs, build_problem, without_knowledge
+from truearm.estimate.problem import build_problem, modelled_of, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic import moves
 from truearm.estimate.systematic_effects import Modelled
@@ -42,8 +42,8 @@ from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
-from truearm.results import Effect, Estimate, HeldOut, JointLaws, LawStep, MeanError, PoseError, TriedLaw
-from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals
+from truearm.results import Effect, Estimate, HeldOut, JointLaws, LawStep, MeanError, PoseError, TriedLaw, weights_of
+from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals, Rigs, thinned
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
@@ -199,7 +199,7 @@ class _Work:
     def anywhere(self) -> ObservationTable:
         """Return some of the fitted rows in random poses."""
         rows = np.flatnonzero(self.before.fitted)
-        some = np.unique(np.linspace(0, rows.size - 1, min(rows.size, LEAST_POSES)).astype(int))
+        some = thinned(rows.size, LEAST_POSES)
         return in_any_pose(self.chain, self.table.select(rows[some]))
 
     @property
@@ -358,10 +358,7 @@ def _without_null(covariance: Floats, before: Estimate, names: Sequence[str], un
     """Return the covariance (P, P) without null directions, along which it is that of the weak prior."""
     if not before.null_space:
         return covariance
-    at = {name: i for i, name in enumerate(names)}
-    null = np.zeros((len(names), len(before.null_space)))
-    for k, direction in enumerate(before.null_space):
-        null[[at[name] for name in direction.names], k] = direction.weights
+    null = weights_of(before.null_space, names)
     scale = np.array([UNITS[unit].wide_sigma for unit in units])[:, None]
     basis, _ = np.linalg.qr(null / scale)
     keep = np.eye(len(names)) - scale * basis @ (basis.T / scale.T)

@@ -32,13 +32,12 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.estimate.better_fit import fits
 from truearm.estimate.label_test import CLEARLY, Labels, labellings, log_chance, permuted
-from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
 from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import GROUPS, identifiers, kinds, rig_names
 from truearm.model.chain import Chain
 from truearm.results import Relabelling
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, ObservationTable, Rig, Rigs, rigs_by_name, thinned
 
 TENFOLD = 0.1  # of the RMS
 LEVEL = 1e-3  # probability that correct labels are reported as wrong
@@ -142,7 +141,7 @@ def relabellings(
     chosen = np.flatnonzero(rows & can)
     if chosen.size == 0:
         return Search((), "not needed")
-    search = _searched(chain, {"": rig} if isinstance(rig, Rig) else rig, table.select(chosen), free)
+    search = _searched(chain, rigs_by_name(rig), table.select(chosen), free)
     if all(len(scope.could) < 2 for scope in search.scopes):
         return Search((), "not needed")
     if search.group.max() >= MAX_GROUPS:
@@ -291,7 +290,7 @@ def _searched(chain: Chain, rigs: Mapping[str, Rig], table: ObservationTable, fr
     group = _parts(run)
     parts = [np.flatnonzero(group == i) for i in range(int(group.max()) + 1)]
     some = max(MOST_ROWS // len(parts), LEAST_OF_A_GROUP)
-    thin = [rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, some)).astype(np.intp))] for rows in parts]
+    thin = [rows[thinned(rows.size, some)] for rows in parts]
     return _Searched(chain, rigs, table, free, scopes, scope, run, group, was, np.sort(np.concatenate(thin)))
 
 

@@ -18,16 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.better_fit import thinned
-from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation, worst_fitted
-from truearm.estimate.problem import Rigs
+from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation, in_other_unit, worst_fitted
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import POINT, TURN
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Floats, ObservationTable, Rig
-from truearm.units import DEG, MM
+from truearm.types import Floats, ObservationTable, Rig, Rigs, thinned
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.intp]
@@ -148,17 +145,10 @@ def shifted_rows(chain: Chain, rig: Rigs, table: ObservationTable, rows: Rows, f
 def joint_in_other_unit(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> Iterator[Interpretation]:
     """Return the table with the readings of one joint in another unit."""
     for j, (joint, unit) in enumerate(zip(chain.joints, chain.joint_units, strict=True)):
-        scale, names = (DEG.scale, ("degrees", "radians")) if unit == "rad" else (MM.scale, ("millimetres", "metres"))
-        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+        for factor, are, called in in_other_unit(unit):
             text = f"the readings of {joint.name} are in {are}, not in {called}"
-            yield _times(chain, rig, table, free, j, factor, text)
-
-
-def _times(
-    chain: Chain, rig: Rigs, table: ObservationTable, free: Mask, joint: int, factor: float, text: str
-) -> Interpretation:
-    by = np.where(np.arange(len(chain.joints)) == joint, factor, 1.0)
-    return Interpretation(text, chain, rig, replace(table, q=table.q * by, q_rate=table.q_rate * by), free)
+            by = np.where(np.arange(len(chain.joints)) == j, factor, 1.0)
+            yield Interpretation(text, chain, rig, replace(table, q=table.q * by, q_rate=table.q_rate * by), free)
 
 
 def _measured(table: ObservationTable, field: str) -> bool:

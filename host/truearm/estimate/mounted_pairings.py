@@ -331,7 +331,7 @@ class _Fit:
             **dict(zip(BAR_MOUNTED, np.array(flat).T, strict=True)),
         )
         self.problem = build_problem(chain, rig, table, prior)
-        self.columns = np.concatenate([free, np.ones(len(self.problem.names) - free.size, dtype=bool)])
+        self.columns = self.problem.columns(free)
         self.prior = 1.0 / np.minimum(self.problem.prior_sigma[self.columns], DIFFUSE) ** 2
         self.x = self.problem.start.copy()
         self.widened = 1.0

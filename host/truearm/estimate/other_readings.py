@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.better_fit import thinned
-from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, ObservationTable, Rig, Rigs, thinned
 from truearm.units import DEG, MM, UNITS
 
 INCH = 0.0254  # m
@@ -60,13 +58,10 @@ def in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask)
     used = [kinds()[str(kind)] for kind in np.unique(table.kind)]
     # If nothing is measured except that the end returns, less motion gives smaller residuals, whatever the unit.
     returns = not all(any(isinstance(column, Quantity) for column in kind.needs) for kind in used)
-    for unit, scale, names in (
-        ("rad", DEG.scale, ("degrees", "radians")),
-        ("m", MM.scale, ("millimetres", "metres")),
-    ):
+    for unit in ("rad", "m"):
         which = np.array([of == unit for of in chain.joint_units])
         if which.any():
-            for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1])):
+            for factor, are, called in in_other_unit(unit):
                 if returns and factor < 1.0:
                     continue
                 q = np.where(which, factor * table.q, table.q)
@@ -76,21 +71,22 @@ def in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask)
     for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
         if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
             continue
-        scale = MM.scale if quantity.unit == "m" else DEG.scale
-        names = ("millimetres", "metres") if quantity.unit == "m" else ("degrees", "radians")
-        inches = ((INCH / MM.scale, ("inches", "millimetres")),) if quantity.unit == "m" else ()
-        for factor, (are, called) in ((scale, names), (1.0 / scale, names[::-1]), *inches):
+        inches = [(INCH / MM.scale, "inches", "millimetres")] * (quantity.unit == "m")
+        for factor, are, called in (*in_other_unit(quantity.unit), *inches):
             text = f"the readings of {quantity.words} are in {are}, not in {called}"
             yield Interpretation(text, chain, rig, _with_column(table, quantity.field, factor), free)
     for column, entry in points().items():
-        for factor, (are, called) in (
-            (MM.scale, ("millimetres", "metres")),
-            (1.0 / MM.scale, ("metres", "millimetres")),
-        ):
+        for factor, are, called in in_other_unit("m"):
             scaled = _with_points(rig, entry, factor)
             if scaled is not None:
                 text = f"the rig's coordinates of each {column} are in {are}, not in {called}"
                 yield Interpretation(text, chain, scaled, table, free)
+
+
+def in_other_unit(unit: str) -> tuple[tuple[float, str, str], ...]:
+    """Return factors for numbers in another unit than m or rad: "are in the first, not in the second"."""
+    scale, shown, si = (MM.scale, "millimetres", "metres") if unit == "m" else (DEG.scale, "degrees", "radians")
+    return (scale, shown, si), (1.0 / scale, si, shown)
 
 
 def _with_column(table: ObservationTable, field: str, factor: float) -> ObservationTable:

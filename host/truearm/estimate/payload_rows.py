@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from truearm.kinds.linearised import Indices, Linearised
 from truearm.kinds.quantities import PAYLOAD, PAYLOAD_CENTRE
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
-from truearm.types import Floats, ObservationTable, Payload, Rig
+from truearm.types import Floats, ObservationTable, Payload, Rigs, rigs_by_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,18 +51,17 @@ class PayloadRows(Group):
         return replace(self, row=row, sensor_cov=self.sensor_cov[which], inner=self.inner.take(which))
 
 
-def payloads_of(rig: Rig | Mapping[str, Rig], table: ObservationTable) -> list[Payload]:
+def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
     """Return the payload of each row (n): the row's own, otherwise that of its rig.
 
     Raises ProblemError for a negative mass.
     """
-    rigs = {"": rig} if isinstance(rig, Rig) else rig
     mass = table.column(PAYLOAD.field, np.nan)
     centre = table.column(PAYLOAD_CENTRE.field, np.nan).reshape(len(table), -1)
     bad = np.flatnonzero(mass < 0.0)
     if bad.size:
         raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 kg (no payload) or more")
-    of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs.items()}
+    of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs_by_name(rig).items()}
     return [
         of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))
         for name, m, (x, y, z) in zip(

@@ -20,18 +20,16 @@ combination of rotations only to σ of many turns).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.problem import Rigs
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
-from truearm.results import Estimate, PredictedError
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.results import Estimate, PredictedError, weights_of
+from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
@@ -71,7 +69,7 @@ def point_covariance(
     axes = forward(chain, params, table.q)[:, :3, :3]
     np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
     flat = jac[:, :, :-1].reshape(-1, estimate.value.size)
-    unseen = flat @ _null_directions(estimate)
+    unseen = flat @ weights_of(estimate.null_space, estimate.parameter_names)
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     half = flat @ covariance_root(estimate.covariance)
     if relative:
@@ -90,7 +88,7 @@ def predicted_point_error(
     None if null directions of the observations move the points other than as one rigid body, or if the error would be
     so large that it is undetermined.
     """
-    rows = np.unique(np.linspace(0, len(table) - 1, min(len(table), MOST_POSES)).astype(int))
+    rows = thinned(len(table), MOST_POSES)
     found = point_covariance(chain, rig, table.select(rows), estimate, any_base)
     if found is None:
         return None
@@ -184,11 +182,10 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
     Also returns the indices (n, 3) of these numbers in the estimate's parameters; their count if they are not
     parameters.
     """
-    rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
     at = {name: i for i, name in enumerate(estimate.parameter_names)}
     values = np.append(estimate.value, np.nan)
     points, columns = np.zeros((len(table), 3)), np.full((len(table), 3), estimate.value.size)
-    for name, one in rigs.items():
+    for name, one in rigs_by_name(rig).items():
         prefix = f"{name}." if name else ""
         for kind, of in kinds().items():
             rows = (table.rig == name) & (table.kind == kind)
@@ -199,16 +196,6 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
                 columns[mine] = own
                 points[mine] = np.where(np.isnan(values[own]), point.xyz, values[own])
     return points, columns
-
-
-def _null_directions(estimate: Estimate) -> Floats:
-    """Return the null directions (P, k); the largest weight of each is 1."""
-    at = {name: i for i, name in enumerate(estimate.parameter_names)}
-    out = np.zeros((len(at), len(estimate.null_space)))
-    for k, direction in enumerate(estimate.null_space):
-        for name, weight in zip(direction.names, direction.weights, strict=True):
-            out[at[name], k] = weight
-    return out
 
 
 def body_motion(points: Floats) -> Floats:

@@ -17,9 +17,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.backlash import Backlash
+from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.payload_rows import payloads_of, with_payloads
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.residual_noise import checked_joint_cov, residual_cov
@@ -31,6 +33,7 @@ from truearm.estimate.systematic_effects import (
     Cause,
     Errors,
     Modelled,
+    modelled_effects,
     motion_of_body,
     with_effects,
 )
@@ -40,14 +43,14 @@ from truearm.kinds.rig_references import RigUse, Scope
 from truearm.kinds.unknowns import Fault, Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law
-from truearm.types import Floats, ObservationTable, Residuals, Rig
+from truearm.results import Effect
+from truearm.types import Floats, ObservationTable, Residuals, Rig, Rigs, rigs_by_name
 from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns takes 1.8 MB, about the second-level cache
 WIDE = 128  # parameters of a robot; error curves have hundreds
 NO_ERRORS = Errors((), ())
 PLACED = Fault(slice(None))  # a place of sockets, by the motion of all of them
-Rigs = Rig | Mapping[str, Rig]
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,30 @@ class Problem:
     @property
     def n_robot(self) -> int:
         return len(self.chain.parameters)
+
+    @property
+    def of_rig(self) -> NDArray[np.bool_]:
+        """Return a mask (P,) of all unknowns but the robot's."""
+        return np.arange(len(self.names)) >= self.n_robot
+
+    @property
+    def rig_prior(self) -> Floats:
+        """Return ``prior_sigma`` (P,) without that of the robot's parameters."""
+        return np.where(self.of_rig, self.prior_sigma, np.inf)
+
+    def columns(self, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask (P,) of the robot's ``free`` (p,) parameters and all other unknowns."""
+        columns = self.of_rig
+        columns[: self.n_robot] = free
+        return columns
+
+    def names_of(self, columns: NDArray[np.bool_]) -> list[str]:
+        """Return the names of masked (P,) unknowns."""
+        return [name for name, is_in in zip(self.names, columns, strict=True) if is_in]
+
+    def at(self, known: Mapping[str, float]) -> Floats:
+        """Return x (P,) with the values that are known by name, and the start for all others."""
+        return np.array([known.get(name, value) for name, value in zip(self.names, self.start, strict=True)])
 
     def no_residuals(self) -> dict[str, Floats]:
         """Return NaN (n_rows,) for each unit of the table's residuals, to be filled by ``note``."""
@@ -225,6 +252,13 @@ def _with_unknown_sides(problem: Problem, sigma: Floats) -> Problem:
     return replace(problem, groups=tuple(groups))
 
 
+def modelled_of(chain: Chain, rig: Rigs, table: ObservationTable, effects: Sequence[Effect]) -> list[Modelled]:
+    """Return the parameters of effects, based on everything that the table uses."""
+    if not effects:
+        return []
+    return modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
+
+
 def blocks(problem: Problem, size: int = BLOCK) -> Iterator[Group]:
     """Yield the problem's observations, at most ``size`` at once, and fewer if the robot has more than WIDE parameters."""
     size = max(1, min(size, BLOCK * WIDE // problem.n_robot)) if problem.n_robot > WIDE else size
@@ -257,7 +291,7 @@ def without_knowledge(problem: Problem) -> Problem:
 
 def _rigs(rig: Rigs, table: ObservationTable) -> Mapping[str, Rig]:
     """Return the checked rigs by the names that the rows have."""
-    rigs = {"": rig} if isinstance(rig, Rig) else rig
+    rigs = rigs_by_name(rig)
     bad = np.flatnonzero(~np.isin(table.rig, list(rigs)))
     if bad.size:
         have = ", ".join(sorted(filter(None, rigs))) or "one rig without a name"

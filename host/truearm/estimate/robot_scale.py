@@ -23,7 +23,7 @@ from scipy import special
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import Chain
-from truearm.results import Estimate, RobotScale, Unusable
+from truearm.results import Estimate, RobotScale, Unusable, weights_of
 from truearm.types import Floats
 from truearm.units import UNITS
 
@@ -84,13 +84,8 @@ def _lengths(chain: Chain, estimate: Estimate) -> Indices:
 
 def _determined(estimate: Estimate, lengths: Indices, tolerance: float) -> Floats:
     """Return orthonormal combinations (m, k) of ``lengths`` (m,) that are identifiable, with σ below ``tolerance`` [m]."""
-    at = {estimate.parameter_names[i]: row for row, i in enumerate(lengths)}
-    null = np.zeros((lengths.size, len(estimate.null_space)))
-    for column, direction in enumerate(estimate.null_space):
-        for name, share in zip(direction.names, direction.weights, strict=True):
-            if name in at:
-                null[at[name], column] = share
-    parts = np.linalg.svd(null)
+    names = [estimate.parameter_names[i] for i in lengths]
+    parts = np.linalg.svd(weights_of(estimate.null_space, names))
     seen = parts.U[:, int((parts.S > NO_SHARE).sum()) :]
     variance, turn = np.linalg.eigh(seen.T @ estimate.covariance[np.ix_(lengths, lengths)] @ seen)
     return np.asarray(seen @ turn[:, variance < tolerance**2])

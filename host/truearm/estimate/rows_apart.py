@@ -7,14 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
+from truearm.estimate.better_fit import HUNDREDFOLD, MOST_ROWS, Found, explains, found_in
 from truearm.estimate.label_sentences import named_row
-from truearm.estimate.problem import Rigs
 from truearm.estimate.trial_fit import Trial, misfit, tried
 from truearm.model.chain import Chain
 from truearm.results import WrongInput
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, Rigs, thinned
 
 LEAST_ROWS = 5  # of another set-up
 
@@ -28,7 +27,7 @@ def stuck_joint(
     n, runs = rows.size, _same_readings(table.q[rows])
     for joint, first, end in runs:
         others = rows[np.r_[:first, end:n]]
-        some = table.select(others[thinned(others.size)])
+        some = table.select(others[thinned(others.size, MOST_ROWS)])
         after = tried(chain, rig, some, free, goal=HUNDREDFOLD * before.reduced) if others.size else None
         if after is None or not explains(before, after, len(runs)):
             continue
@@ -67,7 +66,7 @@ def other_set_up(
     for main in (np.arange(n // 2, n), np.arange(n // 2)):
         after, cut = None, 0
         for _ in range(2):  # from half of the rows, then from all on that side of the change
-            some = rows[main[thinned(main.size)]]
+            some = rows[main[thinned(main.size, MOST_ROWS)]]
             after = tried(chain, rig, table.select(some), free)
             if after is None:
                 break

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from truearm.estimate.label_sentences import named_row
 from truearm.estimate.measured_order import mountings
 from truearm.estimate.other_readings import Interpretation
-from truearm.estimate.problem import Rigs
 from truearm.model.chain import Chain
 from truearm.text import counted
-from truearm.types import BallBar, ObservationTable, Rig
+from truearm.types import BallBar, ObservationTable, Rig, Rigs
 
 Rows = NDArray[np.intp]
 Mask = NDArray[np.bool_]

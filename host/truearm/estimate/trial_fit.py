@@ -15,19 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.estimate.circumstances import Circumstances
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.information import half, observe, spectrum
 from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.prior import wide_prior
-from truearm.estimate.problem import Problem, Rigs, build_problem
+from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, of_data
-from truearm.estimate.systematic_effects import Modelled, modelled_effects
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
-from truearm.types import Floats, ObservationTable, Residuals
+from truearm.types import Floats, ObservationTable, Residuals, Rigs
 from truearm.units import UNITS
 
 # Wrong inputs are wrong by centimetres: the last thousandth of χ² in a curved valley is not worth its evaluations.
@@ -85,14 +83,11 @@ def trial_problem(
     """Return the problem, its fitted columns (P,), and the robot's parameters (p,) that place base or tool."""
     mounted = mounting(chain, chain.params_nominal).either
     prior = np.where(mounted, [UNITS[p.unit].vague_sigma for p in chain.parameters], wide_prior(chain))
-    modelled: Sequence[Modelled] = ()
-    if effects:
-        modelled = modelled_effects(build_problem(chain, rig, table).causes, effects, Circumstances.of(table, chain))
+    modelled = modelled_of(chain, rig, table, effects)
     problem = build_problem(chain, rig, table, prior, modelled)
     named = np.isin(problem.names, [one.effect.parameter(one.column) for one in modelled])
     vague = np.where(named, [UNITS[unit].vague_sigma for unit in problem.units], problem.prior_sigma)
-    columns = np.concatenate([free | mounted, np.ones(len(problem.names) - free.size, dtype=bool)])
-    return replace(problem, prior_sigma=vague), columns, mounted
+    return replace(problem, prior_sigma=vague), problem.columns(free | mounted), mounted
 
 
 def _trial(
@@ -109,19 +104,18 @@ def _trial(
     count = sum(len(group.sensor_cov) * len(group.COMPONENTS) for group in problem.groups)
     if start is None:
         x = problem.start
-        only = columns & (np.arange(columns.size) >= free.size)
-        if only.any():
-            x = fit(problem, only, x, _options(STEPS_TO_PLACE)).x
+        if problem.of_rig.any():
+            x = fit(problem, problem.of_rig, x, _options(STEPS_TO_PLACE)).x
         found = fit(problem, columns, x, _options(STEPS_TO_PLACE, goal * count))
     else:
-        found = fit(problem, columns, at(problem, start.known), _options(STEPS, goal * count))
+        found = fit(problem, columns, problem.at(start.known), _options(STEPS, goal * count))
     root = half(spectrum(found.information.root))
     quality = goodness(*of_data(problem, columns, found), prior_shares(root, found.prior_sigma))
     rms = {unit: figures.rms for unit, figures in Figures.by_unit(found.information.residual).items()}
     moves = np.abs(found.x[: free.size] - params) / wide_prior(chain)
     known = dict(zip(problem.names, found.x.tolist(), strict=True))
     off = dict(zip(problem.names, (found.x - problem.start).tolist(), strict=True))
-    names = tuple(name for name, one in zip(problem.names, columns, strict=True) if one)
+    names = tuple(problem.names_of(columns))
     moved, shifted = (float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
     return Trial(quality.reduced, quality.freedom, rms, known, moved, shifted, names, off, root)
 
@@ -141,11 +135,6 @@ def _options(steps: int, goal: float = 0.0) -> Options:
     return Options(max_iterations=steps, correctors=0, ends=ends)
 
 
-def at(problem: Problem, known: Mapping[str, float]) -> Floats:
-    """Return x (P,) of a problem from the values of a trial; the start for values that the trial does not have."""
-    return np.array([known.get(name, value) for name, value in zip(problem.names, problem.start, strict=True)])
-
-
 def misfit(chain: Chain, rig: Rigs, table: ObservationTable, known: Mapping[str, float]) -> Floats:
     """Return squares (n,) of the rows' residuals with a trial's parameters, in units of a drawing's tolerances.
 
@@ -153,7 +142,7 @@ def misfit(chain: Chain, rig: Rigs, table: ObservationTable, known: Mapping[str,
     """
     problem = build_problem(chain, rig, table)
     nothing = np.zeros(len(problem.names), dtype=bool)
-    return square(observe(problem, at(problem, known), nothing).residual)
+    return square(observe(problem, problem.at(known), nothing).residual)
 
 
 def square(residual: Residuals) -> Floats:

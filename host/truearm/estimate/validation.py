@@ -36,7 +36,7 @@ from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, se
 from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import MOVES
-from truearm.estimate.problem import Problem, Rigs, build_problem, settled, without_knowledge
+from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
 from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_effects import modelled_effects
@@ -46,7 +46,7 @@ from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
 from truearm.results import Effect, SystematicErrors
-from truearm.types import Floats, ObservationTable, Residuals
+from truearm.types import Floats, ObservationTable, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # probability that a consistent session is reported as consistent

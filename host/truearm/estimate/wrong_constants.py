@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in
 from truearm.estimate.information import observe, spectrum, with_prior
 from truearm.estimate.information import seen as significant
-from truearm.estimate.problem import Rigs, build_problem
+from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import prior_error
 from truearm.estimate.systematic_effects import Cause
-from truearm.estimate.trial_fit import Trial, at, trial_problem, tried
+from truearm.estimate.trial_fit import Trial, trial_problem, tried
 from truearm.model.chain import Chain
 from truearm.results import Effect, WrongInput
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, ObservationTable, Rigs
 from truearm.units import UNITS, Unit
 
 MOST_FITTED = 4
@@ -69,7 +69,7 @@ def _likely(
     if len(causes) <= MOST_FITTED:
         return causes
     problem, columns, _ = trial_problem(chain, rig, table, free, [Effect(cause.name) for cause in causes])
-    x = at(problem, before.known)
+    x = problem.at(before.known)
     seen = with_prior(observe(problem, x, columns), *prior_error(problem, columns, x))
     names = [name for name, one in zip(problem.names, columns, strict=True) if one]
     mine = [np.isin(names, cause.numbers) for cause in causes]

@@ -36,7 +36,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
-from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, thinned
+from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, some_rows
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_sentences import label_sentences
 from truearm.estimate.misread_columns import joint_in_other_unit, likeliest, mirrored, other_rotations, shifted_rows
@@ -48,7 +48,6 @@ from truearm.estimate.other_readings import (
     of_other_joints,
     of_other_robots,
 )
-from truearm.estimate.problem import Rigs
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.swapped_bars import other_bars
@@ -59,7 +58,7 @@ from truearm.estimate.wrong_constants import wrong_constants
 from truearm.model.chain import Chain
 from truearm.results import Estimate, Explanation, Figures, Relabelling, Unusable, WrongInput
 from truearm.text import counted
-from truearm.types import ObservationTable
+from truearm.types import ObservationTable, Rigs
 from truearm.units import UNITS
 
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search
@@ -119,7 +118,7 @@ def explanations_of(
     """Return explanations of the ``rows`` (n,) of a table better than the given inputs, the most probable first; and labels."""
     n = int(rows.sum())
     labels = Search((), "not needed")
-    given = table.select(np.flatnonzero(rows)[thinned(n)])
+    given = table.select(some_rows(rows))
     before = tried(chain, rig, given, free)
     if before is None or before.freedom < 1.0:
         return (), labels
@@ -157,7 +156,7 @@ def _other_bars(
     chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, before: Trial
 ) -> Iterator[Found]:
     """Return the runs of rows with another bar, or the bars exchanged, that explain the observations."""
-    some = np.flatnonzero(rows)[thinned(int(rows.sum()))]
+    some = some_rows(rows)
     every = other_bars(chain, rig, table, np.flatnonzero(rows), some, free)
     leave_out = {one.reading.text: one.leave_out for one in every}
     for one in likeliest([one.reading for one in every]):
@@ -177,7 +176,7 @@ def _every_reading(
     robots: Mapping[str, Candidate],
 ) -> Iterator[tuple[WrongInput, list[Interpretation]]]:
     """Return interpretations of each type, the most common mistake first; ``given`` are some of the ``rows`` (n,)."""
-    some = np.flatnonzero(rows)[thinned(int(rows.sum()))]
+    some = some_rows(rows)
     yield WrongInput.UNITS, list(in_other_units(chain, rig, given, free))
     yield WrongInput.ROTATIONS, list(other_rotations(chain, rig, given, free))
     yield WrongInput.SHIFTED, list(shifted_rows(chain, rig, table, some, free))
@@ -188,7 +187,7 @@ def _every_reading(
 
 def _finished(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask) -> Trial | None:
     """Return the fit of some ``rows`` (n,) if it is as good as with correct inputs: then the iteration ended too early."""
-    fit = tried(chain, rig, table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))]), free)
+    fit = tried(chain, rig, table.select(some_rows(rows)), free)
     within = fit is not None and all(rms <= UNITS[unit].weak_sigma for unit, rms in fit.rms.items())
     return fit if within else None
 
@@ -201,7 +200,7 @@ def _as_described(
     The fit has no other sign of error: another robot of the same arrangement of axes fits as well, with other links, and a
     joint in another unit with another gain.
     """
-    given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
+    given = table.select(some_rows(rows))
     before = tried(chain, rig, given, free)
     found: list[Found] = []
     if before is not None and before.shifted > FAR:
@@ -225,7 +224,7 @@ def _constants(
     chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: Mask, allowed: Collection[str]
 ) -> tuple[Explanation, ...]:
     """Return the constants of the rig that explain some ``rows`` (n,)."""
-    given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
+    given = table.select(some_rows(rows))
     before = tried(chain, rig, given, free)
     if before is None or before.freedom < 1.0:
         return ()
@@ -237,7 +236,7 @@ def _apart(chain: Chain, rig: Rigs, table: ObservationTable, rows: Mask, free: M
 
     A joint that steps by a degree bends a fit too far for tests of first order, but leaves less than a millimetre.
     """
-    given = table.select(np.flatnonzero(rows)[thinned(int(rows.sum()))])
+    given = table.select(some_rows(rows))
     before = tried(chain, rig, given, free)
     if before is None or before.freedom < 1.0:
         return ()

@@ -17,7 +17,7 @@ from truearm.files.disk import parse_toml, read_text
 from truearm.files.rig_file import JOINT_COVARIANCE, OF_RIG
 from truearm.kinds.rig_entries import NAME, by_name
 from truearm.schema import Entries, Key, Matrix, SchemaError, Table, read
-from truearm.types import SIZE, Rig
+from truearm.types import SIZE, Rig, Rigs, rigs_by_name
 
 MAX_BYTES = 2**16
 FIRST_LINE = "# noise of a robot and its ball-bar, by truearm characterize"
@@ -100,9 +100,9 @@ def with_noise(rig: Rig, noise: NoiseFile | None) -> Rig:
     return replace(rig, joint_cov=noise.joint_cov, backlash=noise.backlash, backlash_sigma=noise.backlash_sigma)
 
 
-def check_against_rigs(noise: NoiseFile, rigs: Mapping[str, Rig] | Rig) -> None:
+def check_against_rigs(noise: NoiseFile, rigs: Rigs) -> None:
     """Raise RigError for a bar that no rig has: its sigma would have no effect."""
-    known = {bar for rig in ([rigs] if isinstance(rigs, Rig) else rigs.values()) for bar in rig.bars}
+    known = {bar for rig in rigs_by_name(rigs).values() for bar in rig.bars}
     for bar in noise.bar_sigma:
         if bar not in known:
             raise RigError(

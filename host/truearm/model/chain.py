@@ -142,6 +142,13 @@ class Chain:
         return tuple("m" if joint.kind == "prismatic" else "rad" for joint in self.joints)
 
     @cached_property
+    def limits(self) -> Floats:
+        """Return the lower and upper limits (2, j) of the joint readings [rad or m], infinite where there is none."""
+        limits = np.array([(joint.lower, joint.upper) for joint in self.joints], dtype=float).reshape(-1, 2).T
+        limits.setflags(write=False)
+        return limits
+
+    @cached_property
     def params_nominal(self) -> Floats:
         """Return the design values (p,), read-only."""
         nominal = np.array([p.nominal for p in self.parameters], dtype=float)

@@ -36,10 +36,10 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
             )
             raise PlanError(text, Argument("branch"))
         return robot.branch
-    limits = np.array([(joint.lower, joint.upper) for joint in chain.joints])
-    if len(given.lower) != len(limits):
-        raise PlanError(Argument("branch"), f": needs bounds of {len(limits)} joints, has {len(given.lower)}")
-    outside = np.flatnonzero((given.lower < limits[:, 0]) | (given.upper > limits[:, 1]))
+    lower, upper = chain.limits
+    if len(given.lower) != len(lower):
+        raise PlanError(Argument("branch"), f": needs bounds of {len(lower)} joints, has {len(given.lower)}")
+    outside = np.flatnonzero((given.lower < lower) | (given.upper > upper))
     if outside.size:
         joint = chain.joints[outside[0]]
         scale = DEG if joint.kind == "revolute" else MM

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truearm.errors import PlanError
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
-from truearm.estimate.information import covariance, observe, seen, spectrum, with_prior
+from truearm.estimate.information import covariance, of_rows, seen, spectrum, with_prior
 from truearm.estimate.prediction import MOVES, body_motion
 from truearm.estimate.prior import prior_named, robot_prior, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
@@ -112,15 +112,13 @@ def forecast(known: Known, planned: ObservationTable, aim: Aim | None = None) ->
     known, prior_sigma, defaults = _as_identified(known, planned)
     problem, x, columns = compiled(known, planned)
     n_robot = int(known.free.sum())
-    prior = problem.prior_sigma[columns]
-    prior[:n_robot] = np.inf
-    seen_by_rows = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior)
+    seen_by_rows = of_rows(settled(problem, x), x, columns)
     root, parts = seen_by_rows.root, spectrum(seen_by_rows.root)
-    names = [name for name, is_free in zip(problem.names, columns, strict=True) if is_free]
+    names = problem.names_of(columns)
     sight = identifiability(root, n_robot, names)
-    believed = np.full(prior.size, np.inf)
+    believed = np.full(len(names), np.inf)
     believed[:n_robot] = prior_sigma[known.free]
-    matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(prior.size), believed).root))
+    matrix = covariance(spectrum(with_prior(seen_by_rows, np.zeros(len(names)), believed).root))
     sigma = np.full(len(columns), np.nan)
     sigma[columns] = np.sqrt(np.where(sight.identifiable, np.diag(matrix), np.nan))
     unit = weak_prior(known.chain)[known.free]
@@ -177,13 +175,9 @@ def compiled(known: Known, planned: ObservationTable) -> tuple[Problem, Floats, 
     """Return the problem of all rows, the point x (P,) of its linearisation, and a mask (P,) of what is free."""
     table = _all_rows(known, planned)
     problem = build_problem(known.chain, known.rig, table)
-    x = problem.start.copy()
+    x = problem.at(known.rig_values or {})
     x[: problem.n_robot] = known.params
-    for i, name in enumerate(problem.names[problem.n_robot :], problem.n_robot):
-        x[i] = (known.rig_values or {}).get(name, x[i])
-    columns = np.ones(x.size, dtype=bool)
-    columns[: problem.n_robot] = known.free
-    return problem, x, columns
+    return problem, x, problem.columns(known.free)
 
 
 def prior_unit(known: Known, problem: Problem, columns: NDArray[np.bool_]) -> Floats:

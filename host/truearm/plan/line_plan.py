@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import Argument, PlanError
-from truearm.estimate.information import observe, with_prior
+from truearm.estimate.information import of_rows
 from truearm.estimate.problem import settled
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.model.chain import point_forward
@@ -207,9 +207,7 @@ def _information(known: Known, k: int) -> Floats:
         return information
     problem, x, columns = compiled(replace(known, measured=None), known.measured)
     n_robot, unit = int(known.free.sum()), prior_unit(known, problem, columns)
-    prior = problem.prior_sigma[columns]
-    prior[:n_robot] = np.inf
-    root = with_prior(observe(settled(problem, x), x, columns), np.zeros(prior.size), prior).root * unit
+    root = of_rows(settled(problem, x), x, columns).root * unit
     seen = condensed(root[:, :n_robot], root[:, n_robot:]) if unit.size > n_robot else root
     information[:n_robot, :n_robot] += seen.T @ seen
     return information

@@ -16,7 +16,7 @@ from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import html_page, picture, pictures, section, sentences, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.types import Floats, rms
+from truearm.types import Floats, rms, thinned
 from truearm.units import MM, MRAD
 
 MOST_ROWS = 400  # of a table; the JSON document has all of them
@@ -118,7 +118,7 @@ def _rows(titles: Sequence[str], rows: Sequence[Sequence[str]], label: str, tota
 
 
 def _pictures(page: CorrectionPage) -> list[Figure]:
-    chosen = np.unique(np.linspace(0, len(page.places) - 1, min(len(page.places), MOST_ARROWS)).astype(int))
+    chosen = thinned(len(page.places), MOST_ARROWS)
     views = [("Shifts from above", (0, 1)), ("Shifts from the side", (0, 2))]
     return [*(_arrows(page, chosen, title, axes) for title, axes in views), _errors(page, chosen)]
 

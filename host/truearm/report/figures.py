@@ -18,7 +18,7 @@ from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.results import Estimate
 from truearm.text import counted, outcome
-from truearm.types import Floats, rms
+from truearm.types import Floats, rms, thinned
 from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
@@ -285,7 +285,7 @@ def quantiles(rows: ResidualRows) -> Figure | None:
     plot = svg.Plot(
         svg.linear_axis(f"quantile of the {what} [{rows.unit}]", low, high), svg.linear_axis(rows.name, low, high)
     )
-    at = np.unique(np.linspace(0, r.size - 1, min(r.size, MAX_POINTS)).astype(int))
+    at = thinned(r.size, MAX_POINTS)
     parts = [svg.axes(plot), svg.line(plot, [low, high], [low, high], "law")]
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))
     parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))

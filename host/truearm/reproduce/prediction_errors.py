@@ -105,7 +105,7 @@ def one_pass(robot: Robot, n_points: int, p0s: Sequence[float], rng: np.random.G
 
 def _innovations(problem: Problem, session: MeasuredLines, free: NDArray[np.bool_]) -> Floats:
     """Return the prediction errors (n,) [m] of one pass of the recursive estimator."""
-    columns = np.concatenate([free, np.ones(problem.start.size - free.size, dtype=bool)])
+    columns = problem.columns(free)
     rows = recursive.rows_of(problem, problem.start, columns)
     identifying = np.arange(problem.n_rows) % (problem.n_rows // N_LINES) >= PLACING
     prior = recursive.start(np.zeros(columns.sum()), problem.prior_sigma[columns])

@@ -22,6 +22,7 @@ from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.report.parameter_cells import parameter_cells
+from truearm.results import weights_of
 from truearm.text import counted, outcome
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
@@ -318,7 +319,7 @@ def check_joints(argument: str, given: Sequence[float] | None, chain: Chain) -> 
     if q.shape != (len(chain.joints),) or not np.isfinite(q).all():
         raise InputError(Argument(argument), f": must be {len(chain.joints)} finite numbers, one per joint")
     largest = largest_readings(chain)
-    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
+    lower, upper = chain.limits
     check_within(argument, q[None], chain, np.maximum(lower, -largest), np.minimum(upper, largest))
     return q
 
@@ -361,11 +362,4 @@ def unseen_of(stored: StoredResult, names: Sequence[str]) -> Floats:
 
     Other fixtures may see either.
     """
-    at = {name: i for i, name in enumerate(names)}
-    directions = (*stored.null_space, *stored.frames)
-    unseen = np.zeros((len(names), len(directions)))
-    for k, direction in enumerate(directions):
-        for name, weight in zip(direction.names, direction.weights, strict=True):
-            if name in at:
-                unseen[at[name], k] = weight
-    return unseen
+    return weights_of((*stored.null_space, *stored.frames), names)

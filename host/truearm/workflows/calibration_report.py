@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
-from truearm.estimate.problem import Rigs
 from truearm.files.disk import write_atomic
 from truearm.files.strict_json import number_or_null
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
 from truearm.results import Estimate, PredictedError
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name
 from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:
@@ -134,10 +133,9 @@ def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estim
 
     For a sphere it is measured about its chuck.
     """
-    rigs: Mapping[str, Rig] = {"": rig} if isinstance(rig, Rig) else rig
     out, params = np.full(len(table), np.nan), estimate.value[: estimate.n_robot_parameters]
     for name, kind in kinds().items():
-        for of, one in rigs.items():
+        for of, one in rigs_by_name(rig).items():
             rows = np.flatnonzero((table.kind == name) & (table.rig == of))
             if kind.longitude and rows.size:
                 out[rows] = kind.longitude(chain, params, one, table.select(rows))

@@ -19,7 +19,7 @@ from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
 from truearm.text import counted, one_line
-from truearm.types import CurveKnots, Floats, Payload, rms
+from truearm.types import CurveKnots, Floats, Payload, rms, thinned
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import (
     Calibration,
@@ -213,7 +213,7 @@ def _fitted(calibration: Calibration, options: ExportOptions, over: Floats | Non
         # Poses that were measured may be beyond the limits that the robot file states.
         largest = largest_readings(chain)
         check_within("over", over, chain, -largest, largest)
-    q = _anywhere(calibration) if over is None else _thinned(over)
+    q = _anywhere(calibration) if over is None else over[thinned(len(over), N_POSES)]
     return fit_to(options.form, chain, calibration.nominal, calibration.identified, adjustable, q)
 
 
@@ -223,8 +223,7 @@ def _anywhere(calibration: Calibration) -> Floats:
     Where error curves are unknown they are 0, so a robot with joint laws gets poses within its fitted readings.
     """
     chain, stored = calibration.chain, calibration.stored
-    lower, upper = (np.array([getattr(joint, end) for joint in chain.joints]) for end in ("lower", "upper"))
-    lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    lower, upper = np.clip(chain.limits, -np.pi, np.pi)
     if stored.laws and stored.joint_range is not None:
         lower, upper = np.array(stored.joint_range.lower), np.array(stored.joint_range.upper)
     rng = np.random.default_rng(0)
@@ -235,11 +234,6 @@ def _anywhere(calibration: Calibration) -> Floats:
             which = rng.choice(low.size, N_POSES, p=(high - low) / (high - low).sum())
             q[:, law.joint] = rng.uniform(low[which], high[which])
     return np.asarray(q)
-
-
-def _thinned(q: Floats) -> Floats:
-    """Return as many poses of q (n, j) as a refit needs."""
-    return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, min(len(q), N_POSES)).astype(int))])
 
 
 def _poses_of(path: Path, chain: Chain) -> Floats:

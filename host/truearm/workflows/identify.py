@@ -17,14 +17,14 @@ from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.displaced_mounts import Displaced, displaced_mounts
-from truearm.estimate.identify import SolverOptions, modelled_of, rows_left_out
+from truearm.estimate.identify import SolverOptions, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.law_outliers import fitted_without_outliers
 from truearm.estimate.other_readings import Candidate
 from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.prior import prior_named
-from truearm.estimate.problem import Rigs
+from truearm.estimate.problem import modelled_of
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.undetermined import tool_undetermined
@@ -40,7 +40,7 @@ from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.results import Effect, Estimate, PredictedError
-from truearm.types import ObservationTable
+from truearm.types import ObservationTable, Rigs
 from truearm.units import shown
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page

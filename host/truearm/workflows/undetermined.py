@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from truearm.estimate.frame_choice import mounting
-from truearm.model.chain import Chain, point_jacobians
-from truearm.results import NullDirection
+from truearm.model.chain import point_jacobians
+from truearm.results import NullDirection, weights_of
 from truearm.text import listed, one_line
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration
@@ -38,7 +38,9 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     jac = point_jacobians(chain, calibration.identified, q, np.zeros(3))[1]
 
     def moving(directions: Sequence[NullDirection]) -> list[NullDirection]:
-        return [one for one in directions if np.abs(jac @ _column(chain, one)).max(initial=0.0) > MOVES]
+        return [
+            one for one in directions if np.abs(jac @ weights_of([one], chain.parameter_names)).max(initial=0.0) > MOVES
+        ]
 
     said = []
     places, defaults = mounting(chain, calibration.nominal), calibration.document.get("defaults") or {}
@@ -93,11 +95,6 @@ def _held(what: str, names: Sequence[str], directions: Sequence[NullDirection], 
         else "use another kind of observation"
     )
     return f"The {what} ({shown}) was held at its nominal value, because {why}. An error in it {effect}. To determine it, {then}."
-
-
-def _column(chain: Chain, direction: NullDirection) -> Floats:
-    weights = dict(zip(direction.names, direction.weights, strict=True))
-    return np.array([weights.get(name, 0.0) for name in chain.parameter_names])
 
 
 def _terms(direction: NullDirection) -> str:

@@ -24,7 +24,6 @@ from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
-from truearm.estimate.problem import Rigs
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
 from truearm.files.result_document import copies_of
 from truearm.files.result_file import Input
@@ -36,7 +35,7 @@ from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.validation_words import validation_lines, verdict
 from truearm.results import Effect, Figures
-from truearm.types import Floats, ObservationTable, Rig, rms
+from truearm.types import Floats, ObservationTable, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
