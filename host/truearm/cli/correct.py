@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,8 +27,10 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
 
+if TYPE_CHECKING:
+    from truearm.model.poses import Six
+
 MOST_STEPS = 50
-Frame = tuple[float, float, float, float, float, float]  # position [m], rotation vector [rad]
 
 
 def correct(
@@ -190,9 +192,9 @@ def correct(
         print_lines([*lines(found), *([f"Written: {one_line(str(report))}"] if report else [])])
 
 
-def _named(option: str, given: list[str] | None) -> dict[str, Frame]:
+def _named(option: str, given: list[str] | None) -> dict[str, Six]:
     """Return poses by name, "" for one without a name. Raises InputError."""
-    found: dict[str, Frame] = {}
+    found: dict[str, Six] = {}
     for text in given or ():
         name, equals, pose = text.rpartition("=")
         if equals and not name.isidentifier():

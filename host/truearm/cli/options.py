@@ -16,6 +16,7 @@ from truearm.model.builtin import builtin_names, names_with_branch
 from truearm.units import DEG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
+    from truearm.model.poses import Six
     from truearm.model.workspace import Branch
     from truearm.types import Payload
 
@@ -256,7 +257,7 @@ def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) 
     return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
-def frame_of(option: str, text: str | None) -> tuple[float, float, float, float, float, float]:
+def frame_of(option: str, text: str | None) -> Six:
     """Return position [m] and rotation vector [rad] of an option in mm and deg; zeros if not given. Raises InputError."""
     x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:

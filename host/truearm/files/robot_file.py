@@ -31,6 +31,15 @@ class RobotChoice(NamedTuple):
         path = None if self.robot is None else robot_file(self.robot)
         return [] if path is None else [path]
 
+    @property
+    def is_urdf(self) -> bool:
+        """Return whether it names a URDF. Raises RobotError."""
+        return self.robot is not None and is_urdf(self.robot)
+
+    def load(self) -> Robot:
+        """Return the robot. Raises RobotError, also if none is named."""
+        return load_robot(self.robot or "", self.base, self.tip)
+
 
 def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> Robot:
     """Return the robot called or stored at ``robot``; ``base`` and ``tip`` are links of a URDF.

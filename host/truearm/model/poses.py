@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
+Six = tuple[float, float, float, float, float, float]
+
+
 def _rotations() -> type[Rotation]:
     """Import SciPy's rotations where they are used: it takes 40 ms, and most fits do without."""
     from scipy.spatial.transform import Rotation
@@ -47,6 +50,11 @@ def pose_of(xyz: Floats, rotation: Floats) -> Floats:
     return out
 
 
+def frame_of(six: Six) -> Floats:
+    """Return the frame (4, 4) at a position [m], rotated by a rotation vector [rad]."""
+    return np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0])
+
+
 def position_and_rotation(pose: Floats) -> Floats:
     """Return positions and rotation vectors (n, 6) of poses (n, 4, 4): the inverse of ``pose_of``."""
     return np.concatenate([pose[:, :3, 3], _rotations().from_matrix(pose[:, :3, :3]).as_rotvec()], axis=1)
@@ -69,7 +77,7 @@ def for_each(function: Callable[[Floats], Floats], poses: Floats) -> Floats:
     return function(poses)
 
 
-def six_of(pose: Floats) -> tuple[float, float, float, float, float, float]:
+def six_of(pose: Floats) -> Six:
     """Return x, y, z, α, β, γ [m, rad] of ``Trans(x, y, z)·Rz(α)·Ry(β)·Rx(γ)``; α, β, γ are a URDF's yaw, pitch, roll.
 
     At β = ±90° the pose determines only α ∓ γ; γ is then 0.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, sha256, working_folder
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.record.robots.add_readings import add_readings
 from truearm.record.robots.sources import FileOptions, readings_of_file
@@ -63,7 +63,7 @@ def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
     if joints is not None and robot.robot is not None:
         raise InputError(Argument("joints"), " and ", Argument("robot"), " both name the joints; give one of them")
     if robot.robot is not None:
-        return [joint.name for joint in load_robot(robot.robot, robot.base, robot.tip).chain.joints]
+        return [joint.name for joint in robot.load().chain.joints]
     names = [] if joints is None else [name.strip() for name in joints.split(",")]
     if "" in names or len(set(names)) < len(names):
         raise InputError(Argument("joints"), f" {joints!r} must be a list of different names: a,b,c")

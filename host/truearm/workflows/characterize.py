@@ -27,7 +27,7 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.noise_file import NoiseFile, format_noise, looks_like_noise
 from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
 from truearm.session.box_ident import Ident, recorded_ident
@@ -80,7 +80,7 @@ def characterize_files(
     if files.out is not None:
         read = [*paths, *filter(None, [files.rig, files.plan]), *files.robot.files]
         check_writable(files.out, files.force, inputs=read, ours=looks_like_noise, suffixes=[".toml"])
-    chain = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip).chain
+    chain = files.robot.load().chain
     opened = {path: open_finished(path, files.allow_damaged) for path in paths}
     rig = _rig(opened, files.rig)
     parts = [

@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.correct.correction import MARGIN, Configuration, Correction, correct
+from truearm.correct.correction import MARGIN, Configuration, Correction
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.programs.program import Refused, is_program, suffixes_like
-from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
+from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import Chain, forward
-from truearm.model.poses import inverted, pose_of
+from truearm.model.poses import Six, frame_of, inverted
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
@@ -34,12 +34,12 @@ from truearm.workflows.calibration import (
 from truearm.workflows.configuration_notes import SEARCHED
 from truearm.workflows.correct_program import (
     CalibrationFrames,
+    Corrected,
     HowCorrected,
     ProgramOptions,
     correct_program,
 )
 from truearm.workflows.correction_findings import (
-    CorrectedMoves,
     CorrectedTargets,
     document_of,
     findings,
@@ -47,8 +47,6 @@ from truearm.workflows.correction_findings import (
 )
 from truearm.workflows.correction_report import page_of
 from truearm.workflows.undetermined import undetermined
-
-Six = tuple[float, float, float, float, float, float]
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
@@ -87,30 +85,6 @@ class CorrectFiles(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Request:
-    """How to correct, for a given robot."""
-
-    pair: ModelPair
-    units: tuple[str, ...]
-    method: Method | str
-    steps: int
-    work: Floats  # (4, 4)
-    tool: Floats  # (4, 4)
-    home: Floats | None
-    margin: float
-
-
-class _Done(NamedTuple):
-    """The corrected file's text, what was done, and the text to print about it."""
-
-    text: str | bytes
-    targets: CorrectedTargets
-    moves: CorrectedMoves
-    notes: tuple[str, ...]
-    refused: tuple[Refused, ...] = ()
-
-
-@dataclass(frozen=True)
 class CorrectedFile:
     """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines.
 
@@ -143,7 +117,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     check_writable(files.out, program or files.force, inputs=read, ours=ours, suffixes=suffixes)
     if program and files.out.exists():
         raise InputError(f"{files.out}: exists; give a new name, a corrected program never replaces a file")
-    request = _request(calibration, options)
+    how = _how(calibration, options)
     written = [*read, files.out]
     for path, known, suffix in (
         (files.residuals, looks_like_targets, ".csv"),
@@ -152,7 +126,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         if path is not None:
             check_writable(path, files.force, inputs=written, ours=known, suffixes=[suffix])
             written.append(path)
-    done = _correct_program(files, calibration, request, options) if program else _correct_table(files.targets, request)
+    done = _correct_program(files, how, options) if program else _correct_table(files.targets, how, options)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
     texts: dict[Path, str | bytes] = {files.out: done.text}  # written once all is computed
@@ -162,7 +136,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
-        found = findings(calibration, request.pair, done.targets, done.moves)
+        found = findings(calibration, how.pair, done.targets, done.moves)
         document = document_of(found, calibration, said, done.refused, files.out.name)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
@@ -179,78 +153,53 @@ def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOpt
 
     Raises TargetError for the first one that is out of reach or near a singularity.
     """
-    request = _request(calibration, options)
-    done = correct(
-        request.pair,
-        request.work @ poses @ inverted(request.tool),
-        request.method,
-        request.steps,
-        configuration=Configuration(home=request.home),
-        margin=request.margin,
-    )
+    done, commanded = _corrected(_how(calibration, options), poses, options)
     _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError, then="")
-    return done._replace(commanded=inverted(request.work) @ done.commanded @ request.tool)
+    return done._replace(commanded=commanded)
 
 
-def _request(calibration: Calibration, options: CorrectOptions) -> _Request:
+def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
     taken_out = chosen_mountings(calibration, options.own_frames)
-    return _Request(
-        pair=ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out),
-        units=calibration.joint_units,
-        method=options.method,
-        steps=options.steps,
-        work=_frame(options.work),
-        tool=_frame(options.tool),
-        home=check_joints("home", options.home, calibration.chain),
-        margin=options.margin,
-    )
+    pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out)
+    home = check_joints("home", options.home, calibration.chain)
+    return HowCorrected(pair, options.method, options.steps, home, options.margin)
 
 
-def _correct_table(path: Path, request: _Request) -> _Done:
-    targets = read_targets(path, request.units)
-    if not targets.oriented and not np.array_equal(request.tool, np.eye(4)):
+def _corrected(
+    how: HowCorrected, poses: Floats, options: CorrectOptions, q_start: Floats | None = None, oriented: bool = True
+) -> tuple[Correction, Floats]:
+    """Return the correction of the tool's poses (n, 4, 4) in the work frame, and the poses to command, in it too."""
+    work, tool = frame_of(options.work), frame_of(options.tool)
+    done = how.correct(work @ poses @ inverted(tool), Configuration(q_start, how.home), oriented)
+    return done, inverted(work) @ done.commanded @ tool
+
+
+def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Corrected:
+    units, tool = how.pair.chain.joint_units, frame_of(options.tool)
+    targets = read_targets(path, units)
+    if not targets.oriented and not np.array_equal(tool, np.eye(4)):
         raise TargetError(
             f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
         )
-    done = correct(
-        request.pair,
-        request.work @ targets.pose @ inverted(request.tool),
-        request.method,
-        request.steps,
-        oriented=targets.oriented,
-        configuration=Configuration(targets.q_start, request.home),
-        margin=request.margin,
-    )
+    done, commanded = _corrected(how, targets.pose, options, targets.q_start, targets.oriented)
     _refuse(done, targets.source, TargetError)
-    commanded = inverted(request.work) @ done.commanded @ request.tool
-    text = format_corrected(targets, commanded, done.q, done.before, done.after, request.units)
+    text = format_corrected(targets, commanded, done.q, done.before, done.after, units)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
-    tools = np.broadcast_to(request.tool, commanded.shape)
+    tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return _Done(
-        text, corrected, CorrectedMoves(), (SEARCHED,) if targets.q_start is None and request.home is None else ()
-    )
+    return Corrected(text, corrected, notes=(SEARCHED,) * (targets.q_start is None and how.home is None))
 
 
-def _correct_program(
-    files: CorrectFiles, calibration: Calibration, request: _Request, options: CorrectOptions
-) -> _Done:
-    chain = calibration.chain
-    brought, tool0 = not _is_urdf(files.robot), tool0_in_flange(files.robot, chain)
+def _correct_program(files: CorrectFiles, how: HowCorrected, options: CorrectOptions) -> Corrected:
+    chain = how.pair.chain
+    brought, tool0 = not files.robot.is_urdf, tool0_in_flange(files.robot, chain)
     names = CalibrationFrames(chain.base_frame, chain.end_frame, brought, options.own_frames, tool0)
-    how = HowCorrected(request.pair, request.method, request.steps, request.home, request.margin)
-    done = correct_program(files.targets, how, names, options.program)
-    return _Done(done.text, done.targets, done.moves, done.notes, done.refused)
-
-
-def _is_urdf(robot: RobotChoice) -> bool:
-    """Return whether the calibration's robot is described by a URDF, with ROS frame names."""
-    return robot.robot is not None and is_urdf(robot.robot)
+    return correct_program(files.targets, how, names, options.program)
 
 
 def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
     """Return the pose (4, 4) of a URDF's link tool0 in its link flange; None if it has none behind the same joints."""
-    if robot.robot is None or not is_urdf(robot.robot) or chain.end_frame != "flange":
+    if robot.robot is None or not robot.is_urdf or chain.end_frame != "flange":
         return None
     try:
         flange, tool0 = (load_robot(robot.robot, chain.base_frame, tip).chain for tip in ("flange", "tool0"))
@@ -294,8 +243,3 @@ def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
         angles = [f"{DEG.of(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
         lines.append(",".join([place, *lengths, *angles]))
     return "\n".join([*lines, ""])
-
-
-def _frame(six: Six) -> Floats:
-    """Return the frame (4, 4) of a position [m] and a rotation vector [rad]."""
-    return np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,12 +42,12 @@ from truearm.files.programs.targets import (
 )
 from truearm.files.programs.values import Pose, fixed_six, readings_of
 from truearm.model.chain import joint_jacobian
-from truearm.model.poses import apart, for_each, inverted, pose_of
+from truearm.model.poses import Six, apart, for_each, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
-from truearm.workflows.given_tools import Six, check_names, check_used
+from truearm.workflows.given_tools import check_names, check_used
 
 N_READINGS = 6  # of a program's joint readings
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
@@ -112,21 +111,30 @@ class HowCorrected(NamedTuple):
     home: Floats | None
     margin: float
 
+    def correct(self, ends: Floats, configuration: Configuration, oriented: bool = True) -> Correction:
+        """Return the correction of poses (n, 4, 4) of the end."""
+        return correct(
+            self.pair,
+            ends,
+            self.method,
+            self.steps,
+            oriented=oriented,
+            configuration=configuration,
+            margin=self.margin,
+        )
 
-@dataclass(frozen=True)
-class CorrectedProgram:
-    """A program's new text, its targets and straight moves. ``refused``: what was left unchanged; ``notes``: remarks."""
 
-    text: bytes
+class Corrected(NamedTuple):
+    """A corrected file's text, its targets and straight moves. ``refused``: what was left unchanged; ``notes``: remarks."""
+
+    text: str | bytes
     targets: CorrectedTargets
-    moves: CorrectedMoves
-    refused: tuple[Refused, ...]
-    notes: tuple[str, ...]
+    moves: CorrectedMoves = CorrectedMoves()
+    refused: tuple[Refused, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
-def correct_program(
-    path: Path, how: HowCorrected, names: CalibrationFrames, options: ProgramOptions
-) -> CorrectedProgram:
+def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, options: ProgramOptions) -> Corrected:
     """Correct a program. Raises ProgramRefused if a move cannot be corrected, ProgramError if it is not a valid
     program.
     """
@@ -211,7 +219,7 @@ def correct_program(
             frozenset(one.line for one in refused),
         )
         check_reread(program, parse_program(text, language, surroundings, str(path)), wanted)
-    return CorrectedProgram(
+    return Corrected(
         text,
         corrected,
         _straight_moves(how.pair, program, targets, of_pose, of_joints, corrected),
@@ -322,9 +330,7 @@ def _described(names: CalibrationFrames) -> Frame | None:
 
 
 def _given(six: Six | None) -> Frame | None:
-    if six is None:
-        return None
-    return Frame(np.asarray(pose_of(np.array([six[:3]]), np.array([six[3:]]))[0]), "as given")
+    return None if six is None else Frame(frame_of(six), "as given")
 
 
 def _ends(base: Frame, flange: Frame, poses: tuple[Floats, Floats, Floats], targets: ProgramTargets) -> Floats:
@@ -390,7 +396,7 @@ def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) ->
         return Correction(
             np.zeros((0, n_joints)), np.zeros((0, n_joints)), ends, np.zeros((0, 2)), np.zeros((0, 2)), ()
         )
-    return correct(how.pair, ends, how.method, how.steps, configuration=configuration, margin=how.margin)
+    return how.correct(ends, configuration)
 
 
 def _rows(of: Correction, rows: Sequence[int]) -> Correction:

@@ -8,8 +8,7 @@ from typing import assert_never
 
 from truearm.errors import Argument, ProgramError
 from truearm.files.programs.program import Program, ProgramLanguage
-
-Six = tuple[float, float, float, float, float, float]
+from truearm.model.poses import Six
 
 
 def check_names(

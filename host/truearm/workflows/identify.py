@@ -32,7 +32,7 @@ from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_document import copies_of, document_of
 from truearm.files.result_file import Input, RobotFrames, looks_like_result, with_checksum, write_result
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.files.stored_result import stored_result
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
@@ -208,7 +208,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     )
     outputs = [(path, ours, suffix) for path, ours, suffix in wanted if path is not None]
     check_files(sources, files.robot, outputs, files.force)
-    robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip)
+    robot = files.robot.load()
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     if files.save_table is not None:

@@ -18,7 +18,7 @@ from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.plan_file import looks_like_plan, write_plan
 from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
@@ -423,7 +423,7 @@ def _is_ours(suffix: str, head: bytes) -> bool:
 def _known(files: PlanFiles) -> Known:
     """Return robot, rig, model and earlier measurements, from files."""
     result = None if files.result is None else read_calibration(files.result, files.robot)
-    robot = load_robot(files.robot.robot or "", files.robot.base, files.robot.tip) if result is None else result.robot
+    robot = files.robot.load() if result is None else result.robot
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
         return known

@@ -191,7 +191,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     the robot and planning raise; then nothing is written.
     """
     from truearm.files.rig_file import read_rig
-    from truearm.files.robot_file import RobotChoice, load_robot
+    from truearm.files.robot_file import RobotChoice
     from truearm.plan.branches import branch_of
     from truearm.plan.first_rig import first_rig
     from truearm.workflows.plan import BallBarOptions, Budget, PlanFiles, plan_ball_bar_files
@@ -202,7 +202,7 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
         raise InputError(f"{paths['project']} already exists; edit it, or use another folder")
     model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
-    robot = load_robot(choice.robot or "", choice.base, choice.tip)
+    robot = choice.load()
     with _all_or_nothing() as new:
         plan = None
         new.folder(folder)

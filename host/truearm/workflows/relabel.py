@@ -16,7 +16,7 @@ from truearm.errors import Argument, InputError, RigError, SessionError
 from truearm.estimate.mounted_pairings import FITS, SURE, MountingChances, Readings, Words, label_support, mountings
 from truearm.files.labels_file import Decision, no_labels, read_labels, with_decision, write_labels
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
 from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
@@ -106,7 +106,7 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
         parts, rig, readings = _read(paths, options.rig)
         said = [one for part in parts for one in part.said]
         choice = options.robot
-        robot = None if choice.robot is None else load_robot(choice.robot, choice.base, choice.tip)
+        robot = None if choice.robot is None else choice.load()
         with step(f"estimating what was mounted at {len(said)} dwells"):
             found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:

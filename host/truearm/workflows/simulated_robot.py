@@ -11,7 +11,7 @@ import numpy as np
 
 from truearm.errors import Argument, InputError, PlanError
 from truearm.files.disk import write_atomic
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.model.chain import point_forward
 from truearm.plan.branches import branch_of
 from truearm.units import MM
@@ -68,7 +68,7 @@ def simulated_robot(model: RobotChoice, truth: TruthOptions, seed: int, branch: 
     from truearm_sim.joint_errors import GearError, JointError, Sag
     from truearm_sim.true_robot import Tolerance, true_params
 
-    robot = load_robot(model.robot or "", model.base, model.tip)
+    robot = model.load()
     if branch is not None:
         robot = replace(robot, branch=branch_of(robot, branch))
     seed = seed if truth.seed is None else truth.seed
