@@ -20,6 +20,9 @@ from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, 
 
 Floats = NDArray[np.float64]
 Strings = NDArray[np.str_]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+Ints = NDArray[np.int64]
 Residuals = Mapping[str, Floats]  # by SI unit, one per row (n,): signed or a norm; NaN where there is none
 
 # value types of fields; rig files have the same (``schema.values_of``)

@@ -26,15 +26,13 @@ from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.solvers import Loss
 from truearm.estimate.uncertainty import Goodness, goodness, prior_shares
 from truearm.estimate.whitened_rows import gate, only, squared_distances
-from truearm.types import Floats
+from truearm.types import Floats, Mask
 
 MOST = 0.25  # of the rows
 LEAST_LEFT = 10.0  # degrees of freedom of the other rows: with fewer, leaving out rows explains anything
 ROUNDS = 10
 HEAVY = 2.0  # times the misfit of the usual row: with less, the whole fit is bad and not some rows
 CHANCE = 0.01  # probability of a longer run of bad rows in random order
-
-Mask = NDArray[np.bool_]
 
 
 class WithoutBad(NamedTuple):

@@ -9,10 +9,9 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.kinds.linearised import Indices
 from truearm.model.chain import Chain
 from truearm.results import DriftWith
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, Indices, ObservationTable
 
 SAME_POSE = 1e-3  # rad or m: joint readings that differ by less belong to one pose
 LEAST_DIRECTED = 5  # rows that a joint must have reached in either direction

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.problem import build_problem
-from truearm.kinds.linearised import Indices
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Rigs
+from truearm.types import Floats, Indices, ObservationTable, Rigs
 from truearm.units import SMALLEST, UNITS
 
 LEVEL = 1e-3  # probability that equal measurements are taken for copies

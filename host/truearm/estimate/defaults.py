@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.fit import fit
@@ -39,10 +38,8 @@ from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
 from truearm.model.chain import Chain
 from truearm.results import Defaults, StillJoint
-from truearm.types import Floats, ObservationTable, Rigs
+from truearm.types import Floats, Mask, ObservationTable, Rigs
 from truearm.units import UNITS
-
-Mask = NDArray[np.bool_]
 
 STILL = 4.0  # weak σ, largest minus smallest reading
 LARGEST_MISFIT = 10.0  # ratio of the observed noise to the declared one

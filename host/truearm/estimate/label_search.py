@@ -33,11 +33,10 @@ from truearm.errors import ProblemError
 from truearm.estimate.better_fit import fits
 from truearm.estimate.label_test import CLEARLY, Labels, labellings, log_chance, permuted
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
-from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import GROUPS, identifiers, kinds, rig_names
 from truearm.model.chain import Chain
 from truearm.results import Relabelling
-from truearm.types import Floats, ObservationTable, Rig, Rigs, rigs_by_name, thinned
+from truearm.types import Floats, Indices, ObservationTable, Rig, Rigs, rigs_by_name, thinned
 
 TENFOLD = 0.1  # of the RMS
 LEVEL = 1e-3  # probability that correct labels are reported as wrong

@@ -30,9 +30,8 @@ from truearm.estimate.pose_noise import (
 )
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import only
-from truearm.kinds.linearised import Indices
 from truearm.progress import steps_of
-from truearm.types import Floats, Law
+from truearm.types import Floats, Indices, Law
 from truearm.units import UNITS
 
 GATE = 6.0  # nats

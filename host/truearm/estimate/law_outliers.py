@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.estimate.law_rows import LawRows
 from truearm.estimate.outliers import matter, misfit, single
@@ -20,10 +19,10 @@ from truearm.estimate.recursive import within
 from truearm.estimate.whitened_rows import gate
 from truearm.model.chain import Chain
 from truearm.results import Estimate
+from truearm.types import Mask
 
 MAX_ROUNDS = 6  # of fits with laws
 
-Mask = NDArray[np.bool_]
 WithLaws = tuple[Chain, Estimate]
 
 

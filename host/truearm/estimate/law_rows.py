@@ -13,9 +13,8 @@ from truearm.estimate.law_fit import LawProblem, Posterior
 from truearm.estimate.pose_noise import PoseNoise, in_rows, pose_rows, spread_of, unknowns_of_rows
 from truearm.estimate.whitened_rows import gate, noise_root
 from truearm.kinds.group import unit_columns
-from truearm.kinds.linearised import Indices
 from truearm.results import ResidualParts
-from truearm.types import Floats, Residuals
+from truearm.types import Floats, Indices, Residuals
 from truearm.units import UNITS
 
 LEAST_SHARE = 1e-9  # of a pose's variance that must remain after fitting the unknowns

@@ -19,9 +19,8 @@ from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_score import FitChi2, Fitted, Measured
 from truearm.estimate.uncertainty import Goodness
 from truearm.estimate.whitened_rows import only
-from truearm.kinds.linearised import Indices
 from truearm.results import SystematicErrors
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 MOST_NUMBERS = 1_200_000  # of the tested rows' derivatives, 10 MB; of more, evenly spaced poses are tested
 

@@ -19,9 +19,8 @@ from scipy import special
 from truearm.estimate.problem import Problem
 from truearm.estimate.whitened_rows import ALONE, whitened_blocks
 from truearm.kinds.group import unit_columns
-from truearm.kinds.linearised import Indices
 from truearm.results import MeanError
-from truearm.types import Floats, Residuals
+from truearm.types import Floats, Indices, Residuals
 
 LEVEL = 0.95
 LEAST_POSES = 2

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from truearm.estimate.circumstances import SAME_POSE, Circumstances, runs, sessions
 from truearm.estimate.systematic_score import Measured
-from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
-from truearm.types import ObservationTable
+from truearm.types import Indices, ObservationTable
 
 
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:

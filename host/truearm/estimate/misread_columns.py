@@ -15,7 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation, in_other_unit, worst_fitted
@@ -24,10 +23,8 @@ from truearm.kinds.quantities import POINT, TURN
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Floats, ObservationTable, Rig, Rigs, thinned
+from truearm.types import Floats, Indices, Mask, ObservationTable, Rig, Rigs, thinned
 
-Mask = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 AXES = "xyz"
 
 
@@ -130,7 +127,9 @@ def _flipped(rig: Rigs, entry: str, axis: int, only: str = "") -> Rigs | None:
     return replace(rig, **moved)
 
 
-def shifted_rows(chain: Chain, rig: Rigs, table: ObservationTable, rows: Rows, free: Mask) -> Iterator[Interpretation]:
+def shifted_rows(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Indices, free: Mask
+) -> Iterator[Interpretation]:
     """Return some ``rows`` of a table with the joint readings of the row before each, or after it."""
     for by, belong_to in ((1, "after"), (-1, "before")):
         other = rows - by

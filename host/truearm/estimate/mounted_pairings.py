@@ -31,7 +31,6 @@ from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 from scipy.linalg import cho_factor, cho_solve
 
@@ -39,11 +38,9 @@ from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import blocks, build_problem
 from truearm.model.chain import Chain
 from truearm.progress import steps_of
-from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, Floats, Indices, Mask, ObservationTable, Rig
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
 
 # How operators change what is mounted, as probabilities. The result is insensitive to the second digit.
 DONE = 0.9  # the plan asks for another pairing, and it is mounted

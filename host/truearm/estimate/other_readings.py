@@ -9,21 +9,18 @@ from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
 from truearm.model.chain import Chain
-from truearm.types import Floats, ObservationTable, Rig, Rigs, thinned
+from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, thinned
 from truearm.units import DEG, MM, UNITS
 
 INCH = 0.0254  # m
 FEW_ROWS = 60  # enough to rank arrangements of joints
 MOST_FITTED = 4  # of the orders and signs of joints, those with the smallest residuals before the robot is fitted
-
-Mask = NDArray[np.bool_]
 
 
 class Candidate(NamedTuple):

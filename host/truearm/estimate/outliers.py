@@ -17,7 +17,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.fit import fit
@@ -26,8 +25,7 @@ from truearm.estimate.problem import Problem
 from truearm.estimate.recursive import within
 from truearm.estimate.solution import Options, Solution
 from truearm.estimate.whitened_rows import gate, only, squared_distances, whitened_blocks
-from truearm.kinds.linearised import Indices
-from truearm.types import Floats
+from truearm.types import Floats, Indices, Mask
 
 MOST = 0.05  # of the rows
 LONGEST_RUN = 3
@@ -36,8 +34,6 @@ MAX_ROUNDS = 50
 GROSS = 10.0  # times the median row of its kind: beyond the errors of a robot that is merely uncalibrated
 GROSS_ROUNDS = 5
 MEDIAN_SPREAD = 2.33  # relative σ of the median of n squares of one residual each, times √n; of wider rows it is less
-
-Mask = NDArray[np.bool_]
 
 
 def gross_rows(problem: Problem, columns: Mask, x: Floats) -> tuple[Mask, Floats]:

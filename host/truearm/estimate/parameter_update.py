@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.problem import Problem
-from truearm.kinds.linearised import Indices
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import constants_of
 from truearm.model.rotation import screw, skew, turned
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 Step = Callable[[Floats, Floats], Floats]  # x (k,) and Δ (k,) to the new x
 STRAIGHT = 1e-5  # rad: the arc of such a turn deviates from its tangent by 0.05 nm at a metre

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices, Linearised
+from truearm.kinds.linearised import Linearised
 from truearm.kinds.quantities import PAYLOAD, PAYLOAD_CENTRE
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
-from truearm.types import Floats, ObservationTable, Payload, Rigs, rigs_by_name
+from truearm.types import Floats, Indices, ObservationTable, Payload, Rigs, rigs_by_name
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,9 +35,8 @@ from scipy import special
 
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
-from truearm.kinds.linearised import Indices
 from truearm.results import PoseError
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 LEVEL = 0.05  # of fits without such errors that show some by chance
 TRANSLATIONS = slice(0, 6, 2)  # of ``Linearised.wrenches``: the forces

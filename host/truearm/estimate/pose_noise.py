@@ -21,9 +21,8 @@ from scipy.sparse import csr_array
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices
 from truearm.model.constant_folding import folded
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 CHUNK = 400_000  # numbers per chunk of rows: 3 MB
 SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much the unknowns absorb

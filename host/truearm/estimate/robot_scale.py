@@ -18,13 +18,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import Chain
 from truearm.results import Estimate, RobotScale, Unusable, weights_of
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # probability that independent tolerances are reported as a scale
@@ -32,8 +31,6 @@ LEAST = 3.0  # standard deviations of the scale, by a drawing's tolerance of eac
 LEAST_LENGTHS = 4
 LARGE = 0.05  # a scale that no item gives a robot by being millimetres off
 NO_SHARE = 1e-6  # of a length in a null direction, whose largest share is about 1
-
-Indices = NDArray[np.intp]
 
 
 def with_scale(chain: Chain, estimate: Estimate) -> Estimate:

@@ -13,11 +13,9 @@ from truearm.estimate.trial_fit import Trial, misfit, tried
 from truearm.model.chain import Chain
 from truearm.results import WrongInput
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable, Rigs, thinned
+from truearm.types import Floats, Mask, ObservationTable, Rigs, thinned
 
 LEAST_ROWS = 5  # of another set-up
-
-Mask = NDArray[np.bool_]
 
 
 def stuck_joint(

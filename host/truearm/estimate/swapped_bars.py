@@ -1,4 +1,4 @@
-"""Rows that were measured with another bar than the one they name: its zero is another, so their lengths are wrong.
+"""Indices that were measured with another bar than the one they name: its zero is another, so their lengths are wrong.
 
 A length is zero + gain · extension of the bar that a row names. With zero z₀ and gain k₀ of that bar, the same reading of
 a bar with z₁ and k₁ is the length z₁ + k₁·(length − z₀)/k₀.
@@ -12,17 +12,13 @@ from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.estimate.label_sentences import named_row
 from truearm.estimate.measured_order import mountings
 from truearm.estimate.other_readings import Interpretation
 from truearm.model.chain import Chain
 from truearm.text import counted
-from truearm.types import BallBar, ObservationTable, Rig, Rigs
-
-Rows = NDArray[np.intp]
-Mask = NDArray[np.bool_]
+from truearm.types import BallBar, Indices, Mask, ObservationTable, Rig, Rigs
 
 
 class OtherBar(NamedTuple):
@@ -32,7 +28,9 @@ class OtherBar(NamedTuple):
     leave_out: str
 
 
-def other_bars(chain: Chain, rig: Rigs, table: ObservationTable, rows: Rows, some: Rows, free: Mask) -> list[OtherBar]:
+def other_bars(
+    chain: Chain, rig: Rigs, table: ObservationTable, rows: Indices, some: Indices, free: Mask
+) -> list[OtherBar]:
     """Return ``some`` of the ``rows`` of a table with one run of one mounting, or all rows of two bars, with the other bar."""
     found = []
     for first, end in _runs(table, rows):
@@ -51,7 +49,7 @@ def other_bars(chain: Chain, rig: Rigs, table: ObservationTable, rows: Rows, som
     return [*found, *_exchanged(chain, rig, table, some, free)]
 
 
-def _exchanged(chain: Chain, rig: Rigs, table: ObservationTable, some: Rows, free: Mask) -> Iterator[OtherBar]:
+def _exchanged(chain: Chain, rig: Rigs, table: ObservationTable, some: Indices, free: Mask) -> Iterator[OtherBar]:
     """Return the table with two bars exchanged in all rows of a rig."""
     for of in np.unique(table.rig).tolist():
         bars = _bars(rig, of)
@@ -62,7 +60,7 @@ def _exchanged(chain: Chain, rig: Rigs, table: ObservationTable, some: Rows, fre
             yield OtherBar(Interpretation(text, chain, rig, changed.select(some), free), "")
 
 
-def _runs(table: ObservationTable, rows: Rows) -> list[tuple[int, int]]:
+def _runs(table: ObservationTable, rows: Indices) -> list[tuple[int, int]]:
     """Return the runs of ``rows`` with one bar, chuck and sphere mounted, as the first and the one after the last."""
     mounted = mountings(table.select(rows))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(mounted)) + 1, [rows.size]]).tolist()

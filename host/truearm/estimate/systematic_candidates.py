@@ -25,9 +25,8 @@ from truearm.estimate.systematic_score import (
     span_in_table,
     unfollowed,
 )
-from truearm.kinds.linearised import Indices
 from truearm.results import DriftWith
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 MOST_FINDINGS = 6

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.circumstances import Circumstances
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices, Linearised
+from truearm.kinds.linearised import Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain, Element
 from truearm.model.poses import pose_of, six_of
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.results import Effect
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 # First columns of ``Linearised.wrenches``: force and couple on each axis of the base frame, derivatives by its
 # displacement.

@@ -17,9 +17,8 @@ from truearm.estimate.information import Information, half, spectrum
 from truearm.estimate.problem import Problem, blocks
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.systematic_effects import Cause, Errors, error_columns, profile
-from truearm.kinds.linearised import Indices
 from truearm.results import DriftWith, Effect
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 from truearm.units import UNITS
 
 LEVEL = 1e-3  # probability that a clean data set gives any finding

@@ -20,8 +20,7 @@ from truearm.estimate.problem import Problem, blocks, note
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.estimate.robust import Moments, clean_square, weigh
 from truearm.estimate.solvers import Loss
-from truearm.kinds.linearised import Indices
-from truearm.types import Floats, Residuals
+from truearm.types import Floats, Indices, Residuals
 
 GATE_LEVEL = 1e-6  # a clean row is flagged once in a million
 ALONE = 1e-9  # 1 − leverage, below which a residual is rounding and has no information

@@ -13,7 +13,6 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in
 from truearm.estimate.information import observe, spectrum, with_prior
@@ -25,12 +24,10 @@ from truearm.estimate.trial_fit import Trial, trial_problem, tried
 from truearm.model.chain import Chain
 from truearm.results import Effect, WrongInput
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable, Rigs
+from truearm.types import Floats, Mask, ObservationTable, Rigs
 from truearm.units import UNITS, Unit
 
 MOST_FITTED = 4
-
-Mask = NDArray[np.bool_]
 
 
 def wrong_constants(

@@ -40,14 +40,7 @@ from truearm.estimate.better_fit import HUNDREDFOLD, Found, explains, found_in, 
 from truearm.estimate.label_search import AS_WELL, FAR, NEAR, Search, relabellings
 from truearm.estimate.label_sentences import label_sentences
 from truearm.estimate.misread_columns import joint_in_other_unit, likeliest, mirrored, other_rotations, shifted_rows
-from truearm.estimate.other_readings import (
-    Candidate,
-    Interpretation,
-    Mask,
-    in_other_units,
-    of_other_joints,
-    of_other_robots,
-)
+from truearm.estimate.other_readings import Candidate, Interpretation, in_other_units, of_other_joints, of_other_robots
 from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.swapped_bars import other_bars
@@ -58,7 +51,7 @@ from truearm.estimate.wrong_constants import wrong_constants
 from truearm.model.chain import Chain
 from truearm.results import Estimate, Explanation, Figures, Relabelling, Unusable, WrongInput
 from truearm.text import counted
-from truearm.types import ObservationTable, Rigs
+from truearm.types import Mask, ObservationTable, Rigs
 from truearm.units import UNITS
 
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search

@@ -13,9 +13,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from truearm.files.disk import sha256, write_atomic
+
+if TYPE_CHECKING:
+    from truearm.model.chain import Chain
 
 FORMAT = "truearm-result"
 FORMAT_VERSION = 3
@@ -47,6 +50,11 @@ class RobotFrames:
     base_frame: str
     end_frame: str
     joint_units: tuple[str, ...]
+
+    @classmethod
+    def of(cls, chain: Chain) -> RobotFrames:
+        """Return those of a chain."""
+        return cls(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
 
 
 def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
@@ -29,7 +29,7 @@ from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, Table, keys_of
-from truearm.types import BAR_MOUNTED, BallBar, Floats, ObservationTable, Point, Rig
+from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, ObservationTable, Point, Rig
 from truearm.units import MM
 
 SURE = 5.0  # σ: a length is beyond the stroke

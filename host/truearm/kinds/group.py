@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.kinds.linearised import Indices, Linearised
+from truearm.kinds.linearised import Linearised
 from truearm.model.chain import Chain
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 
 
 @dataclass(frozen=True, kw_only=True)

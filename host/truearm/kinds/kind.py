@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices
 from truearm.kinds.proposals import Proposing
 from truearm.kinds.quantities import Quantity
 from truearm.kinds.rig_references import RigUse, Scope
 from truearm.model.chain import Chain
 from truearm.schema import Entries
-from truearm.types import Floats, ObservationTable, Point, Rig
+from truearm.types import Floats, Indices, ObservationTable, Point, Rig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,6 @@ import numpy as np
 
 from truearm.kinds import position
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices
 from truearm.kinds.position import nearest_rotation, points_of
 from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point, trial_rows
 from truearm.kinds.quantities import POINT, SPREAD
@@ -44,7 +43,7 @@ from truearm.kinds.rig_references import ORIGIN, RigUse, Scope
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation
 from truearm.schema import Entries
-from truearm.types import Device, Floats, LinePlacement, ObservationTable, Rig
+from truearm.types import Device, Floats, Indices, LinePlacement, ObservationTable, Rig
 
 
 def place(

@@ -15,11 +15,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from truearm.types import Floats
-
-Indices = NDArray[np.intp]
+from truearm.types import Floats, Indices
 
 
 class Linearised(NamedTuple):

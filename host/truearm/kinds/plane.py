@@ -14,7 +14,7 @@ import numpy as np
 
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import DISTANCE
 from truearm.kinds.rig_entries import NAME, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, nominal_points, refuse, sigmas, use, use_points
@@ -23,7 +23,7 @@ from truearm.model.chain import Chain, along, trace_point
 from truearm.model.rotation import left_jacobian, rotation
 from truearm.model.transforms import cross
 from truearm.schema import Entries, Table, keys_of
-from truearm.types import Floats, Plane
+from truearm.types import Floats, Indices, Plane
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.position import TRACKER, PositionRows, in_device_axes, joints_in_time, points_of
 from truearm.kinds.quantities import LARGEST_TURN_NOISE, POINT, SPREAD, TURN, Quantity
 from truearm.kinds.rig_entries import TARGET
@@ -27,7 +27,7 @@ from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, refus
 from truearm.kinds.unknowns import Layout
 from truearm.model.chain import Chain, about, forward, trace_point
 from truearm.model.rotation import left_jacobian, rotation, rotation_and_jacobian, rotation_vector
-from truearm.types import Floats
+from truearm.types import Floats, Indices
 from truearm.units import SMALLEST
 
 TURN_SIGMA = Quantity("rotation_sigma", ("rotation_sigma",), "rad", LARGEST_TURN_NOISE, positive=True)

@@ -29,7 +29,7 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import RigUse, Scope, look_up, measured, nominal_points, sigmas, use_points
@@ -38,7 +38,7 @@ from truearm.model.chain import Chain, PointTrace, along, trace_point
 from truearm.model.rotation import rotation, rotation_and_jacobian, rotation_vector
 from truearm.model.transforms import cross
 from truearm.schema import Entries
-from truearm.types import Device, Floats
+from truearm.types import Device, Floats, Indices
 
 STRAIGHT = 1e-9  # points that deviate from a line by 3e-5 of its length do not determine the roll about it
 

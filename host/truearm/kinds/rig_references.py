@@ -14,12 +14,11 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices
 from truearm.kinds.quantities import Quantity
 from truearm.kinds.unknowns import MOVED, Fault, Layout, RigNumber, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
-from truearm.types import Floats, ObservationTable, Point, Rig
+from truearm.types import Floats, Indices, ObservationTable, Point, Rig
 from truearm.units import SMALLEST
 
 Entry = TypeVar("Entry")

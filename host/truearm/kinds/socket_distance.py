@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.kinds.group import Group
-from truearm.kinds.linearised import Indices, Linearised, gather, scatter, zero_columns
+from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.unknowns import Layout, Used
 from truearm.model.chain import Chain
 from truearm.model.constant_folding import folded
-from truearm.types import Floats, Rig
+from truearm.types import Floats, Indices, Rig
 
 
 @dataclass(frozen=True, kw_only=True)

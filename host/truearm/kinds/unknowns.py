@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.kinds.linearised import Indices
-from truearm.types import Point
+from truearm.types import Indices, Point
 from truearm.units import SMALLEST
 
 XYZ = ("x", "y", "z")

@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.model.transforms import axis_of, cross, mixed
-from truearm.types import Floats
-
-Indices = NDArray[np.intp]
+from truearm.types import Floats, Indices
 
 if TYPE_CHECKING:
     from truearm.model.chain import Chain, Element

@@ -18,11 +18,10 @@ from scipy import special
 
 from truearm.estimate.circumstances import sessions
 from truearm.estimate.measured_order import mountings
-from truearm.kinds.linearised import Indices
 from truearm.kinds.registry import kinds
 from truearm.report.result_words import PARTS, kind_name
 from truearm.results import Estimate, Figures
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, Indices, ObservationTable
 from truearm.units import DEG, shown, symbol, title
 
 

@@ -26,7 +26,8 @@ from truearm.session.box_ident import Ident, Stream, decode_ident
 from truearm.session.frame_columns import FrameRun, Frames, frames_of, heartbeat_values
 from truearm.session.frame_order import FrameOrder, Placed
 from truearm.session.losses import COUNTED, Heartbeats, Losses, StreamReport, StreamTrack
-from truearm.session.message_columns import Ints, Messages
+from truearm.session.message_columns import Messages
+from truearm.types import Ints
 from truearm_wire import messages as wire
 
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.session.device_clock import DeviceClock
-from truearm.session.message_columns import Ints
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 from truearm.units import MDEGC
 
 AROUND_NS = 60_000_000_000  # on each side

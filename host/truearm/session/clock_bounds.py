@@ -39,8 +39,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from truearm.session.clock_windows import RATE_LIMIT, TICK_US, Ints
-from truearm.types import Floats
+from truearm.session.clock_windows import RATE_LIMIT, TICK_US
+from truearm.types import Floats, Ints
 
 WANDER = 30e-6  # a clock's rate stays within this of its usual rate
 SPAN = 8  # exchanges used together

@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 
 
 def lower_hull(x: Floats, y: Floats) -> NDArray[np.intp]:
@@ -96,8 +96,6 @@ def line_under(x: Floats, y: Floats, middle: float) -> tuple[float, float]:
         rate = float((y1 - y0) / (x1 - x0))
         return float(y0 - rate * x0), rate
 
-
-Ints = NDArray[np.int64]
 
 # -------------------------------------------------------------------------------------------------------------- windows
 

@@ -34,13 +34,12 @@ from truearm.session.clock_windows import (
     RATE_LIMIT,
     TICK_US,
     WINDOW_US,
-    Ints,
     Window,
     disagreements,
     host_by_lines,
     windows_of,
 )
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 from truearm.units import PPM
 
 HOST_ROUNDING_NS = 1.0  # host times are whole

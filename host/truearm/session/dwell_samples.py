@@ -23,7 +23,6 @@ from truearm.session.box_ident import Channel
 from truearm.session.device_clock import DeviceClock
 from truearm.session.dwells import Dwell, DwellRules, begun_at
 from truearm.session.joint_readings import JointStream
-from truearm.session.message_columns import Ints
 from truearm.session.sample_noise import (
     LEAST_BLOCKS,
     MeanOfSamples,
@@ -37,7 +36,7 @@ from truearm.session.sample_noise import (
     settled_from,
 )
 from truearm.session.samples import ChannelBlocks, bar_length, extension, out_of_travel, railed
-from truearm.types import BallBar, Floats
+from truearm.types import BallBar, Floats, Ints
 from truearm.units import MM, MS, NS, UM
 
 

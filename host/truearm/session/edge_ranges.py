@@ -26,9 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.session.clock_windows import DRIFT, TICK_US, lower_hulls
-from truearm.types import Floats
-
-Ints = NDArray[np.int64]
+from truearm.types import Floats, Ints
 
 STEP_NS = 20e9
 MARGIN, BLOCK = 4, 6  # nodes: on both sides of a block, and in it

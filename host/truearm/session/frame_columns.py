@@ -29,7 +29,8 @@ from truearm.session.box_frames import (
     is_boot,
     is_echo,
 )
-from truearm.session.message_columns import Ints, Messages, heads
+from truearm.session.message_columns import Messages, heads
+from truearm.types import Ints
 from truearm_wire import messages as wire
 
 NO_TIME = -1  # kind of a frame without device time

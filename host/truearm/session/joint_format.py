@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
 MAX_SEQ = 2**62
@@ -168,9 +168,6 @@ def format_reading(t: float, seq: int | None, q: Sequence[float], **more: object
 
 def _finite(value: object) -> bool:
     return (type(value) is float and math.isfinite(value)) or (type(value) is int and abs(value) < 2**53)
-
-
-Ints = NDArray[np.int64]
 
 
 NO_INPUTS = -1  # inputs of a reading without them

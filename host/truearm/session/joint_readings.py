@@ -21,20 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.session.joint_format import (
-    COLUMNS,
-    JOINTS,
-    UNNUMBERED,
-    Ints,
-    JointBatch,
-    concatenate,
-    parse_lines,
-    unpack,
-)
+from truearm.session.joint_format import COLUMNS, JOINTS, UNNUMBERED, JointBatch, concatenate, parse_lines, unpack
 from truearm.session.losses import MissingNumbers
 from truearm.session.message_columns import Messages
 from truearm.session.robot_clock import Arrivals, RobotClock, RobotClockReport, fit_robot_clock
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 
 MOST_CHANGES = 1_000_000  # per segment; edges cannot be distinguished in a signal faster than that
 

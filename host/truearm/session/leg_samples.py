@@ -22,9 +22,9 @@ from truearm.session.device_clock import DeviceClock
 from truearm.session.joint_format import UNNUMBERED, parse_lines
 from truearm.session.joint_readings import JointStream
 from truearm.session.line_legs import Leg
-from truearm.session.message_columns import LATEST_NS, Ints, Messages
+from truearm.session.message_columns import LATEST_NS, Messages
 from truearm.session.samples import ChannelBlocks, columns_in, of_channels
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 
 LATE_NS = 10_000_000_000  # a message is older than its arrival by less than this
 EARLY_NS = 1_000_000_000  # and younger by less than this: possible disagreement of clocks

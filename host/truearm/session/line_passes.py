@@ -41,12 +41,9 @@ from truearm.session.joint_readings import JointStream
 from truearm.session.leg_samples import LegReadings, LegSamples, Samples, readings_of, samples_of
 from truearm.session.line_legs import Leg
 from truearm.session.local_fits import LEAST, MISSED, fit_locally
-from truearm.session.message_columns import Ints
 from truearm.session.sample_noise import mean_variance
 from truearm.session.samples import extension, railed
-from truearm.types import Floats, rms_of_columns
-
-Mask = NDArray[np.bool_]
+from truearm.types import Floats, Ints, Mask, rms_of_columns
 
 ALONG, ACROSS = ("magnetostrictive",), ("transverse_a", "transverse_b")  # channels of the device's y; x and z
 WANTED = (ALONG, ACROSS)

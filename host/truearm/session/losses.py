@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 
 from truearm.session.box_frames import MAX_DEVICE_US
 from truearm.session.box_ident import Stream
-from truearm.session.message_columns import Ints, Messages
+from truearm.session.message_columns import Messages
+from truearm.types import Ints
 from truearm_wire import messages as wire
 
 REMEMBERED = 256  # holes, and late numbers that fill none; a number that arrives later than that is not looked up

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, SessionError
 from truearm.file_names import no_such_file, system_reason
-from truearm.types import Message
+from truearm.types import Ints, Message
 
 MAX_CHUNK_BYTES = 64 << 20
 MAX_ATTACHMENT_BYTES = 16 << 20
@@ -175,7 +175,6 @@ def channel_of(path: Path, body: bytes, at: int) -> tuple[int, str]:
 BATCH_BYTES = 2 << 20  # of records, read together: enough for NumPy to be fast, with little memory
 MARGIN = 64  # zero bytes after the last record: the header of a short record may be read beyond its end
 
-Ints = NDArray[np.int64]
 
 # A message record. MCAP's log time is UTC and its publish time the host's clock; before session version 0.5 both are
 # the host's clock.

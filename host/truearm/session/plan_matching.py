@@ -27,15 +27,13 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import Argument, RigError
 from truearm.session.joint_format import MAX_JOINTS
 from truearm.session.line_legs import Leg
 from truearm.session.line_passes import LONGEST_S, LinePass
-from truearm.types import LINE_MOUNTED, MOUNTED, Floats, Move, Rig
+from truearm.types import LINE_MOUNTED, MOUNTED, Floats, Indices, Move, Rig
 
-Indices = NDArray[np.intp]
 FITTINGS = (*MOUNTED, "shell")
 MAX_NAME = 64
 REPEAT = 0.25

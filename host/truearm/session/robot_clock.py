@@ -31,13 +31,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from truearm.session.clock_windows import line_under, lower_hulls, slack_ns
-from truearm.types import Floats
+from truearm.types import Floats, Ints
 from truearm.units import PPM
-
-Ints = NDArray[np.int64]
 
 HALF_WINDOW_S = 30.0
 BLOCK_S = 1.0  # the fastest packet of each such interval counts for the bound

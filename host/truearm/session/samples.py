@@ -18,9 +18,8 @@ from truearm.errors import SessionError
 from truearm.session.box_ident import RATIO_STEP, Channel, Ident, Stream, find_channel
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
-from truearm.session.message_columns import Ints
 from truearm.text import box_command, one_line
-from truearm.types import BallBar, Floats
+from truearm.types import BallBar, Floats, Ints
 from truearm_wire import messages as wire
 
 # Two's complement limits of a 24-bit converter. At a limit the true input is at least that large but otherwise unknown.

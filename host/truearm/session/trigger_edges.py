@@ -57,9 +57,7 @@ from truearm.session.device_clock import DeviceClock
 from truearm.session.edge_ranges import EdgeRanges, edge_ranges
 from truearm.session.joint_readings import Changes, InputTrack, JointStream
 from truearm.session.robot_clock import EdgeReport, RobotClock
-from truearm.types import Floats
-
-Ints = NDArray[np.int64]
+from truearm.types import Floats, Ints
 
 SHORTEST_DELAY_NS = 15_000.0  # upper limit for the shorter delay of an input: an optocoupler without a filter
 WINDOWS_US = (60_000_000, 120_000_000)

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 
 from truearm.estimate.solvers import Prior
 from truearm.units import MS, NS
-from truearm.workflows.demo_steps import ClockTruth, Steps, Subject, recording_facts, robot_title
+from truearm.workflows import demo_steps
+from truearm.workflows.demo_steps import ClockTruth, DemoCalibration, Steps, Subject, recording_facts
 
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
-    from truearm.results import Estimate, PredictedError
+    from truearm.results import Estimate
     from truearm.session.observations import SyncResult
-    from truearm.types import Floats, ObservationTable, Plan, Rig
+    from truearm.types import ObservationTable, Plan
     from truearm_sim.world import World
 
 N_LINES = 4
@@ -90,23 +91,17 @@ def planned_lines(seed: int, robot: Robot) -> Plan:
 
 
 @dataclass(frozen=True)
-class LineCalibration:
+class LineCalibration(DemoCalibration):
     """The results identified from lines, and the other fit used for comparison."""
 
     with_bar: bool
-    subject: Subject
-    rig: Rig
     table: ObservationTable
-    estimate: Estimate
     other: Estimate  # row by row for lines alone; the ball-bar's alone if both are used
-    longitude: Floats
-    predicted: PredictedError | None
-    hold_out: tuple[str, ...]
 
-    @property
-    def prior(self) -> Prior:
-        """The prior: lines alone do not determine all free parameters; together with a ball-bar none is needed."""
-        return Prior.NONE if self.with_bar else Prior.WIDE
+
+def _prior(with_bar: bool) -> Prior:
+    """Return the prior: lines alone do not determine all free parameters; together with a ball-bar none is needed."""
+    return Prior.NONE if with_bar else Prior.WIDE
 
 
 def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subject) -> LineCalibration:
@@ -114,13 +109,8 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     import numpy as np
 
     from truearm.estimate.identify import SolverOptions, identify
-    from truearm.estimate.prediction import predicted_point_error
     from truearm.estimate.prior import wide_prior
-    from truearm.files.result_document import document_of
-    from truearm.files.result_file import RobotFrames, write_result
     from truearm.files.rig_file import read_rig
-    from truearm.workflows.calibration_report import longitudes
-    from truearm.workflows.inputs import Sources, hashed_inputs
     from truearm.workflows.selection import default_free
 
     robot, rig = subject.robot, read_rig(out / "rig.toml")
@@ -143,41 +133,18 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     else:
         estimate = identify(chain, rig, table, free=free, hold_out=judges)
         other = identify(chain, rig, table, free=free, hold_out=np.asarray(table.bar != subject.fitted.name))
-    hold_out = (f"line={CHECK}", *[f"bar={judging}"] * with_bar)
-    predicted = predicted_point_error(chain, rig, table, estimate)
-    found = LineCalibration(
-        with_bar, subject, rig, table, estimate, other, longitudes(chain, rig, table, estimate), predicted, hold_out
-    )
-    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
-    write_result(
-        out / "result.json", document_of(estimate, table, frames, inputs, list(hold_out), found.prior, predicted)
-    )
-    return found
+    hold_out = [f"line={CHECK}", *[f"bar={judging}"] * with_bar]
+    found = demo_steps.identified(out, table, subject, rig, estimate, hold_out, _prior(with_bar))
+    return LineCalibration(**vars(found), with_bar=with_bar, table=table, other=other)
 
 
 def write_page(
     out: Path, found: LineCalibration, result: SyncResult, truth: ClockTruth, steps: Steps, command: str
 ) -> Path:
-    """Write report.html with pictures and tables, everything inline; ``command`` is the one that was typed."""
-    from truearm.report.calibration_page import CalibrationPage, render
-
-    with_bar = " and ball-bar" * found.with_bar
-    page = CalibrationPage(
-        title=f"{robot_title(found.subject)}, calibration by lines{with_bar}",
-        subtitle="simulated robot, real firmware, wire, recorder and estimator",
-        estimate=found.estimate,
-        table=result.table,
-        longitude=found.longitude,
-        facts=(*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate))),
-        steps=tuple(steps.done),
-        command=command,
-        prior=found.prior,
-        predicted=found.predicted,
-    )
-    path = out / "report.html"
-    path.write_text(render(page), encoding="utf-8")
-    return path
+    """Write report.html; ``command`` is the one that was typed."""
+    what = f"calibration by lines{' and ball-bar' * found.with_bar}"
+    facts = (*recording_facts(result, truth), ("delay of the robot's readings", delay_words(found.estimate)))
+    return demo_steps.write_page(out, found, result.table, what, facts, steps, command, _prior(found.with_bar))
 
 
 def delay_words(estimate: Estimate) -> str:

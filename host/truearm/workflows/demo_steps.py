@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +20,9 @@ from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simu
 if TYPE_CHECKING:
     from truearm.model.robot import Robot
     from truearm.model.workspace import Branch
+    from truearm.results import Estimate, PredictedError
     from truearm.session.observations import SyncResult
-    from truearm.types import BallBar, Plan, Rig
+    from truearm.types import BallBar, Floats, ObservationTable, Plan, Rig
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 
@@ -56,6 +57,71 @@ def subject(choice: RobotChoice, branch: Branch | None, truth: TruthOptions, see
 
     simulated = simulated_robot(choice, truth, seed, branch)
     return Subject(choice, simulated, with_repeatability(standard_rig(simulated.robot), truth))
+
+
+@dataclass(frozen=True)
+class DemoCalibration:
+    """What every experiment identifies."""
+
+    subject: Subject
+    rig: Rig
+    estimate: Estimate
+    longitude: Floats  # (n,) rad, of the sphere about its chuck, for the identified robot
+    predicted: PredictedError | None
+
+
+def identified(
+    out: Path,
+    table: ObservationTable,
+    subject: Subject,
+    rig: Rig,
+    estimate: Estimate,
+    hold_out: Sequence[str],
+    prior: str,
+) -> DemoCalibration:
+    """Return an identification from the demo's session, and write result.json."""
+    from truearm.estimate.prediction import predicted_point_error
+    from truearm.files.result_document import document_of
+    from truearm.files.result_file import RobotFrames, write_result
+    from truearm.workflows.calibration_report import longitudes
+    from truearm.workflows.inputs import Sources, hashed_inputs
+
+    chain = subject.robot.chain
+    predicted = predicted_point_error(chain, rig, table, estimate)
+    inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
+    document = document_of(estimate, table, RobotFrames.of(chain), inputs, hold_out, prior, predicted)
+    write_result(out / "result.json", document)
+    return DemoCalibration(subject, rig, estimate, longitudes(chain, rig, table, estimate), predicted)
+
+
+def write_page(
+    out: Path,
+    found: DemoCalibration,
+    table: ObservationTable,
+    what: str,
+    facts: tuple[tuple[str, str], ...],
+    steps: Steps,
+    command: str,
+    prior: str = "none",
+) -> Path:
+    """Write report.html with pictures and tables, everything inline; ``command`` is the one that was typed."""
+    from truearm.report.calibration_page import CalibrationPage, render
+
+    page = CalibrationPage(
+        title=f"{robot_title(found.subject)}, {what}",
+        subtitle="simulated robot, real firmware, wire, recorder and estimator",
+        estimate=found.estimate,
+        table=table,
+        longitude=found.longitude,
+        facts=facts,
+        steps=tuple(steps.done),
+        command=command,
+        prior=prior,
+        predicted=found.predicted,
+    )
+    path = out / "report.html"
+    path.write_text(render(page), encoding="utf-8")
+    return path
 
 
 @dataclass(frozen=True)

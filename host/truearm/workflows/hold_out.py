@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import ANYWHERE, identifiers
-from truearm.types import ObservationTable
-from truearm.workflows.selection import Mask, held_out_rows, numbered
+from truearm.types import Mask, ObservationTable
+from truearm.workflows.selection import held_out_rows, numbered
 
 FRACTIONS = (0.2, 0.1)
 SEEDS = 8  # number of seeds tried

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm import option_defaults
 from truearm.arguments import check_fields, with_choices
@@ -40,7 +39,7 @@ from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.results import Effect, Estimate, PredictedError
-from truearm.types import ObservationTable, Rigs
+from truearm.types import Mask, ObservationTable, Rigs
 from truearm.units import shown
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
@@ -51,7 +50,6 @@ from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.selection import default_free, free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
-Mask = NDArray[np.bool_]
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
 
 
@@ -351,8 +349,8 @@ def identified(
         exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
         if exceeded or tool_undetermined(estimate.systematic):
             predicted = None
-    frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-    document = document_of(estimate, table, frames, inputs, selection.held_out_by, prior, predicted, chosen)
+    frames, held_out_by = RobotFrames.of(chain), selection.held_out_by
+    document = document_of(estimate, table, frames, inputs, held_out_by, prior, predicted, chosen)
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
     document |= {"sessions": [count._asdict() for count in counts], "copies": copies_of(copied, table)}
     document |= {"made_with": made_with, "displaced": _displaced(displaced_mounts(chain, estimate))}

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, forward
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats, Mask, ObservationTable
 
-Mask = NDArray[np.bool_]
 IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
 LEAST_ROWS = 5  # of a kind, which must not all be equal
 

@@ -19,9 +19,7 @@ from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.model.robot import Robot
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
-from truearm.types import ObservationTable
-
-Mask = NDArray[np.bool_]
+from truearm.types import Mask, ObservationTable
 
 HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "allow", "leave_out"))
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
 from truearm.estimate.copied_rows import copied_rows
@@ -35,14 +34,12 @@ from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.validation_words import validation_lines, verdict
 from truearm.results import Effect, Figures
-from truearm.types import Floats, ObservationTable, Rig, Rigs, rms
+from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import parse_effect
 from truearm.workflows.session_parts import with_parts
-
-Mask = NDArray[np.bool_]
 
 LEAST_ROWS = 5  # in a region: fewer are not meaningful
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
