@@ -17,7 +17,7 @@ from truearm.cli.options import (
     TipOption,
     out_file,
 )
-from truearm.cli.output import print_json, warn_of_further_parts
+from truearm.cli.output import print_result, warn_of_further_parts
 from truearm.record.robots.sources import FileOptions, files_help
 from truearm.text import one_line
 
@@ -89,12 +89,9 @@ def add_joints(
         force,
     )
     times = "UTC" if zero is None else "from --zero"
-    if as_json:
-        print_json({"out": str(out), "readings": count, "times": times})
-    else:
-        typer.echo(
-            f"{out}: {count} joint readings added, placed by their own times{'' if zero is None else ' and --zero'}"
-        )
+    by = "their own times" if zero is None else "their own times and --zero"
+    text = f"{out}: {count} joint readings added, placed by {by}"
+    print_result({"out": str(out), "readings": count, "times": times}, [text], as_json)
     warn_of_further_parts(
         session,
         f"add the joints to each of them; later commands do not find the new files from {one_line(out.name)}, so name each file",

@@ -12,7 +12,7 @@ from truearm.cli.box_flash import flash
 from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
 from truearm.cli.options import BoxOption, JsonOption, StopOption
-from truearm.cli.output import command_group, print_json, print_lines
+from truearm.cli.output import command_group, print_result
 from truearm.cli.project import ProjectCommand
 from truearm.errors import InputError, TruearmError
 from truearm.exit_codes import ExitCode
@@ -52,10 +52,7 @@ def list_boxes(
     ports += [UsbPort(name, "", "", "", True) for name in dict.fromkeys(device or []) if name not in known]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
-    if as_json:
-        print_json({"ports": rows, "boot_drives": drives})
-    else:
-        print_lines(port_lines(rows, drives))
+    print_result({"ports": rows, "boot_drives": drives}, port_lines(rows, drives), as_json)
 
 
 def _asked(port: Any) -> dict[str, Any]:
@@ -82,10 +79,7 @@ def info(device: BoxOption, as_json: JsonOption = False) -> None:
 
     with conversation(device) as box:
         ident = ident_of(box)
-    if as_json:
-        print_json(ident.document)
-    else:
-        print_lines(ident_lines(ident))
+    print_result(ident.document, ident_lines(ident), as_json)
 
 
 @app.command("test", cls=ProjectCommand)
@@ -104,14 +98,10 @@ def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption =
         ident = box.identify()  # its faults are those of this test
     found = findings(results, device)
     failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
-    if as_json:
-        print_json([vars(f) for f in found])
-    else:
-        print_lines([one_line_of(ident), *finding_lines(found)])
-        for fault in ident.faults:
-            if not fault.startswith("the box says 'self-test"):
-                typer.echo(f"warning: {fault}")
-        typer.echo(f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed")
+    faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
+    counts = f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed"
+    lines = [one_line_of(ident), *finding_lines(found), *(f"warning: {fault}" for fault in faults), counts]
+    print_result([vars(f) for f in found], lines, as_json)
     if failed:
         raise typer.Exit(ExitCode.FAILED)
 

@@ -22,7 +22,7 @@ from truearm.cli.options import (
     out_file,
     payload_of,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_json, print_result
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
@@ -186,10 +186,7 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    if as_json:
-        print_json(found.document)
-    else:
-        print_lines([*lines(found), *([f"Written: {one_line(str(report))}"] if report else [])])
+    print_result(found.document, [*lines(found), *([f"Written: {one_line(str(report))}"] if report else [])], as_json)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:

@@ -24,7 +24,7 @@ from truearm.cli.options import (
     branch_given,
     out_folder,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.cli.truth_options import (
     DEFAULT_MODEL,
     DEFAULT_PERIODS,
@@ -187,7 +187,8 @@ def demo(
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(experiment)
-    if as_json:
-        print_json({"report": str(page), "result": json.loads((out / "result.json").read_bytes())})
-        return
-    print_lines([*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"])
+    print_result(
+        {"report": str(page), "result": json.loads((out / "result.json").read_bytes())},
+        [*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"],
+        as_json,
+    )

@@ -23,7 +23,7 @@ from truearm.cli.options import (
     out_file,
     payload_of,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.export.formats import FORMATS, formats_help
 
 
@@ -85,7 +85,4 @@ def export(
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()), payload_of(payload))
     found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force, allow_unusable)
-    if as_json:
-        print_json(document(found, out, curves))
-    else:
-        print_lines(lines(found, out, over))
+    print_result(document(found, out, curves), lines(found, out, over), as_json)

@@ -15,7 +15,7 @@ from truearm.cli.options import (
     SessionRigOption,
     out_folder,
 )
-from truearm.cli.output import print_json, print_lines, warn_of_further_parts
+from truearm.cli.output import print_result, warn_of_further_parts
 from truearm.text import counted, one_line
 
 
@@ -56,8 +56,6 @@ def export_session(
     from truearm.workflows.export_session import ExportSession, export_session_files
 
     tables = export_session_files(ExportSession(session, out, format, rig, robot, allow_damaged, rate))
-    if as_json:
-        print_json({"folder": str(out), "rows": dict(tables)})
-    else:
-        print_lines(f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
+    lines = (f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
+    print_result({"folder": str(out), "rows": dict(tables)}, lines, as_json)
     warn_of_further_parts(session, "export each part separately: each has clocks of its own")

@@ -26,7 +26,7 @@ from truearm.cli.options import (
     out_file,
     payload_of,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.errors import InputError
 from truearm.text import one_line
 from truearm.units import MM
@@ -97,10 +97,11 @@ def map_(
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
     found = map_files(calibration, files, section, wanted)
     written = [str(path) for path in (out, picture) if path is not None]
-    if as_json:
-        print_json({**document(found, section.cell), "written": written})
-    else:
-        print_lines([*lines(found, section.cell, task), *(f"Written: {one_line(path)}" for path in written)])
+    print_result(
+        {**document(found, section.cell), "written": written},
+        [*lines(found, section.cell, task), *(f"Written: {one_line(path)}" for path in written)],
+        as_json,
+    )
 
 
 def _is_up(elbow: Elbow) -> bool:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,7 +26,7 @@ from truearm.cli.options import (
     out_file,
     spans_of,
 )
-from truearm.cli.output import command_group, print_json, print_lines
+from truearm.cli.output import command_group, print_result
 from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import InputError
 from truearm.plan.criteria import Criterion, criterion_summary
@@ -223,7 +222,7 @@ def ballbar(
         joint_laws=joint_laws,
     )
     document = plan_ball_bar_files(files, Budget(poses, minutes), options)
-    _print(document, lambda found: forecast_lines(found, typed(context, "check_poses")), as_json)
+    print_result(document, forecast_lines(document, typed(context, "check_poses")), as_json)
 
 
 @app.command("line", cls=ProjectCommand)
@@ -310,7 +309,8 @@ def line(
         candidates=candidates,
         seed=seed,
     )
-    _print(plan_line_files(files, Budget(lines, minutes), options), forecast_lines, as_json)
+    document = plan_line_files(files, Budget(lines, minutes), options)
+    print_result(document, forecast_lines(document), as_json)
 
 
 @app.command("characterize", cls=ProjectCommand)
@@ -388,11 +388,5 @@ def characterize(
         reserve=None if reserve is None else MM.to_si(reserve),
         seed=seed,
     )
-    _print(plan_approaches_files(files, options), approach_lines, as_json)
-
-
-def _print(document: dict[str, Any], lines: Callable[[dict[str, Any]], list[str]], as_json: bool) -> None:
-    if as_json:
-        print_json(document)
-    else:
-        print_lines(lines(document))
+    document = plan_approaches_files(files, options)
+    print_result(document, approach_lines(document), as_json)

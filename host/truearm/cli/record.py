@@ -19,7 +19,7 @@ from truearm.cli.options import (
     RecordedRigOption,
     out_file,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.cli.project import ProjectCommand, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
@@ -105,10 +105,7 @@ def record(
         Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,
     )
-    if as_json:
-        print_json(document(recorded))
-    else:
-        print_lines(lines(recorded))
+    print_result(document(recorded), lines(recorded), as_json)
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
     if recorded.summary.reason == "interrupted":

@@ -15,7 +15,7 @@ from truearm.cli.options import (
     SessionRigOption,
     TipOption,
 )
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.exit_codes import ExitCode
 from truearm.live.keyboard import may_ask
 from truearm.text import counted, one_line
@@ -73,10 +73,7 @@ def relabel(
             document = relabel_session(session, options)
         except StopAsking:  # before the first answer: nothing was saved
             raise typer.Abort from None
-    if as_json:
-        print_json(document)
-    else:
-        print_lines(lines(document, str(session)))
+    print_result(document, lines(document, str(session)), as_json)
     if document.get("unanswered"):
         raise typer.Exit(ExitCode.INTERRUPTED)
 

@@ -23,7 +23,7 @@ from truearm.cli.options import (
     out_file,
     rigs_of,
 )
-from truearm.cli.output import print_json, warn
+from truearm.cli.output import print_result, warn
 from truearm.files.project_folder import find_project
 from truearm.text import one_line
 
@@ -76,7 +76,4 @@ def report(
             result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command, force=force), out, project
         )
     )
-    if as_json:
-        print_json({"report": str(out)})
-    else:
-        typer.echo(f"Written: {one_line(str(out))}")
+    print_result({"report": str(out)}, [f"Written: {one_line(str(out))}"], as_json)

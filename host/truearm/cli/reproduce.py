@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from truearm.cli.options import JsonOption, SeedOption, out_folder
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.workflows.reproduce import Paper
 
 if TYPE_CHECKING:
@@ -64,10 +64,11 @@ def reproduce(
     page = reproduced(paper, quick, seed, steps)
     command = f"truearm reproduce {paper.value} --seed {seed}{' --quick' * quick}"
     report, numbers = write_page(folder, replace(page, steps=tuple(steps.done), command=command))
-    if as_json:
-        print_json({**document(page), "report": str(report), "numbers": str(numbers)})
-        return
-    print_lines([*lines(page), f"\nreport          {report}", f"numbers         {numbers}"])
+    print_result(
+        {**document(page), "report": str(report), "numbers": str(numbers)},
+        [*lines(page), f"\nreport          {report}", f"numbers         {numbers}"],
+        as_json,
+    )
 
 
 def lines(page: ReproducePage) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
 from truearm.cli.options import JsonOption
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_result
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
 from truearm.text import counted, outcome, page
@@ -30,10 +30,7 @@ def status(as_json: JsonOption = False) -> None:
     if file is None:
         raise InputError(f"no {FILE} here or in a folder above; create one with truearm init")
     state = state_of(file)
-    if as_json:
-        print_json(_document(state))
-    else:
-        print_lines(_lines(state))
+    print_result(_document(state), _lines(state), as_json)
 
 
 def _lines(state: ProjectState) -> Iterator[str]:
