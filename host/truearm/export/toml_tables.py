@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from truearm.errors import RobotError
-from truearm.export.dh import dh_rows
+from truearm.export.dh import DhRows, dh_rows
 from truearm.export.link_frames import LinkFrames
 from truearm.export.writing import RobotToWrite
 from truearm.model.chain import Joint
@@ -59,36 +59,44 @@ def sheth_uicker_table(robot: LinkFrames, comment: str = "") -> str:
 
 def dh_table(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False, comment: str = "") -> str:
     """Return distal rows, with β if ``hayati`` and needed. Raises RobotError for a robot that rows describe poorly."""
-    _check_turning(robot)
-    rows = dh_rows(robot, nominal, hayati)
-    lines = [*_head(robot, "dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
-    for i in range(len(robot.joints)):
+    rows = _rows(robot, nominal, hayati)
+
+    def constants(i: int) -> list[str]:
         has_beta = not math.isnan(rows.beta[i])
-        lines += _joint(i, robot, float(rows.theta[i] + robot.offsets[i]))
-        lines.append("d_m = 0.0" if has_beta else _parameter("d_m", rows.d[i]))
-        lines += [_parameter("a_m", rows.a[i]), _parameter("alpha_rad", rows.alpha[i])]
-        lines += [_parameter("beta_rad", rows.beta[i])] * has_beta
-    return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
+        d = "d_m = 0.0" if has_beta else _parameter("d_m", rows.d[i])
+        beta = [_parameter("beta_rad", rows.beta[i])] * has_beta
+        return [d, _parameter("a_m", rows.a[i]), _parameter("alpha_rad", rows.alpha[i]), *beta]
+
+    return _rows_table(robot, rows, "dh", comment, constants)
 
 
 def modified_dh_table(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     """Return Craig's rows: a and α of a row are those of the distal form one row earlier."""
-    _check_turning(robot)
-    rows = dh_rows(robot, nominal)
-    lines = [*_head(robot, "modified_dh", comment), "", "[base]", *_six(robot.base @ rows.base)]
-    for i in range(len(robot.joints)):
+    rows = _rows(robot, nominal)
+
+    def constants(i: int) -> list[str]:
         a, alpha = (rows.a[i - 1], rows.alpha[i - 1]) if i else (0.0, 0.0)
-        lines += _joint(i, robot, float(rows.theta[i] + robot.offsets[i]))
-        lines += [_parameter("alpha_rad", alpha), _parameter("a_m", a), _parameter("d_m", rows.d[i])]
+        return [_parameter("alpha_rad", alpha), _parameter("a_m", a), _parameter("d_m", rows.d[i])]
+
+    return _rows_table(robot, rows, "modified_dh", comment, constants)
+
+
+def _rows_table(
+    robot: LinkFrames, rows: DhRows, convention: str, comment: str, constants: Callable[[int], list[str]]
+) -> str:
+    lines = [*_head(robot, convention, comment), "", "[base]", *_six(robot.base @ rows.base)]
+    for i in range(len(robot.joints)):
+        lines += [*_joint(i, robot, float(rows.theta[i] + robot.offsets[i])), *constants(i)]
     return "\n".join([*lines, "", "[tool]", *_six(rows.tool @ robot.tool), ""])
 
 
-def _check_turning(robot: LinkFrames) -> None:
+def _rows(robot: LinkFrames, nominal: LinkFrames, hayati: bool = False) -> DhRows:
     for joint in robot.joints:
         if joint.kind != "revolute":
             raise RobotError(
                 f"joint {joint.name} is prismatic; this format holds revolute joints only, use sheth-uicker"
             )
+    return dh_rows(robot, nominal, hayati)
 
 
 def _head(robot: LinkFrames, convention: str, comment: str) -> list[str]:

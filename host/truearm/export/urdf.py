@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import reduce
 from typing import NamedTuple
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -104,10 +105,7 @@ def _moved(joint: _PathJoint, offset: Floats) -> Floats:
 
 
 def _chained(motions: list[Floats]) -> Floats:
-    out = np.eye(4)
-    for motion in motions:
-        out = out @ motion
-    return out
+    return reduce(np.matmul, motions, np.eye(4))
 
 
 def edited(text: str, origins: Mapping[str, Floats]) -> str:

@@ -77,6 +77,13 @@ class ReproducePage:
     command: str = ""
 
 
+def left_out(rows: tuple[tuple[str, str], ...]) -> Chapter:
+    """Return the chapter of the paper's numbers and figures that are not reproduced: each, and why."""
+    table = PageTable("Left out", ("number or figure of the paper", "why it is not reproduced"), rows)
+    text = "Numbers and figures of the paper that are not computed here, and why."
+    return Chapter("Not on this page", text, tables=(table,))
+
+
 def counts(page: ReproducePage) -> dict[str, int]:
     """Return the number of claims per verdict; "not judged" only if there are any."""
     every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]

@@ -11,7 +11,7 @@ import numpy as np
 from truearm.report import svg
 from truearm.report.figures import by_longitude, convergences, drawn, histogram
 from truearm.report.page_text import figures, number
-from truearm.report.reproduce_page import Chapter, Claim, PageTable
+from truearm.report.reproduce_page import Chapter, Claim, PageTable, left_out
 from truearm.report.residual_rows import rows_by_kind
 from truearm.reproduce import goswami
 from truearm.reproduce.goswami import NOISE, Bench, FitErrors
@@ -405,12 +405,7 @@ def _left_out() -> Chapter:
             "not published; a simulated robot with the paper's optimised values replaces them",
         ),
     )
-    text = "Numbers and figures of the paper that are not computed here, and why."
-    return Chapter(
-        "Not on this page",
-        text,
-        tables=(PageTable("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
-    )
+    return left_out(rows)
 
 
 def _circumradius(corners: Floats) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from truearm.model.chain import Chain
 from truearm.model.robot import builtin_robot
 from truearm.report.page_text import figures, number
-from truearm.report.reproduce_page import Chapter, Claim, PageTable
+from truearm.report.reproduce_page import Chapter, Claim, PageTable, left_out
 from truearm.reproduce import renders
 from truearm.reproduce.goswami_page import ReportStep
 from truearm.reproduce.line_bench import ANGLE_SIGMA, LENGTH_SIGMA, measured_lines
@@ -91,12 +91,7 @@ def _left_out() -> Chapter:
         ),
         ("Fig. 1, 2, 3", "drawings and a photograph"),
     )
-    text = "Numbers and figures of the paper that are not computed here, and why."
-    return Chapter(
-        "Not on this page",
-        text,
-        tables=(PageTable("Left out", ("number or figure of the paper", "why it is not reproduced"), rows),),
-    )
+    return left_out(rows)
 
 
 def _frozen(chain: Chain, seed: int) -> Chapter:

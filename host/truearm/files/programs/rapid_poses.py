@@ -57,12 +57,9 @@ def target_of(value: Value, at: int) -> Value:
 
 def tool_of(value: Value, at: int) -> Value:
     """Return the frame of a tooldata."""
-    if isinstance(value, Pose):
+    value = _record(value, 3, Unknown("its tool is not a tooldata", at), "tools")
+    if not isinstance(value, Listed):
         return value
-    if isinstance(value, Unknown):
-        return value._replace(remedy="tools") if value.remedy == UNDECLARED else value
-    if not isinstance(value, Listed) or len(value.items) != 3:
-        return Unknown("its tool is not a tooldata", at)
     if value.items[0] != (Truth(True),):
         return Unknown("its tool is not held by the robot", at)
     pose = _kept_frame(value.items[1])
@@ -71,12 +68,9 @@ def tool_of(value: Value, at: int) -> Value:
 
 def object_of(value: Value, at: int) -> Value:
     """Return the frame of a wobjdata: user frame and object frame."""
-    if isinstance(value, Pose):
+    value = _record(value, 5, Unknown("its work object is not a wobjdata", at), "works")
+    if not isinstance(value, Listed):
         return value
-    if isinstance(value, Unknown):
-        return value._replace(remedy="works") if value.remedy == UNDECLARED else value
-    if not isinstance(value, Listed) or len(value.items) != 5:
-        return Unknown("its work object is not a wobjdata", at)
     in_hand, fixed_frame, unit, users, own = value.items
     if in_hand != (Truth(False),):
         return Unknown("its work object is held by the robot", at)
@@ -84,6 +78,13 @@ def object_of(value: Value, at: int) -> Value:
         return Unknown("its work object is moved by a mechanical unit", at)
     frame = _object_frame(users, own)
     return frame or _unknown_in(value) or Unknown("its work object has no frames of plain numbers", at)
+
+
+def _record(value: Value, n: int, wrong: Unknown, remedy: str) -> Value:
+    """Return a record of n components, a pose or an unknown value; ``wrong`` if it is none of these."""
+    if isinstance(value, Unknown):
+        return value._replace(remedy=remedy) if value.remedy == UNDECLARED else value
+    return value if isinstance(value, Pose) or (isinstance(value, Listed) and len(value.items) == n) else wrong
 
 
 @lru_cache(KEPT)
@@ -133,27 +134,29 @@ def _numbers(given: Sequence[Value]) -> list[float] | None:
     return found if len(found) == len(given) and all(map(math.isfinite, found)) else None
 
 
-def offset(given: Sequence[Value], at: int) -> Value:
+def _target_and_numbers(given: Sequence[Value], at: int, missing: str) -> tuple[Pose, list[float]] | Unknown:
     target, numbers = target_of(given[0], at), _numbers(given[1:])
     if isinstance(target, Unknown):
         return target
     if numbers is None or not isinstance(target, Pose):
-        return next(
-            (one for one in given[1:] if isinstance(one, Unknown)), Unknown("the offsets of Offs are not known", at)
-        )
+        return first_unknown(given[1:]) or Unknown(missing, at)
+    return target, numbers
+
+
+def offset(given: Sequence[Value], at: int) -> Value:
+    found = _target_and_numbers(given, at, "the offsets of Offs are not known")
+    if isinstance(found, Unknown):
+        return found
+    target, numbers = found
     return times(shifted([float(MM.to_si(value)) for value in numbers]), target)
 
 
 def offset_along_tool(given: Sequence[Value], at: int) -> Value:
     """Return a target offset along the tool, rotated about x first, then the new y, then the new z."""
-    target, numbers = target_of(given[0], at), _numbers(given[1:])
-    if isinstance(target, Unknown):
-        return target
-    if numbers is None or not isinstance(target, Pose):
-        return next(
-            (one for one in given[1:] if isinstance(one, Unknown)),
-            Unknown("the arguments of RelTool are not known", at),
-        )
+    found = _target_and_numbers(given, at, "the arguments of RelTool are not known")
+    if isinstance(found, Unknown):
+        return found
+    target, numbers = found
     x, y, z = map(math.radians, numbers[3:])
     turn = of_quaternion(*quaternion_of_tool_angles(x, y, z))
     return times(target, shifted([float(MM.to_si(value)) for value in numbers[:3]]), turned(turn))
