@@ -14,13 +14,12 @@ from typing import Any, ClassVar
 
 from truearm.errors import ConfigError
 from truearm.schema import NO_UNIT, Entries, Key, SchemaError, Table, Text, at, quoted, raising
+from truearm.session.box_ident import MAX_COEFFICIENTS, MAX_EXPONENT
 
 VERSION = 2
 OSRS = tuple(1 << k for k in range(7, 15))
 GAINS = tuple(1 << k for k in range(8))
 MODULATOR_NS = 240
-MAX_COEFFICIENTS = 16
-MAX_EXPONENT = 300
 MAX_TEXT = 200
 _LOWEST_EXPONENT = -60
 _MANTISSA_END = 2**63

@@ -22,6 +22,8 @@ from truearm.report.displacement_words import displacement_sentences
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
+    CHI2_DOUBTFUL,
+    SMALLEST_WEIGHT,
     all_identifiable,
     copy_sentences,
     drawing,
@@ -45,10 +47,8 @@ Document = Mapping[str, Any]
 MAX_DIRECTIONS = 6
 WEIGHTS = "; weights in m, rad and 1:"  # of directions
 MAX_TERMS = 4
-SMALLEST_WEIGHT = 0.005  # below it "0.00" would be shown
 MAX_NAMES = 12
 PLACES = (".x", ".y", ".z", ".rx", ".ry", ".rz")  # numbers of a place
-CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 
 
 class ResultFiles(NamedTuple):

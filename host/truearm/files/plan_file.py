@@ -19,12 +19,12 @@ import numpy as np
 from truearm.errors import Argument, PlanError
 from truearm.files.csv_cells import NUMBER, check_width, read_rows
 from truearm.files.disk import read_text, write_atomic
+from truearm.model.robot_tables import MAX_JOINTS
 from truearm.schema import NAME
 from truearm.types import BAR_MOUNTED, LINE_MOUNTED, Move, Plan, Rig
 from truearm.units import MM_S, UNITS
 
 MAX_BYTES = 16 * 2**20
-MAX_JOINTS = 64
 IDS = Plan.IDS
 MOTION = ("move", "line", "target", "speed_mm_s")  # all four or none
 ROBOT = "robot"

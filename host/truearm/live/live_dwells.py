@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.live.standstill import JOINTS, SENSOR, StandstillDetector
+from truearm.session.dwell_samples import DRIFT_SIGMAS, MICRON
 from truearm.session.sample_noise import LEAST_LAGS, mean_of
 from truearm.types import Floats
 from truearm.units import NS
@@ -17,8 +18,6 @@ ENOUGH_NS = 1_600_000_000  # settling, a second of samples and the guard at the 
 GUARD_NS = 100_000_000
 BLOCKS = 20_000  # kept, a minute at 4 kHz
 READINGS = 1000  # kept, two seconds at 500 Hz
-DRIFT_SIGMAS = 6.0
-MICRON = 1e-6
 LEAST_STROKE = 0.02  # m
 LEAST_SPEED = 0.005  # m/s
 

@@ -31,14 +31,13 @@ from truearm.report.page_parts import command_block, html_page, picture, picture
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
-from truearm.report.result_words import before_words, kind_name, parts_words, pose_error_words
+from truearm.report.result_words import CHI2_DOUBTFUL, before_words, kind_name, parts_words, pose_error_words
 from truearm.report.usability_words import few_freedom
 from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted
 from truearm.types import Floats, ObservationTable
 from truearm.units import symbol, tolerances
 
-CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
 
 

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 
 from truearm.report.page_parts import table
 from truearm.report.page_text import ABSENT, escape, figures, number
-from truearm.report.result_words import drawing
+from truearm.report.result_words import SMALLEST_WEIGHT, drawing
 from truearm.results import Estimate, NullDirection
 from truearm.text import counted
 from truearm.units import UNITS
 
 MAX_DIRECTIONS = 40
 MAX_TERMS = 6
-SMALLEST_WEIGHT = 0.005  # below this, "0.00" would be shown
 
 
 def parameter_table(estimate: Estimate, which: range) -> str:

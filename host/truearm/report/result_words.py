@@ -11,6 +11,8 @@ from truearm.results import Estimate, MeanError, PoseError, ResidualParts
 from truearm.text import counted, one_line, with_article
 from truearm.units import MS, UNITS, number, symbol, tolerances
 
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
 MAX_COPIES = 5  # copied rows that are named
 UNIT_RATIOS = {
     1000.0: "a thousand (metres and millimetres)",

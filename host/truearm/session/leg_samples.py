@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truearm.session.box_ident import Channel
 from truearm.session.box_reader import Blocks
 from truearm.session.device_clock import DeviceClock
-from truearm.session.joint_format import UNNUMBERED, parse_lines
+from truearm.session.joint_format import JOINTS, UNNUMBERED, parse_lines
 from truearm.session.joint_readings import JointStream
 from truearm.session.line_legs import Leg
 from truearm.session.message_columns import LATEST_NS, Messages
@@ -83,7 +83,7 @@ class LegListener:
 
     def take(self, messages: Messages, blocks: Sequence[Blocks]) -> list[LegSamples]:
         """Process a batch of messages and the blocks released with it."""
-        lines = messages.rows(lambda topic: topic == "/robot/joints")
+        lines = messages.rows(lambda topic: topic == JOINTS)
         of = (lines, *(one.at for one in blocks))
         turn = _ranks(np.concatenate(of))
         arrival = np.concatenate([messages.t_host_ns[lines], *(one.t_host_ns for one in blocks)])

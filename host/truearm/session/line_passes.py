@@ -37,6 +37,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from truearm.session.device_clock import DeviceClock
+from truearm.session.dwell_samples import MICRON
 from truearm.session.joint_readings import JointStream
 from truearm.session.leg_samples import LegReadings, LegSamples, Samples, readings_of, samples_of
 from truearm.session.line_legs import Leg
@@ -69,7 +70,6 @@ STEADY = 0.9  # of the median speed
 REACH = 1.2  # periods from a window's end to its first sample; one more would mean a missing sample
 STOPPED = 0.8  # share of a window's interrogations that must have a stop pulse
 NOISY = 5.0  # multiple of the median residual of the pass
-MICRON = 1e-6
 STRETCH = 8  # windows; over this length a polynomial of degree TREND is the motion, and its residual is noise
 TREND = 8
 FORGOTTEN = 2.0  # integrated correlation times after which noise is independent

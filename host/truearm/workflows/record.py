@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from truearm.box.configuration_schema import MODULATOR_NS, OSRS
 from truearm.box.readiness import Purpose
 from truearm.errors import Argument, IncompleteError, InputError, TruearmError, WriteError
 from truearm.interrupt import asked_to_stop
@@ -18,6 +19,7 @@ from truearm.live.state import LiveState
 from truearm.live.view import View, showing
 from truearm.text import counted
 from truearm.types import Move
+from truearm.units import NS
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, looks_like_session
 
@@ -30,8 +32,7 @@ if TYPE_CHECKING:
     from truearm.types import Plan, Rig
 
 # The converter's modulator runs at 125 MHz / 15 / 2; a sample takes osr of its periods.
-MODULATOR_HZ = 125e6 / 15 / 2
-OSRS = tuple(1 << k for k in range(7, 15))  # 128 … 16384
+MODULATOR_HZ = NS.factor / MODULATOR_NS
 USUAL_OSR = 4096
 # Python lets a busy thread run for 5 ms before another gets its turn; the thread that stamps arrivals cannot wait that
 # long.

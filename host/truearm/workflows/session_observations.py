@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from truearm.errors import Argument, RigError, SessionError
 from truearm.text import counted, one_line
+from truearm.workflows.session_parts import SUFFIX
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
     from truearm.session.session_file import Session
     from truearm.types import DwellLabel, Rig
 
-SUFFIX = ".mcap"
 RIG = "rig.toml"
 SAID = 3  # damaged places reported; inspect lists all
 

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 from truearm.errors import ProgramError
 
-_NO_NUMBERS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))  # of a literal; its numbers are left, between commas
+NO_NUMBERS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))  # of a literal; its numbers are left, between commas
 NUMBER = r"(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 SIGNED = rf"(?:[+-]\s*)?{NUMBER}"
 NUMBERS = re.compile(SIGNED, re.ASCII)
@@ -88,7 +88,7 @@ class Taught(NamedTuple):
     @property
     def values(self) -> tuple[float, ...]:
         """Return the numbers."""
-        return tuple(map(float, self.text.translate(_NO_NUMBERS).split(",")))
+        return tuple(map(float, self.text.translate(NO_NUMBERS).split(",")))
 
     @property
     def numbers(self) -> tuple[Written, ...]:

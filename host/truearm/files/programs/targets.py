@@ -31,10 +31,10 @@ from truearm.files.programs.values import (
     plain_literal,
     values_of,
 )
+from truearm.files.target_table import MAX_TARGETS
 from truearm.types import Floats
 from truearm.units import DEG, MM, UNITS
 
-MAX_TARGETS = 100_000
 QUARTERS = (0, 3, 5)  # joints whose quarter turns a robtarget's configuration gives: axes 1, 4 and 6
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.files.programs.rotations import NO_TURN, Nine, of_quaternion, of_vector, rows_of
-from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
+from truearm.files.programs.syntax import NO_NUMBERS, Form, Number, Taught, Text, Truth
 from truearm.types import Floats
 from truearm.units import DEG, MM
 
@@ -376,12 +376,9 @@ def taught_pose(taught: Taught) -> Pose:
     return Pose((Factor(taught),), taught if taught.form is Form.ROBTARGET else None)
 
 
-_NO_SIGNS = dict.fromkeys(map(ord, "p[] \t\r\n\f\v"))
-
-
 def values_of(literals: Sequence[Taught]) -> Floats:
     """Return the numbers (n, k) of literals of one form."""
-    joined_text = ",".join([one.text for one in literals]).translate(_NO_SIGNS)
+    joined_text = ",".join([one.text for one in literals]).translate(NO_NUMBERS)
     return np.fromstring(joined_text, sep=",").reshape(len(literals), -1)
 
 

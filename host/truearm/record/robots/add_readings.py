@@ -17,11 +17,11 @@ from pathlib import Path
 from truearm.errors import Argument, InputError, SessionError
 from truearm.record.robots.joint_table import AddedReading
 from truearm.record.session_writer import Anchor, SessionWriter, media_type, read_anchor
+from truearm.session.joint_format import JOINTS
 from truearm.session.session_file import Session
 from truearm.types import Message
 from truearm.units import NS
 
-TOPIC = "/robot/joints"
 ANCHORS = ("session", "session-end")
 MAX_NS = 2**63
 MAX_RATE = 1e-3  # if host clock and UTC differ by more, the clock was set in between: only the first anchor is used
@@ -87,11 +87,11 @@ def add_readings(
                 raise _outside(reading.t, zero_s)
             count += 1
             inside += begin_ns <= host_ns <= end_ns
-            yield Message(TOPIC, host_ns, reading.line)
+            yield Message(JOINTS, host_ns, reading.line)
 
     with SessionWriter(out, anchors) as writer:
         _copy_head(session, writer)
-        old = (m for m in session.messages() if not (replace and m.topic == TOPIC))
+        old = (m for m in session.messages() if not (replace and m.topic == JOINTS))
         for message in heapq.merge(old, added(), key=attrgetter("t_host_ns")):
             writer.add(message.topic, message.t_host_ns, message.data)
         if not inside:
@@ -117,7 +117,7 @@ def _span(session: Session, replace: bool) -> tuple[int, int]:
     """Return the first and last host time of the session's messages. Raises SessionError if they include readings."""
     begin_ns, end_ns = MAX_NS, -1
     for message in session.messages():
-        if message.topic == TOPIC and not replace:
+        if message.topic == JOINTS and not replace:
             raise SessionError(
                 f"{session.path}: has joint readings already; give ",
                 *(Argument("replace"), " to replace them in the new file"),

@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from truearm.errors import InputError
-from truearm.files.csv_cells import NUMBER
+from truearm.files.csv_cells import MAX_COLUMNS, NUMBER
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, format_reading
 from truearm.units import SUFFIXES
 
 # to divide by: 1e-9 is not exact in binary
 PER_SECOND = {unit: round(SUFFIXES[unit].factor) for unit in ("s", "ms", "us", "ns")}
-MAX_COLUMNS = 200
 EXAMPLE = "t_s,seq,q1_rad,q2_rad,... (units: rad, deg, m, mm; commanded joints are q1_cmd_rad, ...)"
 
 _TIME = re.compile(r"t_(s|ms|us|ns)")
