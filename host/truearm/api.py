@@ -16,7 +16,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truearm import option_defaults
 from truearm.arguments import checked, floats
 from truearm.bounds import CELL, LINE_POINTS, MINUTES, PATH, POSES, OneOf
 from truearm.correct.correction import Correction
@@ -486,10 +485,8 @@ def plan_ball_bar(
         raise InputError(
             f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}; give the robot of the result"
         )
-    if result is not None:
-        chosen = replace(chosen, reserve=option_defaults.RESULT_RESERVE if chosen.reserve is None else chosen.reserve)
-    known = plan.known_of(robot, rig, None if result is None else result)
-    return plan.planned_ball_bar(known, Budget(poses, minutes), chosen)
+    known = plan.known_of(robot, rig, result)
+    return plan.planned_ball_bar(known, Budget(poses, minutes), plan.with_reserve(chosen, result))
 
 
 @checked

@@ -181,7 +181,6 @@ def simulate(
         truth=truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed),
         truth_out=truth_out,
         force=force,
-        fast=fast,
         osr=nearest_osr(rate),
         port=port,
         protocol=protocol,

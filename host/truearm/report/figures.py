@@ -18,7 +18,7 @@ from truearm.report.page_text import figures, number
 from truearm.report.residual_rows import ResidualRows, law_of
 from truearm.results import Estimate
 from truearm.text import counted, outcome
-from truearm.types import Floats, rms, thinned
+from truearm.types import Floats, Mask, rms, thinned
 from truearm.units import shown, symbol, title
 
 MAX_TIPS = 3000  # points with a tooltip each (about 120 B); with more points, none has one
@@ -102,22 +102,17 @@ def by_order(rows: ResidualRows) -> Figure:
     x, y = rows.number.astype(float), rows.residual
     plot = svg.Plot(svg.linear_axis("row", x[0], x[-1]), svg.linear_axis(rows.name, *_reach(y)), width=820.0)
     floor, top = plot.y.low, plot.y.high
-    parts, entries = [svg.axes(plot)], []
+    parts = [svg.axes(plot)]
     new_session, new_mount = (x[1:][of[1:] != of[:-1]] - 0.5 for of in (rows.session, rows.mount))
     marked = [("mount", new_mount)] if new_mount.size <= MAX_MARKS else []
     marked += [("session", new_session)] if new_session.size <= MAX_MARKS else []
     for css, places in marked:
         parts += [svg.line(plot, [at, at], [floor, top], css + " line") for at in places]
-    for css, name, chosen in _sets(rows):
-        at = _drawn(y, chosen)
-        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, "row {}"))
-        entries.append((css, name))
     means = _stretch_means(x[rows.fitted], y[rows.fitted])
-    for centre, mean, error in means:
-        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
-    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
+    residuals, entries = _residuals_and_means(plot, rows, x, np.isfinite(y), "row {}", means)
+    parts += residuals
     keys = [(css + " line", f"new {css}") for css, places in marked if places.size]
-    parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e."), *keys]))
+    parts.append(svg.legend(plot, [*entries, *keys]))
     n_mounts, n_sessions = new_mount.size + 1, new_session.size + 1
     caption = (
         f"In the order of measurement: {counted(n_sessions, 'session')}, {counted(n_mounts, 'stretch', 'stretches')} of rows with the same items of the rig. A step or a "
@@ -140,21 +135,29 @@ def by_longitude(rows: ResidualRows) -> Figure | None:
     x, y = rows.longitude, rows.residual
     low, high = _deg_range(x[known])
     plot = svg.Plot(svg.linear_axis("longitude [deg]", low, high, 60.0), svg.linear_axis(rows.name, *_reach(y[known])))
-    parts, entries = [svg.axes(plot)], []
-    for css, name, chosen in _sets(rows):
-        at = _drawn(y, known & chosen)
-        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, "{}°"))
-        entries.append((css, name))
     means = _bin_means(x[known & rows.fitted], y[known & rows.fitted])
-    for centre, mean, error in means:
-        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
-    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
-    parts.append(svg.legend(plot, [*entries, ("mean line", "mean ± 2 s.e.")]))
+    residuals, entries = _residuals_and_means(plot, rows, x, known, "{}°", means)
+    parts = [svg.axes(plot), *residuals, svg.legend(plot, entries)]
     caption = (
         "Longitude of the sphere about its chuck. Measurement errors do not depend on it: a mean that varies by more than "
         "its bars (two standard errors) indicates errors that the parameters do not model."
     )
     return drawn(plot, "Residual against longitude", caption, parts)
+
+
+def _residuals_and_means(
+    plot: svg.Plot, rows: ResidualRows, x: Floats, shown: Mask, where: str, means: Sequence[tuple[float, float, float]]
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """Return the drawing of the ``shown`` (n,) residuals at x (n,) and of means with two standard errors, and its legend."""
+    y, parts, entries = rows.residual, [], []
+    for css, name, chosen in _sets(rows):
+        at = _drawn(y, shown & chosen)
+        parts.append(_points(plot, x[at], y[at], css, rows.source[at], rows.unit, where))
+        entries.append((css, name))
+    for centre, mean, error in means:
+        parts.append(svg.line(plot, [centre, centre], [mean - 2 * error, mean + 2 * error], "mean line"))
+    parts.append(svg.line(plot, [m[0] for m in means], [m[1] for m in means], "mean line"))
+    return parts, [*entries, ("mean line", "mean ± 2 s.e.")]
 
 
 def _deg_range(longitude: Floats) -> tuple[float, float]:

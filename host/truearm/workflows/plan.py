@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -180,18 +180,18 @@ class ApproachOptions:
     seed: int = option_defaults.SEED
 
 
+Options = TypeVar("Options", BallBarOptions, ApproachOptions)
+
+
 @step("planning")
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give one budget, either ", Argument("poses"), " or ", Argument("minutes"))
+    _check_budget(budget, "poses")
     known = _known(files)
-    planned = planned_ball_bar(known, budget, _with_reserve(options, files.result))
+    planned = planned_ball_bar(known, budget, with_reserve(options, files.result))
     route = planned.route
-    if files.out is not None:
-        write_plan(files.out, route.visits.of_robot(known.chain.name))
-    _write_programs(files, route.stops, options.dwell)
+    _write(files, known, route.visits, route.stops, options.dwell)
     return {
         **_document(planned.forecast),
         "poses": len(route.plan),
@@ -202,7 +202,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         "minutes": route.minutes,
         **_pairings(known, route.plan),
         **({"curves": _curves(known, route.plan)} if options.joint_laws else {}),
-        "written": _written(files),
+        "written": [str(path) for path in files.outputs],
     }
 
 
@@ -283,24 +283,21 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> B
 def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give one budget, either ", Argument("lines"), " or ", Argument("minutes"))
+    _check_budget(budget, "lines")
     known = _known(files)
     target = _target(known, options.target)
     wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
     site = make_site(known, Limits(), Sizes(), options.seed)
     planned = plan_lines(site, known, wanted, Pace(), options.region, target)
-    if files.out is not None:
-        write_plan(files.out, planned.visits.of_robot(known.chain.name))
     if files.rig_out is not None:
         write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
-    _write_programs(files, planned.stops, 0.0, tool)
+    _write(files, known, planned.visits, planned.stops, 0.0, tool)
     return {
         **_document(planned.forecast),
         "lines": _places(planned, known, np.array(tool)),
         "minutes": planned.minutes,
-        "written": _written(files),
+        "written": [str(path) for path in files.outputs],
     }
 
 
@@ -309,21 +306,19 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
     _check(files)
     known = _known(files)
-    limits = _limits(_reserve(options.reserve, files.result))
+    limits = _limits(with_reserve(options, files.result).reserve)
     pairing = Pairing(**{key: _named(key, getattr(options, key), known.rig.mounted()[key]) for key in BAR_MOUNTED})
     wanted = ApproachesWanted(options.poses, options.rounds, options.long_dwell, APPROACH_CANDIDATES, options.seed)
     site = make_site(known, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell))
-    if files.out is not None:
-        write_plan(files.out, route.visits.of_robot(known.chain.name))
-    _write_programs(files, route.stops, options.dwell)
+    _write(files, known, route.visits, route.stops, options.dwell)
     return {
         **vars(pairing),
         "poses": options.poses,
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
         "minutes": route.minutes,
-        "written": _written(files),
+        "written": [str(path) for path in files.outputs],
     }
 
 
@@ -360,12 +355,11 @@ def _limits(reserve: float | None) -> Limits:
     return Limits() if reserve is None else Limits(reserve=reserve)
 
 
-def _reserve(reserve: float | None, result: Path | None) -> float | None:
-    return option_defaults.RESULT_RESERVE if reserve is None and result is not None else reserve
-
-
-def _with_reserve(options: BallBarOptions, result: Path | None) -> BallBarOptions:
-    return replace(options, reserve=_reserve(options.reserve, result))
+def with_reserve(options: Options, result: object | None) -> Options:
+    """Return options with the reserve for a robot that was identified, if there is a ``result``, unless they state one."""
+    if result is None or options.reserve is not None:
+        return options
+    return replace(options, reserve=option_defaults.RESULT_RESERVE)
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
@@ -395,8 +389,9 @@ def _target(known: Known, name: str | None) -> str:
     return name
 
 
-def _written(files: PlanFiles) -> list[str]:
-    return [str(path) for path in files.outputs]
+def _check_budget(budget: Budget, what: str) -> None:
+    if (budget.n is None) == (budget.minutes is None):
+        raise InputError("give one budget, either ", Argument(what), " or ", Argument("minutes"))
 
 
 def _check(files: PlanFiles) -> None:
@@ -446,9 +441,17 @@ def _check_travel(known: Known, reserve: float, spread: float) -> None:
             )
 
 
-def _write_programs(
-    files: PlanFiles, stops: list[Stop], dwell: float, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+def _write(
+    files: PlanFiles,
+    known: Known,
+    visits: Plan,
+    stops: list[Stop],
+    dwell: float,
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> None:
+    """Write the plan and the programs that were requested."""
+    if files.out is not None:
+        write_plan(files.out, visits.of_robot(known.chain.name))
     for path in files.programs:
         write_atomic(path, program(stops, path.suffix.lower(), Task(path.stem, dwell, files.signals, tool)))
 

@@ -73,7 +73,7 @@ class SimulateOptions:
     differs from its design, written to ``truth_out``. ``protocol``: one of PROTOCOLS. ``level``: a Level. ``plan`` and
     ``rig`` are files that replace ``poses`` with each bar, or ``lines``. ``faults`` are written SECONDS:KIND. A port of
     0 means any free one. ``warming`` [K]: how much the laboratory warms up; bar and sensor then have thermometers.
-    ``fast``: nothing listens; everything is recorded in virtual time, at the oversampling ratio ``osr``.
+    ``osr``: the oversampling ratio of what is recorded in virtual time.
     """
 
     folder: Path
@@ -82,7 +82,6 @@ class SimulateOptions:
     truth: TruthOptions = AS_DRAWN
     truth_out: Path | None = None
     force: bool = False
-    fast: bool = False
     osr: int = 8192
     port: int = 7007
     protocol: str = "lines"
