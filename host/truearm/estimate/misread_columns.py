@@ -17,7 +17,14 @@ from typing import Any
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.estimate.other_readings import FEW_ROWS, MOST_FITTED, Interpretation, in_other_unit, worst_fitted
+from truearm.estimate.other_readings import (
+    FEW_ROWS,
+    MOST_FITTED,
+    Interpretation,
+    in_each_rig,
+    in_other_unit,
+    worst_fitted,
+)
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import POINT, TURN
 from truearm.kinds.registry import kinds, points
@@ -110,9 +117,7 @@ def likeliest(readings: Sequence[Interpretation]) -> list[Interpretation]:
 def _flipped(rig: Rigs, entry: str, axis: int, only: str = "") -> Rigs | None:
     """Return the rig, or rigs, with the sign of one coordinate of some points, or of one, reversed; None if all are 0."""
     if not isinstance(rig, Rig):
-        flipped = {name: _flipped(one, entry, axis) for name, one in rig.items()}
-        every = {name: one for name, one in flipped.items() if isinstance(one, Rig)}
-        return {**rig, **every} if every else None
+        return in_each_rig(rig, lambda one: _flipped(one, entry, axis))
     known = rig.named(entry)
     changed = {name: point for name, point in known.items() if only in ("", name)}
     if not any(point.xyz[axis] for point in changed.values()):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any, NamedTuple
@@ -94,12 +94,16 @@ def _with_column(table: ObservationTable, field: str, factor: float) -> Observat
     return replace(table, more={**table.more, field: column})
 
 
+def in_each_rig(rigs: Mapping[str, Rig], change: Callable[[Rig], Rigs | None]) -> Rigs | None:
+    """Return rigs, each changed if it can be; None if none can."""
+    changed = {name: one for name, rig in rigs.items() if isinstance(one := change(rig), Rig)}
+    return {**rigs, **changed} if changed else None
+
+
 def _with_points(rig: Rigs, entry: str, factor: float) -> Rigs | None:
     """Return the rig, or rigs, with some points' coordinates multiplied; None if there are none, or they are too far."""
     if not isinstance(rig, Rig):
-        scaled = {name: _with_points(one, entry, factor) for name, one in rig.items()}
-        every = {name: one for name, one in scaled.items() if isinstance(one, Rig)}
-        return {**rig, **every} if every else None
+        return in_each_rig(rig, lambda one: _with_points(one, entry, factor))
     known = rig.named(entry)
     farthest = max((abs(v) for point in known.values() for v in point.xyz), default=0.0)
     if not 0.0 < factor * farthest <= UNITS["m"].largest:

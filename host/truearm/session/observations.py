@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from truearm.errors import Argument, RigError
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.box_temperature import BoxTemperature, box_temperature
@@ -31,7 +30,15 @@ from truearm.session.line_passes import WANTED, LinePass, LineRules, measure
 from truearm.session.losses import Losses, StreamReport
 from truearm.session.manual_joints import has_manual_joints, manual_dwells
 from truearm.session.message_columns import Messages, Source, columns_of
-from truearm.session.plan_matching import Marks, PlannedPoses, contradict, match_plan, nearest_pose, passes_of
+from truearm.session.plan_matching import (
+    Marks,
+    PlannedPoses,
+    check_in_rig,
+    contradict,
+    match_plan,
+    nearest_pose,
+    passes_of,
+)
 from truearm.session.samples import ChannelSamples
 from truearm.session.trigger_edges import Output, with_edges
 from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig
@@ -325,13 +332,7 @@ def _mounted(dwell: Dwell, pose: int | None, mounted: dict[str, str], rig: Rig) 
 
 def _check_rig(mounted: dict[str, str], rig: Rig) -> None:
     for key in BAR_MOUNTED:
-        known = rig.mounted()[key]
-        if mounted[key] not in known:
-            names = ", ".join(sorted(known)) or "none"
-            raise RigError(
-                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {names}); add it to the rig, or give the right rig as ",
-                Argument("rig"),
-            )
+        check_in_rig(key, mounted[key], rig.mounted()[key])
 
 
 def table_of(

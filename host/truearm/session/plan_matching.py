@@ -305,9 +305,15 @@ def _mounted(marks: Marks, leg: Leg) -> dict[str, str]:
 def _check_rig(mounted: Mapping[str, str], rig: Rig) -> None:
     for key, names in (("line", rig.lines), ("target", rig.targets)):
         as_they_come = key == "line" and not names  # a rig that lists no lines accepts any
-        if mounted.get(key) and mounted[key] not in names and not as_they_come:
-            have = ", ".join(sorted(names)) or "none"
-            raise RigError(
-                f"the session names {key} {mounted[key]!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
-                Argument("rig"),
-            )
+        if mounted.get(key) and not as_they_come:
+            check_in_rig(key, mounted[key], names)
+
+
+def check_in_rig(key: str, name: str, known: Mapping[str, Any]) -> None:
+    """Raise RigError if the rig does not have what a session names."""
+    if name not in known:
+        have = ", ".join(sorted(known)) or "none"
+        raise RigError(
+            f"the session names {key} {name!r}, which the rig does not have (it has {have}); add it to the rig, or give the right rig as ",
+            Argument("rig"),
+        )

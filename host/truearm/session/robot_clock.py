@@ -209,19 +209,22 @@ def _with_disagreement(lines: Floats) -> Floats:
     """Return the bounds (k,) of the windows, each at least the disagreement with a neighbour half-way beyond both
     bounds.
     """
-    centre, offset, rate, own = lines.T
-    halfway = 0.5 * (centre[1:] + centre[:-1])
-    here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
-    apart = np.abs(there - here)
+    own, apart = lines[:, 3], np.abs(_steps(lines))
     torn = np.where(apart > own[1:] + own[:-1], apart, 0.0)
     return np.asarray(own + np.maximum(np.concatenate([[0.0], torn]), np.concatenate([torn, [0.0]])))
 
 
-def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) -> RobotClockReport:
+def _steps(lines: Floats) -> Floats:
+    """Return the differences (k − 1,) [ns] of neighbouring windows' lines half-way between their centres."""
     centre, offset, rate, _ = lines.T
     halfway = 0.5 * (centre[1:] + centre[:-1])
     here, there = (offset[k] + 1e9 * rate[k] * halfway for k in (slice(None, -1), slice(1, None)))
-    spread = float(np.sqrt(np.mean(np.square(there - here)) / 2.0)) if len(lines) > 1 else float("nan")
+    return np.asarray(there - here)
+
+
+def _report(segment: int, arrivals: Arrivals, lines: Floats, bound_ns: float) -> RobotClockReport:
+    rate = lines[:, 2]
+    spread = float(np.sqrt(np.mean(np.square(_steps(lines))) / 2.0)) if len(lines) > 1 else float("nan")
     return RobotClockReport(
         segment=segment,
         readings=arrivals.readings,

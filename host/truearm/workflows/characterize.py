@@ -38,7 +38,7 @@ from truearm.session.pose_visits import PoseVisits, joined, visits
 from truearm.session.session_file import Session
 from truearm.text import counted, one_line
 from truearm.types import DwellLabel, Floats, Message, Rig
-from truearm.workflows.session_observations import attached_rig, labels_of, reasons_text
+from truearm.workflows.session_observations import labels_of, reasons_text, recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
 LEAST_VISITS = 6
@@ -97,18 +97,12 @@ def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:
     """Return the given rig, else the one with which all parts were recorded."""
     if given is not None:
         return read_rig(given)
-    first: Rig | None = None
-    for path, session in opened.items():
-        found = attached_rig(session, path)
-        if found is None:
-            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
-        first = first or found
-        if found != first:
-            raise RigError(
-                f"{path}: was recorded with another rig than {next(iter(opened))}; give one as ", Argument("rig")
-            )
-    assert first is not None
-    return first
+    recorded = {path: recorded_rig(session, path) for path, session in opened.items()}
+    first, rig = next(iter(recorded.items()))
+    for path, other in recorded.items():
+        if other != rig:
+            raise RigError(f"{path}: was recorded with another rig than {first}; give one as ", Argument("rig"))
+    return rig
 
 
 def _with_plan(session: Session, path: Path | None) -> Source:

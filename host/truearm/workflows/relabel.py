@@ -21,7 +21,7 @@ from truearm.files.strict_json import number_or_null
 from truearm.progress import step
 from truearm.session.dwell_labels import Pairing, Said, label_of, may_be_dwells, pairing_of, said_of_dwells
 from truearm.types import BAR_MOUNTED, DwellLabel, Rig
-from truearm.workflows.session_observations import attached_rig
+from truearm.workflows.session_observations import recorded_rig
 from truearm.workflows.session_parts import open_finished, session_parts
 
 if TYPE_CHECKING:
@@ -171,9 +171,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Relabelled
         if session.truncated:
             raise SessionError(f"{path}: is incomplete; make a complete session of it with truearm recover {path}")
         session = open_session(path)
-        rig = rig or attached_rig(session, path)
-        if rig is None:
-            raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
+        rig = rig or recorded_rig(session, path)
         if not (rig.bars and rig.chucks and rig.spheres):
             raise RigError(f"{path}: its rig has no ball-bar, chuck or sphere; there is nothing to relabel")
         found = survey(session.batches, recorded_ident(session))

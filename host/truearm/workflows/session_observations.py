@@ -122,6 +122,14 @@ def attached_rig(session: Session, path: Path) -> Rig | None:
         raise RigError(f"{path}: {RIG} is not UTF-8 text; give the rig file with the argument rig") from exc
 
 
+def recorded_rig(session: Session, path: Path) -> Rig:
+    """Return the rig given to the recorder. Raises RigError if there was none, or if it is not a valid rig."""
+    rig = attached_rig(session, path)
+    if rig is None:
+        raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
+    return rig
+
+
 def observations_of_session(path: Path, rig: Rig | None = None, options: SessionOptions | None = None) -> SyncResult:
     """Make observations from a session file. ``rig`` replaces the recorded one.
 
@@ -146,9 +154,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
         more = f" and in {counted(len(session.damage) - SAID, 'place')} more" if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {said}{more}"))
-    rig = rig or attached_rig(session, path)
-    if rig is None:
-        raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
+    rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)
     result = observations(
         session.batches, rig, ident=recorded_ident(session), name=path.name, line_rules=rules, labels=labels_of(path)

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from truearm.types import Plan, Rig
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
+    from truearm_sim.ports import Port, Terminal
     from truearm_sim.simbox import Fault, SimulatedBox
     from truearm_sim.world import World
 
@@ -104,22 +105,16 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
 
     Raises InputError, and LinkError if the ports are not available.
     """
-    from truearm_sim.ports import Port, Terminal
     from truearm_sim.rtde_server import RtdeServer
     from truearm_sim.serve import serve
 
     scheme, usual_port, rate = _spoken(options.protocol)
     world, of_box, box = _lab(options, rate, say)
     folder = options.folder
-    try:
-        box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
-        listener = Port.listen("127.0.0.1", usual_port if options.robot_port is None else options.robot_port)
-    except OSError as exc:
-        box.close()
-        ports = Argument("port"), " and ", Argument("robot_port")
-        raise LinkError(f"cannot listen: {exc.strerror}; choose other ports with ", *ports) from exc
+    robot_port = usual_port if options.robot_port is None else options.robot_port
+    remedy = "other ports with ", Argument("port"), " and ", Argument("robot_port")
+    box_port, device, listener = _listening(options, box, robot_port, remedy)
     robot_end = RtdeServer(listener, rate) if options.protocol == "rtde" else listener
-    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
     say(f"{_visits_of(world)}. Record them with\n")
     say(
         f"  truearm record --box {device} --address {scheme}://127.0.0.1:{listener.number} "
@@ -172,7 +167,6 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
 
     A line is a position in mm. Raises InputError, and LinkError if the port is not available.
     """
-    from truearm_sim.ports import Port, Terminal
     from truearm_sim.serve import serve
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.stage import LARGEST, Stage
@@ -195,13 +189,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
                 say(f"{line[:40]!r} is not a position; type one from {span}, or q")
         return False
 
-    try:
-        box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
-        unused = Port.listen("127.0.0.1", 0)
-    except OSError as exc:
-        box.close()
-        raise LinkError(f"cannot listen: {exc.strerror}; choose another port with ", Argument("port")) from exc
-    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
+    box_port, device, unused = _listening(options, box, 0, ("another port with ", Argument("port")))
     say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
     say(f"and set the reference here: type a position from {span}; q ends.")
     try:
@@ -210,6 +198,22 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
         box.close()
         box_port.close()
         unused.close()
+
+
+def _listening(
+    options: SimulateOptions, box: SimulatedBox, other: int, remedy: tuple[str | Argument, ...]
+) -> tuple[Port | Terminal, str, Port]:
+    """Return the box's port and its name, and another port. Raises LinkError, and then closes the box."""
+    from truearm_sim.ports import Port, Terminal
+
+    try:
+        box_port = Terminal() if options.pty else Port.listen("127.0.0.1", options.port)
+        other_port = Port.listen("127.0.0.1", other)
+    except OSError as exc:
+        box.close()
+        raise LinkError(f"cannot listen: {exc.strerror}; choose ", *remedy) from exc
+    device = box_port.path if isinstance(box_port, Terminal) else f"socket://127.0.0.1:{box_port.number}"
+    return box_port, device, other_port
 
 
 def _spoken(protocol: str) -> tuple[str, int, float]:
