@@ -74,13 +74,17 @@ def test_the_bar_is_off_on_every_way_that_was_planned_without_it(name, suffix):
     route = planned(name)
     controller = driven(name, route.stops, suffix, Task("plan"))
     assert len(controller.said) == 2 * route.n_mounts
+    assert [text.split(". Next")[0] for _, text in controller.said[:3:2]] == [
+        "Check that no bar is mounted",
+        "Remove the bar",
+    ]
     on = None
     asked = list(controller.said)
     for i in range(len(controller.moves)):
         while asked and asked[0][0] <= i:
             text = asked.pop(0)[1]
             found = re.search(r"bar (\S+) from (\S+) to (\S+)", text)
-            on = None if text.startswith("Remove the bar") else (found[2], found[3], found[1])
+            on = (found[2], found[3], found[1]) if text.startswith("Mount") else None
         assert on == (bench.connected(route, i) if i else None)
     assert len(asked) <= 1  # what is put on at the last stop
 

@@ -160,7 +160,7 @@ class TestThePlan:
         session.run(2.5)
         assert session.row("mounted").text == "bar b46, chuck c1, sphere s1"
         session.dwell()
-        assert session.said[-1] == "now mount bar b61, chuck c1, sphere s1; then press Enter"
+        assert session.said[-1] == "at the next pose, mount bar b61, chuck c1, sphere s1; then press Enter"
         assert session.row("change").alarm
         session.state.command("")
         assert session.events("mounted") == [{"bar": "b61", "chuck": "c1", "sphere": "s1"}]

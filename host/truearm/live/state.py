@@ -35,6 +35,9 @@ POSITION_BLOCKS = 8  # a tenth of a second: the bar may be moving
 BAR_CELLS = 31
 DRY_S = 2.0  # a stream without samples for this long is reported
 CONTRADICTION = "contradiction"  # begins a line about a conflict between plan and operator
+MOUNT_NEXT = (
+    "at the next pose, mount"  # begins what to mount next: the arm still stands at the old pose when it is said
+)
 LATE_S = 1.0  # an older reading is shown as late
 
 
@@ -114,7 +117,7 @@ class LiveState:
         if change != self._asked:
             self._asked = change
             if change is not None:
-                self.said.append(f"now mount {words_of(change)}; then press Enter")
+                self.said.append(f"{MOUNT_NEXT} {words_of(change)}; then press Enter")
         self._watch_travel()
 
     def close(self) -> None:
@@ -298,7 +301,7 @@ class LiveState:
         change = self.session_progress.change()
         rows.append(ViewLine("mounted", words_of(self.session_progress.mounted)))
         if change is not None:
-            rows.append(ViewLine("change", f"mount {words_of(change)}; then press Enter", True))
+            rows.append(ViewLine("change", f"{MOUNT_NEXT} {words_of(change)}; then press Enter", True))
         if self.contradictions:
             text = f"{self.contradictions} of the dwells: name what is mounted, or correct them with truearm relabel"
             rows.append(ViewLine(CONTRADICTION, text, True))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from truearm.box.readiness import LVDT, Purpose, check_box, far_from_calibration
 from truearm.errors import Argument, InputError
 from truearm.live.keyboard import Typed, may_ask, typed_lines
-from truearm.live.state import CONTRADICTION, HELP, LiveState, ViewLine
+from truearm.live.state import CONTRADICTION, HELP, MOUNT_NEXT, LiveState, ViewLine
 from truearm.record.joint_lines import SILENCE_S
 from truearm.record.operator import Operator, OperatorEvent
 from truearm.text import counted, one_line
@@ -312,7 +312,7 @@ class _Live:
 
         at = "" if status is None else f"{status.elapsed_s:.1f} s: "
         for text in messages:
-            style = "yellow" if text.startswith(("warning", "now mount")) else ""
+            style = "yellow" if text.startswith(("warning", MOUNT_NEXT)) else ""
             if text.startswith(CONTRADICTION):
                 style = "bold red"
                 self._text.write("\a")

@@ -72,7 +72,10 @@ class Route(NamedTuple):
 
     @property
     def stops(self) -> list[Stop]:
-        """Stops for a program: the operator removes the bar before the move to a mount, and mounts it there."""
+        """Stops for a program: the operator removes the bar before the move to a mount, and mounts it there.
+
+        At the first stop no bar is mounted, unless an earlier run was broken off: the operator makes sure.
+        """
         out: list[Stop] = []
         left = 0  # the first stop on the way to the next pose
         for i, (q, seconds, pose) in enumerate(zip(self.q, self.seconds.tolist(), self.pose.tolist(), strict=True)):
@@ -82,7 +85,8 @@ class Route(NamedTuple):
             if self.mount[i]:
                 at = pairing_at(self.plan, pose)
                 what = f"bar {at.bar} from {at.chuck} to {at.sphere}"
-                out[left] = out[left]._replace(before=plain(f"Remove the bar. Next: {what}"))
+                remove = "Remove the bar" if i else "Check that no bar is mounted"
+                out[left] = out[left]._replace(before=plain(f"{remove}. Next: {what}"))
                 out[i] = out[i]._replace(there=plain(f"Mount {what}"))
             left = i + 1
         return out
