@@ -1,5 +1,6 @@
 """The box's trigger output at a robot's input, from the random times to the robot's clock, compared with the simulator's truth."""
 
+import re
 from functools import partial
 
 import cbor2
@@ -85,6 +86,9 @@ def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
     assert np.median(np.abs(robot_to_device)) <= 25.0
     assert np.max(np.abs(robot_to_device)) <= 70.0  # anywhere in the session
     assert np.max(bound) < 700.0  # box to host has 137 µs of half a round trip in it
+    # inspect prints both: that of the edges alone is not widened by box to host
+    assert np.median(np.abs(robot_to_device)) <= 1e-3 * edges.to_box_ns <= 70.0
+    assert 1e-3 * edges.bound_ns > 1e-3 * edges.to_box_ns + 137.0
     # What arrivals alone cannot know: 300 µs of the link's, and what their own clock's half asymmetry takes off.
     assert 1e-3 * edges.shortest_latency_ns == pytest.approx(300.0, abs=150.0)
 
@@ -93,6 +97,8 @@ def test_inspect_shows_it(session):
     path, *_ = session
     said = truearm("inspect", path).stdout
     assert f"trigger on input {INPUT} (inverted, in use)" in said
+    found = re.search(r"error of robot to box at most (\d+) µs \(median\), of robot to host at most (\d+) µs", said)
+    assert int(found[1]) <= 70 < int(found[2])
     assert "edges agree" in said
 
 

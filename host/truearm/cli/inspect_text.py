@@ -218,8 +218,9 @@ def _edges(edges: Mapping[str, Any] | None) -> Iterator[str]:
     use = "in use" if edges["in_use"] else "not applied, because arrivals are more accurate"
     inverted = "inverted, " if edges["inverted"] else ""
     yield (
-        f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error at most {_of_ns(edges['bound_ns'], '.0f')} µs, not counting a filter of the "
-        f"input; the link's shortest latency is {_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
+        f"  trigger on input {edges['input']} ({inverted}{use}): {counts}; error of robot to box at most {_of_ns(edges['to_box_ns'], '.0f')} µs (median), of "
+        f"robot to host at most {_of_ns(edges['bound_ns'], '.0f')} µs, not counting a filter of the input; the link's shortest latency is "
+        f"{_of_ns(edges['shortest_latency_ns'], '.0f')} µs"
     )
     least, most = edges["falling_later_ns"]
     if least is not None:

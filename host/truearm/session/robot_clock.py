@@ -101,7 +101,8 @@ class EdgeReport:
     falling_later_ns: tuple[
         float, float
     ]  # falling edges of the output are seen later than rising ones by, at least and at most; NaN if unknown
-    bound_ns: float  # largest at any edge; NaN if none is used
+    to_box_ns: float  # bound between controller and box, which the edges alone give; median; NaN if none is used
+    bound_ns: float  # largest bound between controller and host, with that of the box's clock; NaN if none is used
     shortest_latency_ns: float  # NaN if none is used
     in_use: bool  # the robot's readings are timed by the edges, not by their arrivals
 

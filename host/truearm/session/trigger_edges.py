@@ -288,11 +288,11 @@ def _of_segment(
     number, inverted, matched = _followed(track, edges)
     ties = [] if number is None else _ties(arrivals, track.changes(number), edges, matched, clocks)
     none = EdgeReport(
-        number, inverted, edges.expected_s.size, 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, False
+        number, inverted, edges.expected_s.size, 0, *matched[1:], 0, (np.nan, np.nan), np.nan, np.nan, np.nan, False
     )
     if not ties:
         return arrivals, none
-    clock = _through_nodes(arrivals, ties, first_s, last_s)
+    clock, to_box_ns = _through_nodes(arrivals, ties, first_s, last_s)
     middle = np.array([0.5 * (first_s + last_s)])
     in_use = float(np.median(clock.bound_ns)) <= float(np.median(arrivals.bound_ns)) + LATENCY_NS
     report = replace(
@@ -300,6 +300,7 @@ def _of_segment(
         used=sum(tie.used for tie in ties),
         rejected=sum(tie.fit.rejected for tie in ties),
         falling_later_ns=_common([tie.fit.falling_later_ns for tie in ties]),
+        to_box_ns=float(np.median(to_box_ns)),
         bound_ns=float(np.max(clock.bound_ns)),
         shortest_latency_ns=float((arrivals.to_host_ns(middle) - clock.to_host_ns(middle))[0]),
         in_use=in_use,
@@ -389,13 +390,16 @@ def _ties(
     return ties
 
 
-def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, last_s: float) -> RobotClock:
+def _through_nodes(
+    arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, last_s: float
+) -> tuple[RobotClock, Floats]:
     """Convert controller time to host time via device time, computed every NODE_S.
 
-    Between nodes both clocks are practically straight: DRIFT bends them by less than 1 µs in 10 s.
+    Also return, for each node, the part of the bound that is between controller and box [ns]: it is that of the edges
+    alone, without the box's clock against the host's. Between nodes both clocks are practically straight: DRIFT bends them by less than 1 µs in 10 s.
     """
     nodes = np.linspace(first_s, last_s, max(2, round((last_s - first_s) / NODE_S) + 1))
-    best = np.full(nodes.size, np.inf)
+    best, to_box_ns = np.full(nodes.size, np.inf), np.full(nodes.size, np.nan)
     host = np.empty(nodes.size, np.int64)
     for tie in ties:
         d_us = _device_us(tie, nodes)
@@ -405,13 +409,14 @@ def _through_nodes(arrivals: RobotClock, ties: Sequence[_Tie], first_s: float, l
         here = bound < best
         # Device time is whole microseconds; the remainder is less than that.
         at = at + np.rint(1e9 * (nodes - robot_s)).astype(np.int64)
-        best[here], host[here] = bound[here], at[here]
+        best[here], host[here], to_box_ns[here] = bound[here], at[here], of_robot[here]
     dt = 1e9 * (nodes - arrivals.t_ref_s)
     correction = (host - arrivals.host_ref_ns - np.rint(dt).astype(np.int64)).astype(np.float64)
     slope = np.gradient(correction, dt) if nodes.size > 1 and dt[-1] > dt[0] else np.zeros(nodes.size)
-    return RobotClock(
+    clock = RobotClock(
         arrivals.t_ref_s, arrivals.host_ref_ns, nodes, correction - slope * dt, slope, best, source="edges"
     )
+    return clock, to_box_ns
 
 
 def _device_us(tie: _Tie, nodes: Floats) -> Ints:
