@@ -219,7 +219,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Rig:
-    """The rig around the robot: chucks on the table, spheres on the endpoint, bars, sockets, lines, trackers and planes.
+    """The rig around the robot: chucks on the table, spheres on the end, bars, sockets, lines, trackers and planes.
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
     points that lines and trackers measure and that touch planes) are given in the end frame of the chain. ``seat_sigma``

@@ -340,6 +340,37 @@ class TestRefusals:
         assert os.listdir(tmp_path) == []
 
 
+def urdf_of(joints):
+    """A chain of ``joints``, of which the last is prismatic, with two end links on it."""
+    parts = [
+        f'<joint name="j{k}" type="{"prismatic" if k == joints else "revolute"}"><parent link="l{k - 1}"/><child link="l{k}"/>'
+        '<axis xyz="0 0 1"/><limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'
+        for k in range(1, joints + 1)
+    ]
+    parts += [
+        f'<joint name="to_{end}" type="fixed"><parent link="l{joints}"/><child link="{end}"/></joint>'
+        for end in ("tool", "camera")
+    ]
+    links = [*(f"l{k}" for k in range(joints + 1)), "tool", "camera"]
+    return (
+        f'<robot name="r">{"".join(f"<link name={chr(34)}{name}{chr(34)}/>" for name in links)}{"".join(parts)}</robot>'
+    )
+
+
+def test_a_urdf_with_two_ends(made, tmp_path, capsys):
+    _, path = made
+    joints = sum(title.endswith("_rad") for title in export(path, tmp_path / "x")[0]["dwells"] if title.startswith("q"))
+    robot = tmp_path / "r.urdf"
+    robot.write_text(urdf_of(joints))
+    asked = ["export-session", str(path), "--out", str(tmp_path / "y"), "--model", str(robot)]
+    assert main(asked) == 2
+    assert "choose --tip among" in capsys.readouterr().err
+    tables, _ = export(path, tmp_path / "y", "csv", "--model", str(robot), "--base", "l0", "--tip", "tool")
+    assert f"q{joints}_m" in tables["dwells"]
+    assert f"q{joints}_m" in tables["joints"]
+    assert "q1_rad" in tables["joints"]
+
+
 def test_help_has_an_example(capsys):
     assert main(["export-session", "--help"]) == 0
     assert "truearm export-session session.mcap" in capsys.readouterr().out

@@ -9,10 +9,12 @@ import typer
 
 from truearm.cli.options import (
     AllowDamagedOption,
+    BaseOption,
     JsonOption,
     OptionalRobotOption,
     SessionArgument,
     SessionRigOption,
+    TipOption,
     out_folder,
 )
 from truearm.cli.output import print_result, warn_of_further_parts
@@ -38,6 +40,8 @@ def export_session(
     ] = 100.0,
     rig: SessionRigOption = None,
     robot: OptionalRobotOption = None,
+    base: BaseOption = None,
+    tip: TipOption = None,
     allow_damaged: AllowDamagedOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -53,9 +57,11 @@ def export_session(
       truearm export-session session.mcap --out tables --format parquet
       truearm export-session session.mcap --out viewers --format mcap
     """
+    from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export_session import ExportSession, export_session_files
 
-    tables = export_session_files(ExportSession(session, out, format, rig, robot, allow_damaged, rate))
+    choice = RobotChoice(robot, base, tip)
+    tables = export_session_files(ExportSession(session, out, format, rig, choice, allow_damaged, rate))
     lines = (f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
     print_result({"folder": str(out), "rows": dict(tables)}, lines, as_json)
     warn_of_further_parts(session, "export each part separately: each has clocks of its own")

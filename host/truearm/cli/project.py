@@ -170,7 +170,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "inspect": {"session": newest_session},
         "characterize": {"session": newest_session, **robot},
         "relabel": {"session": newest_session, **robot},
-        "export-session": {"session": newest_session},
+        "export-session": {"session": newest_session, **robot},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
         "box": {name: {"device": text(project.box), **gauging.get(name, {})} for name in BOX_COMMANDS},
     }

@@ -1,4 +1,4 @@
-"""A ball-bar between a sphere on the endpoint and a chuck on the table: one length per observation.
+"""A ball-bar between a sphere on the end and a chuck on the table: one length per observation.
 
 d = ‖T(q)·s − c‖ (Goswami, Quaid, Peshkin 1993, Optimization). The table holds the length computed from the reading with
 the bar's declared zero z₀ and gain k₀. With another zero z and gain k, the same reading means d = z + k·(length −

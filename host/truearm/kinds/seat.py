@@ -1,4 +1,4 @@
-"""A ball of the endpoint seated in a socket at an unknown position: the same point for all seats of one socket.
+"""A ball on the end seated in a socket at an unknown position: the same point for all seats of one socket.
 
 The prediction is the position of the ball relative to its socket, T(q)·s − c; the measured value is zero. The socket's
 position c is unknown, three parameters per place and socket, so only the spread of the predicted ball about its socket

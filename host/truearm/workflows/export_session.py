@@ -15,7 +15,7 @@ from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import load_robot
+from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.strict_json import strict_json
 from truearm.progress import step
 from truearm.record.session_writer import read_anchor
@@ -29,6 +29,7 @@ from truearm.workflows.session_observations import attached_rig, labels_of
 from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
+NO_ROBOT = RobotChoice()
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class ExportSession:
     out: Path
     format: str = "csv"
     rig: Path | None = None
-    robot: str | None = None
+    robot: RobotChoice = NO_ROBOT
     allow_damaged: bool = False
     rate_hz: float = 100.0
 
@@ -52,7 +53,8 @@ class ExportSession:
 def export_session_files(wanted: ExportSession) -> dict[str, int]:
     """Write all tables, or none; return the number of rows by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)
-    units = () if wanted.robot is None else load_robot(wanted.robot).chain.joint_units
+    robot = wanted.robot
+    units = () if robot.robot is None else load_robot(robot.robot, robot.base, robot.tip).chain.joint_units
     given = None if wanted.rig is None else read_rig(wanted.rig)
     out = wanted.out
     _check_folder(out)
