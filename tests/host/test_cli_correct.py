@@ -19,7 +19,9 @@ from truearm.files.result_file import checksum
 from truearm.files.robot_file import load_robot
 from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward, joint_jacobian
+from truearm.model.robot_mounting import mountings
 from truearm.types import Plan
+from truearm.workflows.calibration import read_calibration
 from truearm_sim.world import World, standard_rig
 
 N = 40
@@ -145,6 +147,14 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
     assert code == 0
     assert "these mountings are not corrected" in said
     assert "robot's base in frame chuck_fixture: x, y, z 1" in said
+    found = read_calibration(bench.folder / "result.json")
+    expected = mountings(found.chain, found.nominal, found.identified)
+    printed = re.findall(r"x, y, z (.*?) mm; rotation vector (.*?) deg", said)
+    for (xyz, turn), pose in zip(printed, expected, strict=True):  # as --work and --tool take them
+        np.testing.assert_allclose(np.array(xyz.split(","), float), 1e3 * pose[:3, 3], atol=1e-3)
+        turned = Rotation.from_rotvec(np.array(turn.split(","), float), degrees=True).as_matrix()
+        np.testing.assert_allclose(turned, pose[:3, :3], atol=2e-6)
+    assert np.abs(expected.base[:3, :3] - np.eye(3)).max() > 1e-3
     own = [float(row["before_mm"]) for row in csv.DictReader(out.open())]
     assert np.mean(own) < 15.0  # the base stands some 15 mm from where the design has it
 

@@ -53,7 +53,7 @@ def correct(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Frame of the targets in the calibration's base frame [mm, deg]; for a program, the controller's base (RAPID: its world frame) in it. NAME=…: a work object that the "
+            help="Frame of the targets in the calibration's base frame [mm; rotation vector in deg]; for a program, the controller's base (RAPID: its world frame) in it. NAME=…: a work object that the "
             "program does not declare. Repeatable.",
         ),
     ] = None,
@@ -61,7 +61,7 @@ def correct(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Pose of the tool in the end frame [mm, deg]; for a URScript the tool in use before it sets one. NAME=…: a tool that a RAPID "
+            help="Pose of the tool in the end frame [mm; rotation vector in deg]; for a URScript the tool in use before it sets one. NAME=…: a tool that a RAPID "
             "program does not declare. Repeatable.",
         ),
     ] = None,
@@ -69,7 +69,7 @@ def correct(
         str | None,
         typer.Option(
             metavar="X,Y,Z,RX,RY,RZ",
-            help="The controller's flange in the end frame of the calibration [mm, deg]. Needed if truearm does not know that frame by its name, as it knows tool0.",
+            help="The controller's flange in the end frame of the calibration [mm; rotation vector in deg]. Needed if truearm does not know that frame by its name, as it knows tool0.",
         ),
     ] = None,
     joint_moves: Annotated[

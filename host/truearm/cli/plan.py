@@ -157,7 +157,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Number of rounds over all pairings; with 2, drift and slip show.",
+            help="Number of visits to every mount; with 2, drift and slip show.",
             **bounded(VISITS),
         ),
     ] = option_defaults.VISITS,
@@ -165,7 +165,7 @@ def ballbar(
         int,
         typer.Option(
             metavar="N",
-            help="Poses of the first pairing to measure again half-way and at the end: at most one per 36 poses, none below "
+            help="Poses of the first mount to measure again half-way and at the end: at most one per 36 poses, none below "
             "108 poses or with --visits 2.",
             **bounded(CHECK_POSES),
         ),

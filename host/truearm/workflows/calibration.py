@@ -18,9 +18,9 @@ from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
-from truearm.model.poses import six_of
 from truearm.model.robot import Robot
 from truearm.model.robot_mounting import NONE, Mountings, mountings
+from truearm.model.rotation import rotation_vector
 from truearm.report.parameter_cells import parameter_cells
 from truearm.results import weights_of
 from truearm.text import counted, outcome
@@ -295,11 +295,10 @@ def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:
 
 
 def six_text(pose: Floats) -> str:
-    """Format a pose in mm and deg."""
-    x, y, z, alpha, beta, gamma = six_of(pose)
-    place = ", ".join(f"{round(MM.of(v), 3) + 0.0:.3f}" for v in (x, y, z))
-    turns = ", ".join(f"{round(DEG.of(v), 4) + 0.0:.4f}" for v in (alpha, beta, gamma))
-    return f"x, y, z {place} mm; Rz, Ry, Rx {turns} deg"
+    """Format a pose (4, 4) in mm and deg, with the six numbers in the form that frames are given in."""
+    place = ", ".join(f"{round(MM.of(v), 3) + 0.0:.3f}" for v in pose[:3, 3].tolist())
+    turn = ", ".join(f"{round(DEG.of(v), 4) + 0.0:.4f}" for v in rotation_vector(pose[:3, :3]).tolist())
+    return f"x, y, z {place} mm; rotation vector {turn} deg"
 
 
 def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[str]:
