@@ -190,3 +190,27 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
     told(run(*good, "--report", good[1]), "is already an input")
     told(run(*good, "--report", tmp_path / "none" / "r.html"), "does not exist")
     assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"
+
+
+@pytest.mark.parametrize(
+    ("name", "says", "key"),
+    [
+        ("line", "line.mcap: 2 of 2 lines used\n", ("lines", "lines_used")),
+        (
+            "ball-bar",
+            "ball-bar.mcap: 3 of 3 dwells used (numbered 1 to 6 with 3 stops for mounting)\n",
+            ("dwells", "used"),
+        ),
+    ],
+)
+def test_what_a_session_gave_is_counted_in_its_own_kind(
+    run: Run, tmp_path: Path, name: str, says: str, key: tuple[str, str]
+) -> None:
+    session = MUKCA.parent / "sessions" / f"{name}.mcap"
+    out = tmp_path / "r.json"
+    outcome = run("identify", session, "--model", "puma560", "--max-iterations", "1", "--out", out)
+    assert says in outcome.out
+    (count,) = json.loads(out.read_text())["sessions"]
+    assert count[key[0]] == count[key[1]] > 0
+    assert count["lines_rejected"] == {}
+    assert count["with_bar"] is (name == "ball-bar")

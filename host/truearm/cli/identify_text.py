@@ -135,20 +135,27 @@ def _option(argument: str) -> str:
 
 
 def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
-    """Return a line per session: how its dwells were used; a command names the session as it was given."""
+    """Return a line per session: how its dwells and lines were used; a command names the session as it was given."""
     lines, given = [], {path.name: str(path) for path in inputs}
     for count in document.get("sessions", ()):
-        rejected = ", ".join(f"{n} {reason}" for reason, n in count["rejected"].items())
+        passes = f"{count['lines_used']} of {counted(count['lines'], 'line')} used{_rejected(count['lines_rejected'])}"
+        if count["lines"] and not count["with_bar"]:
+            lines.append(f"{one_line(count['session'])}: {passes}")
+            continue
         line = f"{one_line(count['session'])}: {count['used']} of {counted(count['dwells'], 'dwell')} used"
         stops = count["mountings"]
         line += f" (numbered 1 to {count['dwells'] + stops} with {counted(stops, 'stop')} for mounting)" * bool(stops)
-        line += f"; rejected: {rejected}" * bool(rejected)
+        line += _rejected(count["rejected"])
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_DECISION)
         if unsettled:
             session = one_line(given.get(count["session"], count["session"]))
             line += f"; {unsettled} need a decision: truearm relabel {shlex.quote(session)}"
-        lines.append(line + " (as relabelled)" * count["labels"])
+        lines.append(line + " (as relabelled)" * count["labels"] + f"; {passes}" * bool(count["lines"]))
     return lines
+
+
+def _rejected(reasons: Mapping[str, int]) -> str:
+    return f"; rejected: {', '.join(f'{n} {reason}' for reason, n in reasons.items())}" * bool(reasons)
 
 
 def headline(document: Document) -> str:

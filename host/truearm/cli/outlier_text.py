@@ -20,8 +20,8 @@ def suspects(document: Document) -> list[str]:
         return []
     if len(rows) > MOST * fitted and all(row["weight"] == 1.0 for row in rows):
         return [
-            f"{len(rows)} of {counted(fitted, 'row')} disagree significantly with all others, too many to be outliers: the model is "
-            "wrong, or the sigmas are too small."
+            f"{len(rows)} of {counted(fitted, 'row')} lie farther from the fit than their declared noise allows. These are too many to "
+            "be outliers: the model is wrong, or the sigmas are too small."
         ]
     who = "1 row disagrees" if len(rows) == 1 else f"{len(rows)} rows disagree"
     out, kept = ([row for row in rows if (row["weight"] == 0.0) is gone] for gone in (True, False))

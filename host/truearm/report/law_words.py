@@ -56,7 +56,7 @@ def _kept(law: Mapping[str, Any]) -> str:
         return f"{start}."
     periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])
     spectrum = (
-        f"strongest cycles per turn: {periods}; resolution {law['resolution_cycles']:.2g}"
+        f"strongest cycles per turn: {periods}; the covered range resolves {law['resolution_cycles']:.2g} cycles per turn"
         if periods
         else "covered range too short for a spectrum"
     )

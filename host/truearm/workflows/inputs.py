@@ -91,10 +91,11 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
 
 
 class DwellCount(NamedTuple):
-    """Account of a session's dwells: their number, how many are used, and the others by reason.
+    """Account of a session's dwells and lines: their numbers, how many are used, and the other dwells by reason.
 
     ``labels``: whether they were settled by ``truearm relabel``. ``mountings``: stops for mounting, which are not
-    dwells.
+    dwells. ``lines``: motions along a line device. ``with_bar``: whether a bar was planned or mounted; otherwise the
+    dwells are only stops between lines.
     """
 
     session: str
@@ -103,6 +104,10 @@ class DwellCount(NamedTuple):
     rejected: Mapping[str, int]
     labels: bool
     mountings: int
+    lines: int
+    lines_used: int
+    lines_rejected: Mapping[str, int]
+    with_bar: bool
 
 
 class Observed(NamedTuple):
@@ -236,7 +241,10 @@ def _read_session(
     rejected = rejected_of(result, doubtful)
     used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
-    count = DwellCount(path.name, n, int(used), dict(sorted(rejected.dwells.items())), labels, mountings)
+    lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)
+    with_bar = bool(result.survey.marks.dwells) or any("bar" in dwell.mounted for dwell in result.dwells)
+    reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected.dwells, result.pass_reasons))
+    count = DwellCount(path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, with_bar)
     return _Read(replace(table, rig=np.full(len(table), name)), count, rejected)
 
 
