@@ -9,7 +9,7 @@ import pytest
 from truearm.results import Unusable
 
 COMMANDS = {
-    "export": ["--format", "mdh", "--out", "robot.toml"],
+    "export": ["--format", "dh-hayati", "--out", "robot.toml"],
     "correct": ["targets.csv", "--own-frames", "--out", "corrected.csv"],
     "map": ["--cell", "60", "--out", "map.csv"],
 }
