@@ -57,6 +57,7 @@ class TestDwells:
         session.dwell(2.0)
         session.run(0.5, q_speed=2.0)
         assert session.state.session_progress.done == {0, 1}
+        assert any(line.startswith("pose 1: ") for line in session.said)  # other commands number the dwells otherwise
 
     def test_too_short_is_none(self):
         session = Session()

@@ -180,7 +180,8 @@ class LiveState:
         pose = session_progress.visit(q if self._with_robot else None)
         row = {} if pose is None else session_progress.rows[pose]
         self._pose = pose
-        self._label = f"dwell {session_progress.taken}" + (f" (pose {pose})" if pose is not None else "")
+        # Other commands number dwells otherwise: they count the stops for mounting too.
+        self._label = f"dwell {session_progress.taken}" if pose is None else f"pose {pose}"
         if pose is None and session_progress.rows:
             self._label = "stop not in the plan"
         other = [key for key in BAR_MOUNTED if row.get(key) and row[key] != session_progress.mounted.get(key)]
