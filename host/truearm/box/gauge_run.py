@@ -357,7 +357,8 @@ def trouble(counts: NDArray[np.int32], stream: Stream) -> str:
 
     if stream.name != MAG:
         return (
-            "the input is at the end of the converter's range; move the sensor, or lower the gain"
+            "the input is at the end of the converter's range; move the sensor, or lower the channel's gain with "
+            "truearm box config set"
             if railed(counts).any()
             else ""
         )

@@ -64,7 +64,7 @@ _ITEMS = {
     "noise_0": _NOISE, "noise_1": _NOISE, "noise_2": _NOISE, "noise_3": _NOISE,
     "stops": _Item(
         "stop pulses of 16 interrogations of the magnetostrictive head",
-        "check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking and time-out; "
+        "check the head's supply, that the magnet is on its rod, both RS-422 pairs, and blanking_us and timeout_us, which {get} prints; "
         "without such a head, run {off}",
         (16, 16),
     ),
