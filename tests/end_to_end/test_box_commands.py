@@ -76,6 +76,8 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
     assert "osr = 2048  # 2034.51 samples per second" in capsys.readouterr().out
     assert box("config", "set", "trigger_ms=[50,150]", "--box", device) == 0
     assert "trigger_ms: [0, 0] → [50, 150]" in capsys.readouterr().out
+    assert box("config", "set", "channel.lvdt.gain=", "--box", device) == 0
+    assert "channel.lvdt.gain: 2 → (none)" in capsys.readouterr().out
     assert box("config", "set", "osr=4096", "--box", device, "--dry-run", "--json") == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["changes"], said["stored"], said["config"]["osr"]) == (["osr: 2048 → 4096"], False, 4096)
