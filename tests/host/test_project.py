@@ -368,8 +368,8 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
 
 def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, run):
     """For the session and the result of a rehearsal, which are in no usual folder, the whole command line is printed."""
-    assert "sessions has no session yet; make one with truearm record" in run("inspect").err
-    assert "results has no result yet; make one with truearm identify" in run("report").err
+    assert "the folder sessions (truearm.toml) holds no session yet; make one with truearm record" in run("inspect").err
+    assert "the folder results (truearm.toml) holds no result yet; make one with truearm identify" in run("report").err
     (project / "rehearsal").mkdir()
     recorded(project / "rehearsal" / "session.mcap")
     recorded(project / "other.mcap")
@@ -380,6 +380,9 @@ def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, ru
     assert "type: truearm inspect rehearsal/session.mcap (there is also other.mcap)" in err
     read = {"role": "observations", "name": "session.mcap", "sha256": sha256(project / "rehearsal" / "session.mcap")}
     (project / "result.json").write_text(json.dumps({"format": FORMAT, "inputs": [read]}))
-    assert "results has no result; type: truearm report result.json rehearsal/session.mcap (" in run("report").err
+    assert (
+        "the folder results (truearm.toml) holds no result yet; to read another one, type: truearm report result.json rehearsal/session.mcap ("
+        in run("report").err
+    )
     assert "type: truearm report result.json rehearsal/session.mcap (" in run("report", "result.json").err
     assert "type: truearm map --cell 50 result.json (" in run("map", "--cell", 50).err

@@ -165,7 +165,7 @@ def test_suspects_are_named_the_farthest_first():
     source = np.array([f"/home/anyone/s.csv row {i}" for i in range(n)])
     estimate = replace(page.estimate, suspect=suspect, distance=distance, weight=weight)
     text = render(replace(page, estimate=estimate, table=replace(page.table, source=source)))
-    head, *rows = cells_of(text, "rows that disagree")
+    head, *rows = cells_of(text, "rows far from the others")
     assert head == [
         *("row", "observation", "distance from the others [σ]", "residual [mm]", "weight in the fit [1]"),
     ]

@@ -36,9 +36,17 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
         return os.path.relpath(path, folder)
 
     if parameter == "result":
-        found, why, first = results, f"{shown(home / project.results)} has no result", "truearm identify"
+        found, why, first = (
+            results,
+            f"the folder {shown(home / project.results)} (truearm.toml) holds no result",
+            "truearm identify",
+        )
     else:
-        found, why, first = sessions, f"{shown(home / project.sessions)} has no session", "truearm record"
+        found, why, first = (
+            sessions,
+            f"the folder {shown(home / project.sessions)} (truearm.toml) holds no session",
+            "truearm record",
+        )
     if not found:
         return f"{why} yet; make one with {first}"
     used = found[-1:]
@@ -49,7 +57,7 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
         used = [*(results[-1:] if parameter == "result" else []), *read] or used
     others = ", ".join(shown(path) for path in found[:-1][-MOST:])
     proposed = shlex.join(["truearm", *arguments, *map(shown, used)])
-    return f"{why}; type: {proposed}{f' (there is also {others})' * bool(others)}"
+    return f"{why} yet; to read another one, type: {proposed}{f' (there is also {others})' * bool(others)}"
 
 
 def _by_time(files: Iterable[Path]) -> list[Path]:

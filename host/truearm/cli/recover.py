@@ -1,4 +1,4 @@
-"""``truearm recover``: write a complete session from one that is damaged or unfinished."""
+"""``truearm recover``: write the intact data of a damaged or unfinished session to a new file."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def recover(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a new, complete session with all intact data of a damaged or unfinished one.
+    """Write all intact data of a damaged or unfinished session to a new file that every command reads.
 
     For a file whose recorder was killed, whose disk was full, or whose bytes were damaged. The file itself is not changed. Saved
-    and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if there is
-    a complete file in the end, 2 if nothing could be saved.
+    and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if the data
+    were saved, however many are lost, or if the file is intact; 2 if nothing could be saved.
 
     \b
     Example:
@@ -46,7 +46,7 @@ def recover(
         typer.echo(f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written")
     else:
         print_lines(lines(found))
-        typer.echo(f"{one_line(str(out))}: written, a complete session")
+        typer.echo(f"{one_line(str(out))}: written, with all data that are intact; every command reads it")
     if found is not None:
         warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
 

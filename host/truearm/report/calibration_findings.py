@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from truearm.estimate.outliers import MOST
 from truearm.kinds.registry import NAMES
 from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
@@ -72,16 +73,20 @@ def chi2_words(e: Estimate) -> str:
 
 
 def suspect_table(e: Estimate, table: ObservationTable) -> str:
-    """Return the fitted rows that disagree with all others, the farthest first."""
+    """Return the fitted rows that are farther from the others than chance allows, the farthest first."""
     rows = np.flatnonzero(e.suspect)
     if not rows.size:
         return "<p>No fitted row is an outlier. By chance, one in a million rows without a fault would be called an outlier.</p>"
     rows = rows[np.argsort(-e.distance[rows], kind="stable")]
     left_out = int(np.sum(e.weight[rows] == 0.0))
     units = Figures.by_unit(e.residual, rows)
-    verb = "is an outlier" if rows.size == 1 else "are outliers"
-    words = f"{counted(rows.size, 'fitted row')} {verb} (by chance, one in a million rows without a fault would be called an outlier)"
-    words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
+    if rows.size > MOST * np.sum(e.fitted) and not left_out:
+        words = f"{rows.size} of {counted(int(np.sum(e.fitted)), 'fitted row')} lie farther from the fit than their declared noise allows. "
+        words += "These are too many to be outliers, and none is left out of the fit."
+    else:
+        verb = "is an outlier" if rows.size == 1 else "are outliers"
+        words = f"{counted(rows.size, 'fitted row')} {verb} (by chance, one in a million rows without a fault would be called an outlier)"
+        words += f"; {left_out} left out of the fit." if left_out else "; none is left out of the fit."
     cells = [
         [
             escape(row_name(table.source[row])),
@@ -95,7 +100,7 @@ def suspect_table(e: Estimate, table: ObservationTable) -> str:
     sizes = [title("residual", si) for si in units]
     titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
     more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
-    return f"<p>{words}</p>" + table_of(titles, cells, "rows that disagree") + more
+    return f"<p>{words}</p>" + table_of(titles, cells, "rows far from the others") + more
 
 
 def observability_table(e: Estimate) -> str:

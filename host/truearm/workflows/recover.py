@@ -1,4 +1,4 @@
-"""Make a complete session from one that is damaged or was cut off (``truearm recover``)."""
+"""Write the intact data of a session that is damaged or was cut off to a new file (``truearm recover``)."""
 
 from __future__ import annotations
 
