@@ -154,7 +154,9 @@ class TestOneMissedEnter:
     def test_the_recording_says_so_at_its_end(self, path):
         found = recorded_dwells(path)
         assert re.fullmatch(r"40 dwells: \d+ usable, 29 need a decision(, 1 rail)?", found.sentence)
-        assert "truearm relabel" in unsettled(found, path)
+        assert unsettled(found, path) == (
+            f"29 dwells need a decision: decide what was mounted with truearm relabel {path}"
+        )
 
     def test_trusting_the_plan(self, path, capsys, plan):
         data = path.read_bytes()

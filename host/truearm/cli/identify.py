@@ -53,7 +53,7 @@ def identify(
         list[str] | None,
         typer.Option(
             metavar="GROUP|FRACTION",
-            help="Rows to hold out: judged, not fitted. COLUMN=NAME, such as bar=bar61, shell=s1 or place=front (repeatable), "
+            help="Rows to hold out: judged, not fitted. COLUMN=NAME, such as bar=bar61, shell=s46_c1 or place=front (repeatable), "
             "or a fraction such as 0.2, drawn with --seed.",
         ),
     ] = None,

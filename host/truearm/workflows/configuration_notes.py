@@ -14,7 +14,8 @@ from truearm.units import DEG
 MOST_NAMED = 6  # quarter turns
 SEARCHED = (
     "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
-    "another one, give joints near those of the first target with --home, as q1_deg … in a table, or as qnear in a URScript."
+    "another one, give joints near those of the first target in one of three ways: (1) with --home, (2) in a table, as columns "
+    "q1_deg, q2_deg …, (3) in a URScript, as qnear of get_inverse_kin."
 )
 
 

@@ -103,13 +103,16 @@ def record_request(request: Request, output: TextIO) -> Recorded:
 
 
 def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
-    """Return which dwells of a recording give no observation, and what to do; "" if every pose gave one."""
+    """Return how many dwells of a recording give no observation, and what to do; "" if every pose gave one."""
     if dwells is None or not (dwells.need_decision or dwells.lost):
         return ""
-    text = dwells.sentence
     if dwells.need_decision:
-        return f"{text}: decide what was mounted with truearm relabel {session}"
-    return f"{text}; truearm inspect {session} says why"
+        which = (
+            f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'} a decision"
+        )
+        return f"{which}: decide what was mounted with truearm relabel {session}"
+    which = counted(dwells.lost, "visited pose")
+    return f"{which} of the plan gave no observation; truearm inspect {session} says why"
 
 
 def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
