@@ -16,6 +16,7 @@ from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import poses
 from truearm.estimate.prior import free_without_gains
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
+from truearm.model.joint_terms.gain import Gain
 from truearm.model.robot import Robot
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
@@ -183,6 +184,8 @@ def _parts(text: str, names: Sequence[str]) -> list[str]:
 def _near(pattern: str, names: Sequence[str]) -> str:
     """Return suggestions: names or kinds of parameters similar to the pattern, else some of both."""
     kinds = list(dict.fromkeys(f"*.{name.rpartition('.')[2]}" for name in names))
+    if pattern.rpartition(".")[2] == Gain.name and f"*.{Gain.name}" not in kinds:
+        return "its file gives no gains; add them to its joints, such as gain = { design = 1.0, held = true }"
     close = difflib.get_close_matches(pattern[:80], [*names, *kinds], n=3)
     return f"names are like {', '.join(close or [*names[:2], *kinds])}"
 
