@@ -7,7 +7,7 @@ reads this, so it imports nothing.
 
 from typing import Final
 
-SEED: Final = 0  # for every command that uses random numbers
+SEED: Final = 0  # of identify and plan; simulated worlds (simulate, demo, reproduce) begin with 1
 
 # identify
 SOLVER: Final = "lm"
