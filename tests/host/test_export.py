@@ -13,11 +13,10 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from truearm.errors import RobotError
 from truearm.export.formats import FORMATS, writer
 from truearm.export.link_frames import link_frames
-from truearm.export.refit import refit
 from truearm.export.toml_tables import dh_table, modified_dh_table, sheth_uicker_table
 from truearm.export.ur import KEYS, SEGMENTS, ur_segments, ur_yaml
 from truearm.export.urdf import edited, joint_origins, new_urdf
-from truearm.export.writing import RobotToWrite, fit_to, written
+from truearm.export.writing import RobotToWrite, fit_to, refit, written
 from truearm.model import joint_law
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Parameter, forward

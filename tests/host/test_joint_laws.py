@@ -39,8 +39,7 @@ from truearm.types import CurveKnots, ObservationTable, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
-from truearm.workflows.curve_table import curve_table
-from truearm.workflows.export import ExportOptions, exported
+from truearm.workflows.export import ExportOptions, curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.map import MapFiles, Mapped, Section, map_files, mapped
 from truearm.workflows.validate import validated

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from truearm.report.displacement_words import displacement_sentences
-from truearm.report.result_words import unexplained_words
+from truearm.report.result_words import displacement_sentences, unexplained_words
 from truearm.results import MeanError
 
 HELD_OUT = {"m": MeanError(mean=0.9e-4, low=0.7e-4, high=1.1e-4, n=36, held_out=True)}

@@ -18,7 +18,6 @@ from rich.table import Table
 
 from truearm.cli.outlier_text import suspects
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
-from truearm.report.displacement_words import displacement_sentences
 from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
@@ -26,6 +25,7 @@ from truearm.report.result_words import (
     SMALLEST_WEIGHT,
     all_identifiable,
     copy_sentences,
+    displacement_sentences,
     drawing,
     gain_words,
     kind_name,

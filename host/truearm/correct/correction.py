@@ -16,12 +16,10 @@ from typing import Any, NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.correct.false_target import false_target
 from truearm.correct.inverse import CHUNK, Inverse, Origins, inverse, search, singular_value, within
-from truearm.correct.joint_space import joint_space
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
-from truearm.correct.offsets import offsets
+from truearm.correct.renders_methods import false_target, joint_space, offsets
 from truearm.model.poses import apart
 from truearm.types import Floats
 

@@ -21,7 +21,6 @@ from truearm.errors import Argument, TableError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells, together
 from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
-from truearm.files.time_order import in_order_of_time
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
@@ -301,3 +300,23 @@ def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str])
     except TableError as error:
         raise TableError(f"{path}: not written, because it could not be read back: {error}") from None
     write_atomic(path, text)
+
+
+AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
+
+
+def in_order_of_time(table: ObservationTable) -> ObservationTable:
+    """Return the rows of one file in the order of their times; the table itself if they are in it.
+
+    A table may be sorted by something else.
+
+    Also if a row has no time, or if the times begin again: several sessions, one after the other, each with its own zero.
+    """
+    time = table.time
+    if len(table) < 2 or not np.isfinite(time).all():
+        return table
+    back = np.flatnonzero(np.diff(time) < 0.0) + 1
+    order = np.argsort(time, kind="stable")
+    usual = float(np.median(np.diff(time[order])))
+    begins_again = back.size > 0 and bool((time[back] <= time[order[0]] + AT_ONCE * usual).all())
+    return table if begins_again else table.select(order)

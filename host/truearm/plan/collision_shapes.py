@@ -2,7 +2,7 @@
 a plane.
 
 A capsule is the set of points within a radius of a segment; those of the arm come from its robot file or from
-``arm_capsules``. Neighbouring links always touch and are not checked against each other. Within the arm, only the links
+``along_joints``. Neighbouring links always touch and are not checked against each other. Within the arm, only the links
 that carry the tool are checked against those that carry the elbow.
 """
 
@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.model.chain import Chain, joint_and_end_frames
+from truearm.model.chain import Chain, forward, joint_and_end_frames, joint_frames
 from truearm.model.workspace import Capsules
-from truearm.plan.arm_capsules import along_joints
 from truearm.types import Floats, Rig
 
 UPPER_ARM = 2  # the joint that moves it first
@@ -182,3 +181,25 @@ def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
 
 def _dot(u: Floats, v: Floats) -> Floats:
     return np.asarray(np.einsum("...i,...i->...", u, v))
+
+
+SHORT = 0.02  # m; joints with origins closer than this share a segment
+
+
+def along_joints(chain: Chain, params: Floats, radius: float) -> Capsules:
+    """Return capsules from the base's foot through the joints' origins to the end; coinciding origins count once.
+
+    For a robot file that describes none. They describe the arm if its links are no wider than ``Sizes.link`` and lie on
+    their axes. Most arms are wider, and the upper arm of a Universal Robots arm lies 135 mm beside the plane of its
+    axes: the files of the built-in arms have capsules of their own.
+    """
+    zero = np.zeros(len(chain.joints))
+    frames = [np.eye(4), *joint_frames(chain, params, zero), forward(chain, params, zero)]
+    kept = [0]
+    for i in range(1, len(frames)):
+        if np.linalg.norm((frames[i] - frames[kept[-1]])[:3, 3]) > SHORT:
+            kept.append(i)
+    # The part between two kept origins moves with the last joint before the second.
+    joint = tuple(i - 1 for i in kept[1:])
+    ends = [[np.zeros(3), frames[i - 1][:3, :3].T @ (frames[i] - frames[i - 1])[:3, 3]] for i in kept[1:]]
+    return Capsules(joint, np.array(ends), np.full(len(joint), radius))

@@ -9,7 +9,7 @@ from truearm.estimate.solvers import Loss, Prior
 from truearm.kinds.registry import NAMES, kinds
 from truearm.results import Estimate, MeanError, PoseError, ResidualParts
 from truearm.text import counted, one_line, with_article
-from truearm.units import MS, UNITS, number, symbol, tolerances
+from truearm.units import DEG, MM, MS, UNITS, from_shown, number, symbol, tolerances
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
@@ -214,3 +214,27 @@ def residual_words(kind: str) -> str:
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
+
+
+def displacement_sentences(document: Mapping[str, Any]) -> list[str]:
+    """Return that base or tool stands elsewhere than described, and what it means if it does not; empty if neither does."""
+    found = document["displaced"]
+    if not found:
+        return []
+    each = []
+    for one in found:
+        sizes = []
+        for name, unit, scale, digits in (("distance_mm", "m", MM, ".3g"), ("turn_deg", "rad", DEG, ".2g")):
+            size = from_shown(one[name], unit)
+            if size > UNITS[unit].weak_sigma:
+                sizes.append(scale.text(size, digits))
+        each.append(f"the {one['frame']} {' and '.join(sizes)} from where it is described")
+    text = " and ".join(each)
+    place, they_are, they_were = (
+        ("its place", "it is", "it was") if len(each) == 1 else ("their places", "they are", "they were")
+    )
+    return [
+        f"The fit places {text}. This is normal if nobody measured {place}: the rig then defines where {they_are}. If {they_were} "
+        "measured, positions in the rig are wrong by as much, and so is the tool. No residual shows this: check the positions "
+        "in the rig."
+    ]

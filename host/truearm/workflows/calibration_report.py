@@ -39,10 +39,9 @@ def write_page(
     """
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.certificate import facts_of
-    from truearm.report.displacement_words import displacement_sentences
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
-    from truearm.report.result_words import copy_sentences
+    from truearm.report.result_words import copy_sentences, displacement_sentences
     from truearm.report.suspect_words import bad_row_sentences
     from truearm.report.systematic_words import hardly_matters, systematic_sentences
     from truearm.report.usability_words import usability_sentences

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
 from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms, thinned
-from truearm.units import DEG, MM
+from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import (
     Calibration,
     check_names,
@@ -29,7 +30,6 @@ from truearm.workflows.calibration import (
     mounting_lines,
     read_usable,
 )
-from truearm.workflows.curve_table import curve_table, looks_like_curves
 from truearm.workflows.selection import matching
 
 N_POSES = 600  # of a refit without given poses; 2400 coordinates for about 60 unknowns
@@ -156,6 +156,24 @@ def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
     if not any(isinstance(law, CurveKnots) for law in laws):
         raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
     return sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
+
+
+CURVES_HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
+
+
+def curve_table(curves: Sequence[SampledCurve]) -> str:
+    """Return the table's text: one row per joint and reading, ``covered`` 1 near a reading of the calibration, else 0."""
+    lines = [CURVES_HEADER]
+    for curve in curves:
+        name = one_line(curve.joint).replace(",", " ")
+        rows = zip(DEG.of(curve.readings), MRAD.of(curve.error), MRAD.of(curve.sigma), curve.covered, strict=True)
+        lines += [f"{name},{q:.4f},{error:.6f},{sigma:.6f},{int(inside)}" for q, error, sigma, inside in rows]
+    return "\n".join(lines) + "\n"
+
+
+def looks_like_curves(head: bytes) -> bool:
+    """Return whether a file with this beginning is such a table, or empty."""
+    return not head.strip() or head.startswith(CURVES_HEADER.encode())
 
 
 def exported(calibration: Calibration, options: ExportOptions, over: Floats | None = None) -> ExportedRobot:
