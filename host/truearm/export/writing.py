@@ -27,6 +27,11 @@ from truearm.units import MM, UNITS
 
 EXACT = 1e-9  # m, and of a rotation matrix: a file with such predictions holds everything
 NAMED = 8  # parameters that a message names
+LEVER = 0.1  # m
+MARKS = LEVER * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+SINGULAR = 1e-7  # relative to the largest singular value: below this, a direction moves the end less than rounding
+MAX_STEPS = 30
+STEP_END = 1e-9  # in the units above: 1 pm, 5 prad
 
 
 @dataclass(frozen=True)
@@ -173,13 +178,6 @@ def _distance(a: Floats, b: Floats) -> Floats:
 
 def _turn(a: Floats, b: Floats) -> Floats:
     return np.asarray(np.linalg.norm(apart(a, b)[:, 3:], axis=1))
-
-
-LEVER = 0.1  # m
-MARKS = LEVER * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-SINGULAR = 1e-7  # relative to the largest singular value: below this, a direction moves the end less than rounding
-MAX_STEPS = 30
-STEP_END = 1e-9  # in the units above: 1 pm, 5 prad
 
 
 def refit(chain: Chain, identified: Floats, start: Floats, adjustable: NDArray[np.bool_], q: Floats) -> Floats:

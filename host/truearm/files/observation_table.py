@@ -29,6 +29,7 @@ from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
+AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 
 
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
@@ -300,9 +301,6 @@ def write_table(path: Path, table: ObservationTable, joint_units: Sequence[str])
     except TableError as error:
         raise TableError(f"{path}: not written, because it could not be read back: {error}") from None
     write_atomic(path, text)
-
-
-AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 
 
 def in_order_of_time(table: ObservationTable) -> ObservationTable:

@@ -20,6 +20,7 @@ from truearm.types import Floats, Rig
 
 UPPER_ARM = 2  # the joint that moves it first
 BEFORE_FOREARM = 4  # joints from the elbow on: the tool can be folded into the links before them
+SHORT = 0.02  # m; joints with origins closer than this share a segment
 
 
 @dataclass(frozen=True)
@@ -181,9 +182,6 @@ def segment_distance(a0: Floats, a1: Floats, b0: Floats, b1: Floats) -> Floats:
 
 def _dot(u: Floats, v: Floats) -> Floats:
     return np.asarray(np.einsum("...i,...i->...", u, v))
-
-
-SHORT = 0.02  # m; joints with origins closer than this share a segment
 
 
 def along_joints(chain: Chain, params: Floats, radius: float) -> Capsules:

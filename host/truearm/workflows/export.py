@@ -34,6 +34,7 @@ from truearm.workflows.selection import matching
 
 N_POSES = 600  # of a refit without given poses; 2400 coordinates for about 60 unknowns
 MARK = "written by truearm export"
+CURVES_HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
 
 
 class ExportOptions(NamedTuple):
@@ -156,9 +157,6 @@ def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
     if not any(isinstance(law, CurveKnots) for law in laws):
         raise InputError(f"{curves}: the result has no error curves; identify with ", Argument("joint_laws"), " auto")
     return sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
-
-
-CURVES_HEADER = "joint,reading_deg,error_mrad,sigma_mrad,covered"
 
 
 def curve_table(curves: Sequence[SampledCurve]) -> str:
