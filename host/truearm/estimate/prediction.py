@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
-from truearm.results import Estimate, PredictedError, weights_of
+from truearm.results import Effect, Estimate, PredictedError, SystematicErrors, weights_of
 from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
+from truearm.units import UNITS
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
@@ -202,3 +203,19 @@ def body_motion(points: Floats) -> Floats:
     """Return the motion (3n, 6) of points (n, 3) by a twist (v; w) of the base: v + w × p."""
     turned = np.cross(np.eye(3), points[:, None, :]).swapaxes(1, 2)
     return np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2).reshape(-1, 6)
+
+
+def tool_undetermined(wrong: SystematicErrors | None) -> bool:
+    """Return whether an item is off in all rows by numbers known less accurately than a drawing gives them.
+
+    Two of three coordinates of a chuck may be off by 1 mm beyond doubt, while the third only turns base and arm with it.
+    The covariance of a fit that takes the chuck's place as known does not contain that.
+    """
+    if wrong is None:
+        return False
+    return any(
+        not of.sigma <= UNITS[of.unit].weak_sigma
+        for one in wrong.found
+        if one.effect is not None and one.effect == Effect(one.effect.what)
+        for of in one.off_by
+    )

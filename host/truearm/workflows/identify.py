@@ -21,12 +21,11 @@ from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
 from truearm.estimate.law_outliers import fitted_without_outliers
 from truearm.estimate.other_readings import Candidate
-from truearm.estimate.prediction import predicted_point_error
+from truearm.estimate.prediction import predicted_point_error, tool_undetermined
 from truearm.estimate.prior import prior_named
 from truearm.estimate.problem import modelled_of
 from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
-from truearm.estimate.undetermined import tool_undetermined
 from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_document import copies_of, document_of
