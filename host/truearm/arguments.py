@@ -15,7 +15,7 @@ import numbers
 import os
 import types
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -77,12 +77,15 @@ def _quoted(names: Sequence[str]) -> str:
     return f"{', '.join(others)} or {last}"
 
 
-def check_fields(record: Any) -> None:
-    """Check and convert the fields of a frozen dataclass. Raises TypeError, InputError."""
-    kind: Callable[..., Any] = type(record)
-    hints = _hints(kind)
-    for field in fields(record):
-        object.__setattr__(record, field.name, converted(field.name, getattr(record, field.name), hints[field.name]))
+@dataclass(frozen=True)
+class Checked:
+    """A record whose fields are checked and converted as it is made. Raises TypeError, InputError."""
+
+    def __post_init__(self) -> None:
+        kind: Callable[..., Any] = type(self)
+        hints = _hints(kind)
+        for field in fields(self):
+            object.__setattr__(self, field.name, converted(field.name, getattr(self, field.name), hints[field.name]))
 
 
 def converted(name: str, value: Any, hint: Any) -> Any:

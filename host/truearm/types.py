@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.arguments import check_fields, converted
+from truearm.arguments import Checked, converted
 from truearm.errors import Argument, InputError, PlanError
 from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
 
@@ -79,7 +79,7 @@ class Message(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(Checked):
     """A chuck, sphere or socket: coordinates [m] and their standard deviation [m].
 
     ``sigma`` is 0 if the point is known exactly, finite for a parameter with that prior, and None for a parameter
@@ -96,12 +96,9 @@ class Point:
     xyz: Annotated[Triple, POSITION]
     sigma: Annotated[float, UNKNOWN_SIGMA] | None = 0.0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class BallBar:
+class BallBar(Checked):
     """A telescoping ball-bar: length = zero + gain · extension [m].
 
     The length is the distance from the centre of the bar's ball, in a chuck, to the centre of the sphere in its cup.
@@ -136,12 +133,9 @@ class BallBar:
     gain_drift: Annotated[float, Number("1/K")] = 0.0
     gain_drift_sigma: Annotated[float, sigma("1/K")] = 0.0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class SocketDistance:
+class SocketDistance(Checked):
     """The distance [m] between two sockets of a place, known to ``sigma`` [m]. It is the same at every place.
 
     Examples
@@ -155,12 +149,9 @@ class SocketDistance:
     distance: Annotated[float, SIZE]
     sigma: Annotated[float, SIZE]
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class Device:
+class Device(Checked):
     """A device that measures points in its own axes: a tracker, or one placement of a line device.
 
     ``sensor_cov`` S_x [m²] is the 3×3 noise covariance in the device's axes; y is the longitudinal axis of a line.
@@ -187,12 +178,9 @@ class Device:
     turn_sigma: Annotated[float, UNKNOWN_TURN_SIGMA] | None = None
     rotation_sigma: Annotated[float, Number("rad", positive=True)] | None = None
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(Checked):
     """A plane that the tool touches.
 
     ``xyz`` [m] is a point on it and ``normal`` points to the side of positive distances, both in the base frame.
@@ -213,12 +201,9 @@ class Plane:
     offset_sigma: Annotated[float, UNKNOWN_SIGMA] | None = None
     tilt_sigma: Annotated[float, UNKNOWN_TURN_SIGMA] | None = None
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(Checked):
     """The rig around the robot: chucks on the table, spheres on the end, bars, sockets, lines, trackers and planes.
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
@@ -268,9 +253,6 @@ class Rig:
     payload_centre: CENTRE = (0.0, 0.0, 0.0)
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from truearm import option_defaults
-from truearm.arguments import check_fields, with_choices
+from truearm.arguments import Checked, with_choices
 from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
@@ -54,7 +54,7 @@ Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the r
 
 @with_choices
 @dataclass(frozen=True)
-class IdentifyOptions:
+class IdentifyOptions(Checked):
     """Which parameters an identification estimates, and how.
 
     Parameters
@@ -118,7 +118,7 @@ class IdentifyOptions:
     joint_laws: Annotated[str, OneOf(tuple(LawMode))] = option_defaults.JOINT_LAWS
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         solver, loss, prior = self.solver, self.loss, self.prior
         if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
             text = f" {loss} goes with the solvers {' and '.join(with_loss())}; {solver} has no robust loss"

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import numpy as np
 
 from truearm import option_defaults
-from truearm.arguments import check_fields
+from truearm.arguments import Checked
 from truearm.bounds import CANDIDATES, CHECK_POSES, DWELL, SEED, TRAVEL, VISITS, OneOf
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
@@ -88,7 +88,7 @@ class Budget(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BallBarOptions:
+class BallBarOptions(Checked):
     """How ball-bar poses are chosen.
 
     Parameters
@@ -142,9 +142,6 @@ class BallBarOptions:
     visits: Annotated[int, VISITS] = option_defaults.VISITS
     check_poses: Annotated[int, CHECK_POSES] = option_defaults.CHECK_POSES
     joint_laws: bool = False
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True)
