@@ -4,6 +4,7 @@ The twist of the base is taken here from finite differences of the base's transf
 exponential, independently of the chain's elements.
 """
 
+from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
@@ -12,9 +13,10 @@ from puma_bench import CHAIN, FREE, RIG, random_table
 from scipy.linalg import expm
 
 from truearm.estimate.parameter_update import stepper
+from truearm.estimate.payload_rows import with_payloads
 from truearm.estimate.problem import build_problem
 from truearm.model.chain import joint_frames, point_forward
-from truearm.types import Point, Rig
+from truearm.types import Payload, Point, Rig
 
 AT_HOME = np.zeros((1, 6))
 HALF_DIFFERENCE = 1e-6
@@ -116,3 +118,11 @@ def test_a_base_that_is_held_in_part_is_added_to(problem, columns):
     held[base_parameters()[0]] = False
     x, delta = problem.start, 0.02 * np.random.default_rng(5).normal(size=columns.size)
     assert np.array_equal(moved(problem, held, x, delta)[held], (x + delta)[held])
+
+
+def test_chucks_move_with_the_base_under_a_payload_too(problem, columns):
+    payloads = [Payload(2.0 * (i % 2), (0.0, 0.0, 0.1)) for i in range(60)]
+    loaded = replace(problem, groups=with_payloads(problem.groups, payloads))
+    delta = np.where(columns, 0.02 * np.random.default_rng(5).normal(size=columns.size), 0.0)
+    there = moved(loaded, columns, problem.start, delta)
+    np.testing.assert_array_equal(there, moved(problem, columns, problem.start, delta))

@@ -9,25 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
-from truearm.kinds.group import Group
+from truearm.kinds.group import Group, GroupOfOther
 from truearm.kinds.linearised import Linearised
 from truearm.kinds.quantities import PAYLOAD, PAYLOAD_CENTRE
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
-from truearm.types import Floats, Indices, ObservationTable, Payload, Rigs, rigs_by_name
+from truearm.types import Floats, ObservationTable, Payload, Rigs, rigs_by_name
 
 
 @dataclass(frozen=True, kw_only=True)
-class PayloadRows(Group):
+class PayloadRows(GroupOfOther):
     """n observations of another group, all with one payload on the robot."""
 
-    COMPONENTS = ()  # those of ``inner``, set per instance
-
-    inner: Group
     payload: Payload
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n·w,) and their derivatives at x (P,), with the payload."""
@@ -40,10 +34,6 @@ class PayloadRows(Group):
     def settle(self, chain: Chain, x: Floats) -> PayloadRows:
         """Settle as ``inner`` does with the payload."""
         return replace(self, inner=self.inner.settle(carries(chain, self.payload), x))
-
-    def orientations(self) -> Indices:
-        """Return those of ``inner``."""
-        return self.inner.orientations()
 
     def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> PayloadRows:
         """Return some of the observations."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.circumstances import Circumstances
-from truearm.kinds.group import Group
+from truearm.kinds.group import Group, GroupOfOther
 from truearm.kinds.linearised import Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain, Element
@@ -140,7 +140,7 @@ def motion_of_body(names: Sequence[str], points: Mapping[str, Floats], about: Fl
 
 
 @dataclass(frozen=True, kw_only=True)
-class EffectRows(Group):
+class EffectRows(GroupOfOther):
     """n observations of another group, with effects as the last parameters of x.
 
     Rows with the same items off, and by the whole effect, have one ``setting``. They are evaluated with these items
@@ -148,18 +148,12 @@ class EffectRows(Group):
     derivative says. Effects that are not ``whole`` (drifts, and joints, which are off by milliradians) are linear.
     """
 
-    COMPONENTS = ()  # those of ``inner``, set per instance
-
-    inner: Group
     bodies: Floats  # (c, t) of ``Errors``
     columns: Indices  # (e,) of ``error_columns``
     whole: NDArray[np.bool_]  # (e,)
     profile: Floats  # (n, e)
     setting: Indices  # (n,) the same for rows with the same profile of the whole effects
     held: Floats | None = None  # (w, n, e) derivatives by the linear effects, if they are not those at x
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
 
     def evaluate(self, chain: Chain, x: Floats) -> Linearised:
         """Return residuals (n·w,) and their derivatives at x (P,)."""
@@ -204,14 +198,6 @@ class EffectRows(Group):
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
         return replace(self, inner=self.inner.settle(chain, x[: x.size - self.columns.size]))
-
-    def orientations(self) -> Indices:
-        """Return those of ``inner``."""
-        return self.inner.orientations()
-
-    def beside_base(self) -> Indices:
-        """Return those of ``inner``."""
-        return self.inner.beside_base()
 
     def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> EffectRows:
         """Return some of the observations."""

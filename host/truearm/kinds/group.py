@@ -68,6 +68,26 @@ class Group(ABC):
         return {unit: _figure(parts[:, at]) for unit, at in unit_columns(self.COMPONENTS).items()}
 
 
+@dataclass(frozen=True, kw_only=True)
+class GroupOfOther(Group):
+    """The n observations of another group, ``inner``, evaluated under further circumstances."""
+
+    COMPONENTS = ()  # those of ``inner``, set per instance
+
+    inner: Group
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
+
+    def orientations(self) -> Indices:
+        """Return those of ``inner``."""
+        return self.inner.orientations()
+
+    def beside_base(self) -> Indices:
+        """Return those of ``inner``."""
+        return self.inner.beside_base()
+
+
 def unit_columns(components: Sequence[str]) -> dict[str, list[int]]:
     """Return which of the components have each unit."""
     return {unit: [i for i, other in enumerate(components) if other == unit] for unit in dict.fromkeys(components)}
