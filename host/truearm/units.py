@@ -177,6 +177,11 @@ def number(value: float, si: str, decimals: int | None = None) -> str:
     return f"{shown(value, si):.{UNITS[si].decimals if decimals is None else decimals}f}"
 
 
+def size(value: float | None, unit: Scale, fewer: int = 0) -> str:
+    """Return a value in ``unit`` as text with its symbol, with ``fewer`` decimals than its SI unit has; "-" for None."""
+    return "-" if value is None else f"{value:.{UNITS[unit.si].decimals - fewer}f} {unit.symbol}"
+
+
 def title(text: str, si: str) -> str:
     """Return a column's title with its unit: "error [mm]"."""
     return f"{text} [{symbol(si)}]" if symbol(si) else text

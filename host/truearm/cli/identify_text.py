@@ -40,7 +40,7 @@ from truearm.report.usability_words import few_freedom, usability_sentences, wro
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line, outcome
-from truearm.units import MM, SUFFIXES, UNITS, from_shown, title
+from truearm.units import MM, SUFFIXES, UNITS, from_shown, size, title
 
 Document = Mapping[str, Any]
 
@@ -358,9 +358,7 @@ def raw(document: Document) -> list[str]:
     if before == as_described:
         of_rig = f" with {_names(placed)} fitted to these rows" if placed else ""
         return [f'"Before" is the nominal robot{of_rig}.']
-    sizes = " and ".join(
-        f"{_cell(rms, UNITS[unit.si].decimals)} {unit.symbol}" for unit, rms in zip(units, as_described, strict=True)
-    )
+    sizes = " and ".join(size(rms, unit) for unit, rms in zip(units, as_described, strict=True))
     fitted = _names(["base and tool", *placed])
     return [f'"Before" is the nominal robot with {fitted} fitted; with base and tool as described: {sizes} RMS.']
 

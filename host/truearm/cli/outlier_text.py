@@ -8,7 +8,7 @@ from typing import Any
 from truearm.estimate.outliers import MOST
 from truearm.report.suspect_words import named_rows
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES, UNITS
+from truearm.units import SUFFIXES, size
 
 Document = Mapping[str, Any]
 
@@ -39,7 +39,7 @@ def suspects(document: Document) -> list[str]:
     every = document["with_outliers"]
     if every is not None:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-        rms = (f"{every[f'rms_after_{u.suffix}']:.{UNITS[u.si].decimals}f} {u.symbol}" for u in units)
+        rms = (size(every[f"rms_after_{u.suffix}"], u) for u in units)
         lines.append(
             f"{'Geometry alone, fitted' if _has_laws(document) else 'Fitted'} to all rows: RMS {' and '.join(rms)}, χ² per degree of "
             f"freedom {every['chi2_reduced']:.3g}."

@@ -8,7 +8,7 @@ from typing import Any
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import Loss
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES, UNITS
+from truearm.units import SUFFIXES, size
 
 MAX_ROWS = 6
 
@@ -39,8 +39,5 @@ def named_rows(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _rms(document: Mapping[str, Any], fit: Mapping[str, Any]) -> str:
     """Return the RMS of another fit in each unit."""
-    parts = []
-    for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):
-        value = fit[f"rms_after_{unit.suffix}"]
-        parts.append("-" if value is None else f"{value:.{UNITS[unit.si].decimals}f} {unit.symbol}")
-    return " and ".join(parts)
+    units = (SUFFIXES[suffix] for suffix in document["residual_units"])
+    return " and ".join(size(fit[f"rms_after_{unit.suffix}"], unit) for unit in units)

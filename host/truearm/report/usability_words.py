@@ -8,7 +8,7 @@ from typing import Any, assert_never
 from truearm.report.result_words import scale_sentence
 from truearm.results import Unusable
 from truearm.text import one_line
-from truearm.units import SUFFIXES, UNITS
+from truearm.units import SUFFIXES, UNITS, size
 
 Document = Mapping[str, Any]
 NUMBERED = " (rows numbered from 1 over all inputs)"
@@ -92,5 +92,5 @@ def _sizes(of: Document, name: str) -> str:
     for suffix, scale in SUFFIXES.items():
         value = of.get(f"{name}_{suffix}") if suffix else None
         if value is not None:
-            found.append(f"{value:.{UNITS[scale.si].decimals - 1}f} {scale.symbol}")
+            found.append(size(value, scale, 1))
     return " and ".join(found)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from truearm.report.result_words import copy_sentences
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
-from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
+from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
 
 FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 
@@ -32,7 +32,7 @@ def verdict(document: Mapping[str, Any]) -> str:
     elif not helped and (implausible := [unit for unit in units if _beyond_any_arm(document, unit)]):
         unit = implausible[0]
         words = (
-            f"Errors of {document[f'rms_after_{unit.suffix}']:.{UNITS[unit.si].decimals - 1}f} {unit.symbol} RMS remain, more than those of any "
+            f"Errors of {size(document[f'rms_after_{unit.suffix}'], unit, 1)} RMS remain, more than those of any "
             "plausible arm: check that these measurements are of this robot, with this rig, and in these units."
         )
     elif not helped:
@@ -83,7 +83,7 @@ class _Told(NamedTuple):
         return due is not None and due[f"rms_{unit.suffix}"] is not None
 
     def text(self, value: float) -> str:
-        return f"{value:.{UNITS[self.unit.si].decimals - 1}f} {self.unit.symbol}"
+        return size(value, self.unit, 1)
 
 
 def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
@@ -103,9 +103,7 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
     lines.append('"Expected" is the error that declared noise and the calibration\'s uncertainty explain.')
     if document["placed"]:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]
-        raw = " and ".join(
-            f"{document[f'rms_raw_{unit.suffix}']:.{UNITS[unit.si].decimals}f} {unit.symbol}" for unit in units
-        )
+        raw = " and ".join(size(document[f"rms_raw_{unit.suffix}"], unit) for unit in units)
         lines.append(
             f'"Without" is the nominal robot with base and tool fitted to these rows; with base and tool as described: {raw} RMS.'
         )
