@@ -43,7 +43,7 @@ class Argument(str):
 class TruearmError(Exception):
     """Base class of all truearm errors; the text is one line that states what is wrong and what to do.
 
-    The text consists of its ``args`` one after the other.
+    The text consists of its ``args`` one after the other. An argument of a wrong type raises TypeError instead.
 
     Examples
     --------

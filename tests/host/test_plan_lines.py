@@ -106,6 +106,9 @@ def test_a_program_drives_every_line_there_and_back_at_constant_speed_with_its_o
     assert [text for _, text in controller.said if text.startswith("Place")] == [
         f"Place the line device along line {name}" for name in planned.devices
     ]
+    away = [text.split(". Next")[0] for _, text in controller.said if not text.startswith("Place")]
+    assert away == ["Check that no line device is in the way"] + ["Remove the line device"] * (len(away) - 1)
+    assert len(away) == len(planned.devices) > 1
     # from the operator's minutes: all but placing the devices, and waiting for the box
     seconds = controller.t - 2 * 0.03 * len(moves)
     assert seconds == pytest.approx(60.0 * planned.minutes - 4 * SETUP - len(moves) * SETTLE, abs=2.0)

@@ -236,7 +236,8 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         for place in way:
             seconds = move_seconds(site, stops[-1].q, place, point, pace) if stops else 0.0
             stops.append(Stop(place, seconds, Move.VIA))
-        stops[first] = stops[first]._replace(before=plain(f"Remove the line device. Next: line {name}"))
+        away = "Remove the line device" if first else "Check that no line device is in the way"
+        stops[first] = stops[first]._replace(before=plain(f"{away}. Next: line {name}"))
         stops[-1] = stops[-1]._replace(there=plain(f"Place the line device along line {name}"))
         stops += [Stop(place, 0.0, Move.LINE, speed=wanted.shape.speed) for place in (q[-1], q[0]) * wanted.passes]
     return stops
