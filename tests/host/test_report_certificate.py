@@ -4,6 +4,8 @@ import html
 import json
 import re
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +21,12 @@ from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.report.calibration_page import render
+from truearm.report.certificate import facts_of
 from truearm.session.session_file import open_session
-from truearm.workflows.recordings import recording_of
+from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
+SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
 OPTIONS = ["--hold-out", "0.2", "--seed", "3", "--solver", "map", "--freeze", "link2.y"]
 
 
@@ -139,6 +143,20 @@ def test_a_recording_says_how_it_was_made(tmp_path):
     assert (one.dwells, one.rejected, one.samples_lost) == (5, (), 0)
     assert one.bound is not None
     assert open_session(tmp_path / "s.mcap").path.name == one.name
+
+
+def test_stops_between_lines_are_no_rejected_dwells():
+    heard = []
+    observations_of_session(
+        SESSIONS / "line.mcap", options=SessionOptions(heard=lambda *both: heard.append(recording_of(*both)))
+    )
+    (one,) = counted_dwells(heard, ())
+    facts = dict(facts_of([one]))
+    assert facts["passes along lines"] == "2"
+    assert "dwells" not in facts
+    both = dict(facts_of([one, replace(one, name="bars", dwells=4, passes=0, rejected=(("too short", 1),))]))
+    assert both["bars: dwells"] == "4, of these rejected: 1 too short"
+    assert "line.mcap: dwells" not in both
 
 
 @needs_printer

@@ -42,7 +42,7 @@ class Recording:
     uid: str
     firmware: str
     sensors: tuple[Sensor, ...]
-    dwells: int
+    dwells: int  # at poses; stops between lines do not count
     mountings: int  # stops for mounting, which are not dwells
     rejected: tuple[tuple[str, int], ...]  # number by reason
     passes: int
@@ -76,7 +76,11 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
         facts += [
             (f"{of}begun", one.begun or "not known"),
             (f"{of}box", f"{one.uid or 'without a uid'}, firmware {one.firmware or 'not known'}"),
-            (f"{of}dwells", f"{one.dwells}, of these rejected: {rejected}"),
+            *(
+                [(f"{of}dwells", f"{one.dwells}, of these rejected: {rejected}")]
+                if one.dwells or not one.passes
+                else []
+            ),
             *([(f"{of}stops for mounting", str(one.mountings))] if one.mountings else []),
             *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
             (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
@@ -120,6 +124,7 @@ def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
     if len(recordings) == 1:
         return list(facts_of(recordings))
     dwells, rejected = sum(one.dwells for one in recordings), sum(n for one in recordings for _, n in one.rejected)
+    passes = sum(one.passes for one in recordings)
     bounds = [one.bound for one in recordings]
     read: dict[str, list[tuple[float, float]]] = {}
     for name, low, high in (degc for one in recordings for degc in one.temperatures):
@@ -128,7 +133,8 @@ def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
     return [
         ("sessions", str(len(recordings))),
         ("boxes", ", ".join(dict.fromkeys(f"{one.uid}, firmware {one.firmware}" for one in recordings))),
-        ("dwells", f"{dwells}, of these rejected: {rejected}"),
+        *([("dwells", f"{dwells}, of these rejected: {rejected}")] if dwells or not passes else []),
+        *([("passes along lines", str(passes))] if passes else []),
         ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
         ("bound of the box's clock", "not known" if worst is None else US.text(worst, ".0f")),
         *(

@@ -103,6 +103,11 @@ class SyncResult:
         return sum(dwell.reason == MOUNTING for dwell in self.dwells)
 
     @property
+    def with_bar(self) -> bool:
+        """Whether a bar was planned or mounted; without one, the dwells are only stops between lines."""
+        return bool(self.survey.marks.dwells) or any("bar" in dwell.mounted for dwell in self.dwells)
+
+    @property
     def pass_reasons(self) -> dict[str, int]:
         """Number of rejected passes by reason."""
         return dict(Counter(one.reason for one in self.passes if one.reason))

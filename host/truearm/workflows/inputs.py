@@ -242,9 +242,10 @@ def _read_session(
     used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
     lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)
-    with_bar = bool(result.survey.marks.dwells) or any("bar" in dwell.mounted for dwell in result.dwells)
     reasons, of_lines = (dict(sorted(counts.items())) for counts in (rejected.dwells, result.pass_reasons))
-    count = DwellCount(path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, with_bar)
+    count = DwellCount(
+        path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
+    )
     return _Read(replace(table, rig=np.full(len(table), name)), count, rejected)
 
 

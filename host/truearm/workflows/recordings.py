@@ -22,15 +22,16 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
     idents = list(result.survey.idents.values())
     reports = result.clock_reports
     read = [(one_line(name) or "unnamed", one.extremes) for name, one in result.survey.thermometers.items()]
+    counts = result.with_bar or not result.passes  # otherwise the dwells are stops between lines
     return Recording(
         name=one_line(session.path.name),
         begun=_utc(session.metadata.get("session", {}).get("utc_ns", "")),
         uid=", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents)),
         firmware=", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents)),
         sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in _sensors(ident.document))),
-        dwells=len(result.dwells) - result.n_mountings,
-        mountings=result.n_mountings,
-        rejected=tuple(sorted(result.reasons.items())),
+        dwells=counts * (len(result.dwells) - result.n_mountings),
+        mountings=counts * result.n_mountings,
+        rejected=tuple(sorted(result.reasons.items())) * counts,
         passes=len(result.passes),
         samples=result.samples_seen,
         samples_lost=result.losses.samples_lost + result.losses.samples_overrun,
@@ -68,4 +69,4 @@ def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
 def counted_dwells(recordings: Sequence[Recording], counts: Sequence[DwellCount]) -> list[Recording]:
     """Return the recordings with the dwells left out of the identification, including those with doubtful pairing."""
     rejected = {one_line(count.session): tuple(sorted(count.rejected.items())) for count in counts}
-    return [replace(one, rejected=rejected.get(one.name, one.rejected)) for one in recordings]
+    return [replace(one, rejected=rejected.get(one.name, one.rejected) if one.dwells else ()) for one in recordings]
