@@ -1,6 +1,7 @@
 """Parameters that are fixed or get a prior by default: frames, and parameters that the data hardly determine."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -132,3 +133,23 @@ def test_rows_left_out_do_not_choose_the_prior():
     # the same rows, the same start, the same steps: equal to rounding
     assert left_out.estimate.value == pytest.approx(without.estimate.value, rel=1e-9, abs=1e-12)
     assert left_out.estimate.chi2_reduced == pytest.approx(without.estimate.chi2_reduced, rel=1e-9)
+
+
+def test_joints_without_limits_have_defaults(tmp_path):
+    """A URDF's continuous joint has none: its random poses lie within one turn, as those of a joint with wide limits."""
+    data = Path(__file__).parents[1] / "data" / "mukca"
+    text = (data / "panda.urdf").read_text()
+    for joint in (1, 3, 5, 7):
+        old = f'"panda_joint{joint}" type="revolute"'
+        assert old in text
+        text = text.replace(old, f'"panda_joint{joint}" type="continuous"')
+    (tmp_path / "endless.urdf").write_text(text)
+    endless = truearm.load_robot(tmp_path / "endless.urdf", tip="ball_link")
+    limited = truearm.load_robot(data / "panda.urdf", tip="ball_link")
+    assert np.isinf([joint.upper for joint in endless.chain.joints]).sum() == 4
+    rows, rig = truearm.read_table(data / "panda_3.csv", limited), truearm.read_rig(data / "rig.toml")
+    nobody = np.zeros(limited.free.size, dtype=bool)
+    free, _, why = choose_defaults(endless.chain, rig, rows, endless.free, nobody, prior=False)
+    assert free.sum() == choose_defaults(limited.chain, rig, rows, limited.free, nobody, prior=False)[0].sum()
+    assert why.base
+    assert why.tool

@@ -143,9 +143,12 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
 
 
 def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
-    """Return the rows of a table, repeated if there are few, in random poses: what the same fixtures could determine."""
+    """Return the rows of a table, repeated if there are few, in random poses: what the same fixtures could determine.
+
+    The poses lie within the joints' limits; a joint without limits turns once.
+    """
     rows = np.resize(np.arange(len(table)), max(len(table), LEAST_POSES))
-    lower, upper = chain.limits
+    lower, upper = np.nan_to_num(chain.limits, neginf=-np.pi, posinf=np.pi)
     q = np.random.default_rng(0).uniform(lower, upper, (rows.size, len(chain.joints)))
     return replace(table.select(rows), q=q)
 
