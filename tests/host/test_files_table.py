@@ -58,6 +58,13 @@ def test_blank_lines_do_not_count_as_rows() -> None:
     assert table.source[1] == "t.csv row 250003"
 
 
+def test_empty_rows_and_columns_of_a_spreadsheet_are_passed_over() -> None:
+    text = "kind,q1_rad,place,socket,,\n,,,,,\nseat,0.5,front,0,,\n , ,,,,\nseat,0.7,front,1,,\n,,,,,\n"
+    table = parse_table(text, "t.csv")
+    assert table.q[:, 0].tolist() == [0.5, 0.7]
+    assert table.source.tolist() == ["t.csv row 3", "t.csv row 5"]
+
+
 def test_blank_lines_byte_order_mark_notes_and_windows_line_ends_are_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_bytes(b'\xef\xbb\xbf kind ,q1_rad,place,socket,note,x_temp\r\n\r\nseat, 1 ,a,0,"two\r\nlines",warm\r\n')
@@ -132,10 +139,14 @@ def test_write_table_leaves_no_other_file(tmp_path: Path) -> None:
 
 WRONG = {
     "empty": ("", "is empty"),
-    "blank": ("\n \n", "has no column 'kind' (its header begins with '')"),
+    "blank": ("\n \n,,\n", "is empty"),
     "no rows": ("kind,q1_rad,place,socket\n", "no rows"),
     "no header": ("seat,0.5,front,0\n", "(its header begins with 'seat'), so it is no table of observations"),
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
+    "semicolons between quoted titles": ('"kind";"q1_rad"\n"seat";0,5\n', "separate them by commas"),
+    "tabs between quoted titles": ('"kind"\t"q1_rad"\n"seat"\t0.5\n', "separate them by commas"),
+    "values without a title": ("kind,q1_rad,,place,socket\nseat,0,7,a,0\n", "column 3: has no title in the header"),
+    "negative payload": ("kind,q1_rad,place,socket,payload_kg\nseat,0,a,0,-3\n", "payload_kg: '-3' must be 0 or more"),
     "not an observation kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),

@@ -43,12 +43,16 @@ class Row(NamedTuple):
 def rows_of(
     lines: Iterable[str], name: str, error: type[InputError] = TableError, separator: str = ","
 ) -> Iterator[Row]:
-    """Yield the rows of CSV lines as they arrive, including the header; blank lines are skipped. Raises ``error``."""
+    """Yield the rows of CSV lines as they arrive, including the header; rows whose cells are all blank are skipped.
+
+    Raises ``error``.
+    """
     reader = csv.reader(lines, delimiter=separator, strict=True)
     try:
         for cells in reader:
-            if cells:
-                yield Row(reader.line_num, [cell.strip() for cell in cells])
+            stripped = [cell.strip() for cell in cells]
+            if any(stripped):
+                yield Row(reader.line_num, stripped)
     except csv.Error as exc:
         raise error(f"{name} row {reader.line_num}: is not CSV: {exc}") from exc
 
@@ -67,20 +71,33 @@ def check_width(row: Row, width: int, name: str, error: type[InputError] = Table
 
 
 def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
-    """Return the header and the rows of a table, all of one width. Raises TableError."""
+    """Return the header and the rows of a table, all of one width. Raises TableError.
+
+    Last columns without a title and without a value, as spreadsheets leave them behind, are left out.
+    """
+    first = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0]
+    if not {",", "="} & set(first) and re.search(r'[\w"][;\t]\s*[\w"]', first):
+        raise TableError(
+            f"{name}: columns are separated by ';' or tabs; separate them by commas, and write numbers with a decimal point"
+        )
     rows = read_rows(text, name)
     if not rows:
         raise TableError(f"{name}: is empty; a table needs a header row and rows below it")
     header = rows[0].cells
-    if len(header) == 1 and re.search(r"\w[;\t]\s*\w", header[0]) and "=" not in header[0]:
-        raise TableError(f"{name}: columns are separated by ';' or tabs; separate them by commas")
     if len(header) > MAX_COLUMNS:
         raise TableError(f"{name}: has {len(header)} columns; the maximum is {MAX_COLUMNS}")
     if len(rows) > MAX_ROWS + 1:
         raise TableError(f"{name}: has more than {MAX_ROWS} rows; split it or thin it out")
     for row in rows[1:]:
         check_width(row, len(header), name)
-    return header, rows[1:]
+    width = len(header)
+    while not any(row.cells[width - 1] for row in rows):  # the header is not blank
+        width -= 1
+    if "" in header[:width]:
+        raise TableError(
+            f"{name} column {header.index('') + 1}: has no title in the header; give it one, or remove the column"
+        )
+    return header[:width], [Row(row.number, row.cells[:width]) for row in rows[1:]]
 
 
 def identifiers(rows: list[Row], column: Column | None, name: str) -> np.ndarray:

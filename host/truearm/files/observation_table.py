@@ -26,7 +26,7 @@ from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, ObservationTable, Rig
-from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
+from truearm.units import SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
@@ -141,17 +141,18 @@ def _check_signs(
     rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], measured: Mapping[str, Floats], name: str
 ) -> None:
     """Check signs: a bar has a positive length; the distance from a plane may be on either side of it."""
-    for key, of in registry.kinds().items():
-        for quantity in of.quantities:
-            values = measured[quantity.field].reshape(len(rows), -1)
-            bad = np.argwhere((values < SMALLEST) & (kind == key)[:, None] & quantity.positive)
-            for i, k in bad[:1].tolist():
-                column = columns[quantity.columns[k]]
-                cell = quoted(rows[i].cells[column.position])
-                wrong = (
-                    "is too small; is the column in another unit?" if values[i, k] > 0.0 else "must be greater than 0"
-                )
-                raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} {wrong}")
+    checks = [(quantity, kind == key) for key, of in registry.kinds().items() for quantity in of.quantities]
+    checks += [(quantity, np.ones(len(rows), dtype=bool)) for quantity in CIRCUMSTANCES]
+    for quantity, mine in checks:
+        values = measured[quantity.field].reshape(len(rows), -1)
+        bad = np.argwhere((values < quantity.least) & mine[:, None])
+        for i, k in bad[:1].tolist():
+            column = columns[quantity.columns[k]]
+            cell = quoted(rows[i].cells[column.position])
+            wrong = "must be 0 or more" if quantity.unsigned else "must be greater than 0"
+            if values[i, k] > 0.0:
+                wrong = "is too small; is the column in another unit?"
+            raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} {wrong}")
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
@@ -205,9 +206,8 @@ def _refuse_values(table: ObservationTable, quantity: Quantity, column: Floats, 
     bad = np.argwhere(quantity.implausible(values) & rows[:, None])
     for i, k in bad[:1].tolist():
         unit = SUFFIXES[_own(quantity.unit)]
-        least = SMALLEST if quantity.positive else -quantity.most
         raise TableError(
-            f"{table.source[i]}: {quantity.columns[k]} is {unit.text(values[i, k])}, not between {least:g} and "
+            f"{table.source[i]}: {quantity.columns[k]} is {unit.text(values[i, k])}, not between {quantity.least:g} and "
             f"{unit.text(quantity.most)}; is it in {unit.symbol}?"
         )
 

@@ -22,6 +22,7 @@ class Quantity:
     unit: str  # SI
     largest: float = math.nan  # SI; larger values indicate another unit. NaN: the unit's own limit
     positive: bool = False
+    unsigned: bool = False  # 0 or more
 
     @property
     def words(self) -> str:
@@ -34,9 +35,14 @@ class Quantity:
         """Return the largest plausible magnitude, in SI."""
         return units.UNITS[self.unit].largest if math.isnan(self.largest) else self.largest
 
+    @property
+    def least(self) -> float:
+        """Return the smallest plausible value, in SI."""
+        return units.SMALLEST if self.positive else 0.0 if self.unsigned else -self.most
+
     def implausible(self, values: Any) -> Any:
-        """Return a mask of the values, in SI, that indicate another unit or, for a positive quantity, are not positive."""
-        return (abs(values) > self.most) | (self.positive & (values < units.SMALLEST))
+        """Return a mask of the values, in SI, that are below ``least`` or so large that they indicate another unit."""
+        return (abs(values) > self.most) | (values < self.least)
 
     @property
     def title(self) -> str:
@@ -59,7 +65,7 @@ SPREAD = Quantity("xyz_sigma", ("sx", "sy", "sz"), "m", LARGEST_NOISE, positive=
 TIME = Quantity("time", ("time",), "s", 1e11)  # on any clock, from any epoch; 3000 years
 TEMPERATURE = Quantity("temperature", ("temperature",), "degc")
 GRAVITY = Quantity("gravity", ("gravity_x", "gravity_y", "gravity_z"), "m/s2")  # along the base frame's axes
-PAYLOAD = Quantity("payload", ("payload",), "kg")
+PAYLOAD = Quantity("payload", ("payload",), "kg", unsigned=True)
 PAYLOAD_CENTRE = Quantity("payload_centre", ("payload_x", "payload_y", "payload_z"), "m")  # in the end frame
 CIRCUMSTANCES = (TIME, TEMPERATURE, GRAVITY, PAYLOAD, PAYLOAD_CENTRE)  # for a row of any kind
 TURN = Quantity("rotation", ("rx", "ry", "rz"), "rad", 2.0 * math.pi)  # a rotation vector's length need not exceed π
