@@ -241,3 +241,15 @@ def test_an_output_over_an_input_is_refused(folder, capsys):
     assert main(["plan", "ballbar", *COMMON, "--rig", str(rig), "--out", str(rig)]) == 2
     assert rig.read_bytes() == before
     assert "rig.toml" in capsys.readouterr().err
+
+
+def test_a_language_that_the_robot_cannot_use_is_told_before_the_planning(folder, capsys):
+    branch = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
+    common = ["plan", "ballbar", "--model", "panda", f"--branch={branch}", "--rig", str(folder / "rig.toml")]
+    plan, script = folder / "seven.csv", folder / "seven.script"
+    assert main([*common, "--poses", "36", "--out", str(plan), "--program", str(script)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "URScript programs have six joints, the robot has 7; give a program that ends in .csv" in said
+    assert not plan.exists()
+    assert not script.exists()

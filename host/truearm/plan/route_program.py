@@ -49,11 +49,19 @@ def dialects_help() -> str:
 def program(stops: Sequence[Stop], suffix: str, task: Task) -> str:
     """Return the program for a suffix of DIALECTS. Raises PlanError for others, and for an arm without six joints."""
     check_suffix(suffix)
-    dialect = DIALECTS[suffix]
-    if not dialect.any_joints and len(stops[0].q) != N_AXES:
-        raise PlanError(f"{dialect.name} programs have six joints, the robot has {len(stops[0].q)}; use .csv")
-    text: Callable[[Sequence[Stop], Task], str] = import_module(f"{__package__}.{dialect.module}").text
+    check_joints(suffix, len(stops[0].q))
+    text: Callable[[Sequence[Stop], Task], str] = import_module(f"{__package__}.{DIALECTS[suffix].module}").text
     return text(stops, task)
+
+
+def check_joints(suffix: str, n_joints: int) -> None:
+    """Raise PlanError if the language of a suffix of DIALECTS is not for an arm with so many joints."""
+    dialect = DIALECTS[suffix]
+    if not dialect.any_joints and n_joints != N_AXES:
+        raise PlanError(
+            f"{dialect.name} programs have six joints, the robot has {n_joints}; "
+            "give a program that ends in .csv: a table of all stops"
+        )
 
 
 def check_suffix(suffix: str) -> None:

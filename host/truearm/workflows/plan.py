@@ -35,7 +35,7 @@ from truearm.plan.line_plan import LinePlan, LinesWanted, plan_lines
 from truearm.plan.measurement_limits import Limits, Pairing
 from truearm.plan.region import Region
 from truearm.plan.route import Visits
-from truearm.plan.route_program import DIALECTS, check_suffix, program
+from truearm.plan.route_program import DIALECTS, check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
 from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Plan, Rig
@@ -399,7 +399,7 @@ def _check(files: PlanFiles) -> None:
     for path in files.programs:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]
-    inputs = [path for path in read if path is not None and path.exists()]
+    inputs = [path for path in read if path is not None]
     for i, path in enumerate(outputs):
         suffixes = [".csv"] if path == files.out else [".toml"] if path == files.rig_out else []
         ours = partial(_is_ours, path.suffix.lower())
@@ -413,9 +413,11 @@ def _is_ours(suffix: str, head: bytes) -> bool:
 
 
 def _known(files: PlanFiles) -> Known:
-    """Return robot, rig, model and earlier measurements, from files."""
+    """Return robot, rig, model and earlier measurements, from files. Raises PlanError if no program can be for the robot."""
     result = None if files.result is None else read_calibration(files.result, files.robot)
     robot = files.robot.load() if result is None else result.robot
+    for path in files.programs:
+        check_joints(path.suffix.lower(), len(robot.chain.joints))
     known = replace(known_of(robot, read_rig(files.rig), result), branch=branch_of(robot, files.branch))
     if not files.measured:
         return known
