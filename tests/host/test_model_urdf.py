@@ -115,6 +115,8 @@ HOP = joint("j1", "revolute", "a", "b")
         ("<robot>", "not valid XML"),
         ("<sdf/>", "starts with <sdf>"),
         ("<robot/>", "no links"),
+        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>', "has <xacro:include>; expand it first"),
+        (robot(HOP, links="ab").replace("<robot", '<robot xmlns:x="http://ros.org/wiki/xacro"').replace("</robot>", '<x:gripper parent="b"/></robot>'), "has <xacro:gripper>; expand it first"),
         ("<!DOCTYPE robot []>" + robot(HOP, links="ab"), "document type"),
         ('<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "document type"),
         ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot>&x;</robot>', "document type"),

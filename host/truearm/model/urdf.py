@@ -35,6 +35,7 @@ MAX_ANGLE_RAD = 1e4
 ORIGIN = (("x", "tx"), ("y", "ty"), ("z", "tz"), ("yaw", "rz"), ("pitch", "ry"), ("roll", "rx"))
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed", "floating", "planar")
+XACRO = "xacro}"  # ends the namespace of macros: {http://www.ros.org/wiki/xacro}
 
 
 class _UrdfJoint(NamedTuple):
@@ -78,6 +79,9 @@ def _parse(text: str) -> Xml:
         raise RobotError(f"URDF is not valid XML: {error}; correct this place, or export the URDF again") from error
     if root.tag != "robot":
         raise RobotError(f"URDF must start with <robot>, starts with <{root.tag}>")
+    macro = next((node.tag.partition(XACRO)[2] for node in root if XACRO in node.tag), None)
+    if macro is not None:  # links and joints may be in it
+        raise RobotError(f"URDF has <xacro:{macro}>; expand it first, such as with: xacro FILE > robot.urdf")
     return root
 
 
