@@ -114,6 +114,8 @@ def floats(name: str, value: Any, *shape: int | None, or_one: bool = False, fini
     InputError.
     """
     sizes = ", ".join("n" if size is None else str(size) for size in shape) + "," * (len(shape) == 1)
+    if np.ma.is_masked(value):
+        raise TypeError(f"{name}: has masked values; leave them out")
     try:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths

@@ -424,15 +424,19 @@ class ObservationTable:
 
 
 def as_column(name: str, given: Any, text: bool | None = None) -> NDArray[Any]:
-    """Return a column as an array of text or of floats; ``text`` None: as it is given. Raises TypeError."""
+    """Return a column as an array of text or of float64; ``text`` None: as it is given. Raises TypeError."""
+    if np.ma.is_masked(given):
+        raise TypeError(f"{name}: has masked values; fill them with NaN, or leave out their rows")
     try:
         array = np.asarray(given)
     except ValueError:  # rows of different lengths
         array = np.empty(0, dtype=object)
+    if array.dtype.kind in "OT" and array.size and all(isinstance(item, str) for item in array.flat):
+        array = np.array(array.tolist())  # as data frames hold text
     text = array.dtype.kind == "U" if text is None else text
     if array.dtype.kind not in ("U" if text else "fiu") and (array.size or array.dtype.kind == "O"):
         raise TypeError(f"{name}: must be an array of {'text' if text else 'real numbers'}")
-    return array.astype(str if text else float) if array.dtype.kind != ("U" if text else "f") else array
+    return array.astype(str, copy=False) if text else array.astype(np.float64, copy=False)
 
 
 def _like(column: NDArray[Any], own: NDArray[Any] | None, n: int) -> NDArray[Any]:

@@ -591,6 +591,27 @@ def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
         truearm.identify(robot, bare, rig)
 
 
+def test_arrays_of_other_programs_become_float64_and_text(table):
+    """As data frames and binary files have them; a NumPy solver takes no float128, and float16 would round a length."""
+    for dtype in (np.float16, np.float32, np.longdouble, ">f8"):
+        assert replace(table, q=table.q.astype(dtype)).q.dtype == np.float64
+    for dtype in (object, np.dtypes.StringDType() if hasattr(np.dtypes, "StringDType") else object):
+        given = replace(table, chuck=table.chuck.astype(dtype))
+        assert given.chuck.dtype.kind == "U"
+        assert given.chuck.tolist() == table.chuck.tolist()
+    with pytest.raises(TypeError, match="chuck: must be an array of text"):
+        replace(table, chuck=np.where(table.chuck == "c0", table.chuck.astype(object), np.nan))
+
+
+def test_masked_values_are_not_taken_for_values(table, result):
+    hidden = np.ma.masked_array(table.value, mask=np.arange(len(table)) == 3)
+    with pytest.raises(TypeError, match="value: has masked values; fill them with NaN, or leave out their rows"):
+        replace(table, value=hidden)
+    np.testing.assert_array_equal(replace(table, value=np.ma.masked_array(table.value)).value, table.value)
+    with pytest.raises(TypeError, match="home: has masked values"):
+        truearm.correct_poses(result, np.eye(4), home=np.ma.masked_array(np.zeros(6), mask=np.arange(6) == 3))
+
+
 def test_numpy_numbers_and_lists_are_taken():
     chosen = truearm.IdentifyOptions(free=["*.offset"], max_iterations=np.int64(3))
     assert (list(chosen.free), chosen.max_iterations) == (["*.offset"], 3)
