@@ -144,8 +144,8 @@ def write_table(path: PathLike, table: TableArgument, robot: RobotArgument) -> N
     ------
     TableError
         If ``read_table`` would reject a row. In this case nothing is written.
-    InputError
-        If the file cannot be written.
+    TruearmError
+        If the file cannot be written: InputError for a wrong name or folder, another one if the disk is full or fails.
 
     Examples
     --------
@@ -420,8 +420,8 @@ def write_result(path: PathLike, result: ResultArgument) -> None:
 
     Raises
     ------
-    InputError
-        If the file cannot be written.
+    TruearmError
+        If the file cannot be written: InputError for a wrong name or folder, another one if the disk is full or fails.
 
     Examples
     --------

@@ -24,6 +24,7 @@ def no_such_file(path: Path) -> str:
     return f"{path}: no such file; check its name and folder"
 
 
+DISK_FAILED = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # whatever the name of the file
 _REMEDIES = {
     errno.EACCES: "change its permissions, or use another folder",
     errno.EPERM: "change its permissions, or use another folder",

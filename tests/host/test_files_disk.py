@@ -1,10 +1,12 @@
 """Which files may be overwritten."""
 
+import errno
 import os
 
 import pytest
 
-from truearm.errors import InputError
+from truearm.errors import InputError, WriteError
+from truearm.exit_codes import ExitCode
 from truearm.files.disk import check_writable, own_folder, same_file, write_atomic
 
 
@@ -75,3 +77,17 @@ def test_a_link_in_a_circle_is_told(tmp_path):
 def test_a_name_that_is_too_long_is_told(tmp_path):
     with pytest.raises(InputError, match="cannot be written: File name too long"):
         check_writable(tmp_path / ("a" * 300))
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO])
+def test_a_disk_that_fails_is_no_wrong_input(tmp_path, monkeypatch, number):
+    (tmp_path / "result.json").write_text("old")
+
+    def fails(descriptor):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fails)
+    with pytest.raises(WriteError, match=f"result.json: cannot be written: {os.strerror(number)}; ") as caught:
+        write_atomic(tmp_path / "result.json", "new")
+    assert caught.value.exit_code == ExitCode.FAILED
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]

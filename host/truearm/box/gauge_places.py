@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from truearm.box.gauge_result import Place
-from truearm.errors import InputError
+from truearm.errors import InputError, WriteError
 from truearm.files.disk import parse_toml, read_text, write_atomic
 from truearm.schema import HUGE, Entries, Key, Number, Table, Text, read
 from truearm.session.sample_noise import MeanOfSamples
@@ -88,7 +88,7 @@ class GaugeRun:
         kept = replace(self._of, places=tuple(self.places))
         try:
             write_atomic(self.path, HEADING + _FILE.format(kept))
-        except InputError as exc:
+        except (InputError, WriteError) as exc:
             self._say(f"  {exc}; if this run ends early, its places are lost")
 
 

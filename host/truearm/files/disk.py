@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import Argument, InputError
-from truearm.file_names import no_such_file, system_reason
+from truearm.errors import Argument, InputError, TruearmError, WriteError
+from truearm.file_names import DISK_FAILED, no_such_file, system_reason
 
 SESSION_MAGIC = b"\x89MCAP"
 
@@ -76,14 +76,15 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
     """Write bytes, or text or its pieces as UTF-8, to a temporary file next to ``path`` and rename it to ``path``.
 
     If ``path`` is a symbolic link, the link remains and its target is replaced. Raises InputError if the folder is
-    missing or not writable, or if ``path`` is not a regular file, and what making a piece raises.
+    missing or not writable, or if ``path`` is not a regular file; WriteError if the disk is full or fails; and what
+    making a piece raises.
     """
     path = _real(path)
     _check_regular(path)
     try:
         descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name[:100]}.", dir=path.parent)
     except OSError as exc:
-        raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
+        raise _failure(f"{path}: cannot be written", exc) from exc
     try:
         with os.fdopen(descriptor, "wb") as file:
             for piece in (text,) if isinstance(text, str | bytes) else text:
@@ -95,8 +96,14 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
     except BaseException as exc:
         Path(temporary).unlink(missing_ok=True)
         if isinstance(exc, OSError):
-            raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
+            raise _failure(f"{path}: cannot be written", exc) from exc
         raise
+
+
+def _failure(what: str, exc: OSError) -> TruearmError:
+    """Return the error for what the system refuses: the disk is full or fails, or a wrong name was given."""
+    text = f"{what}: {system_reason(exc)}"
+    return WriteError(text, exc.strerror or "") if exc.errno in DISK_FAILED else InputError(text)
 
 
 def _umask() -> int:
@@ -204,7 +211,7 @@ def own_folder(path: Path, mark: str) -> None:
     """Make ``path`` a folder whose files truearm may replace: a new or empty one, or one that contains the file
     ``mark``.
 
-    Raises InputError for any other folder.
+    Raises InputError for any other folder, WriteError if the disk is full or fails.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -212,7 +219,7 @@ def own_folder(path: Path, mark: str) -> None:
             raise InputError(f"{path}: holds other files; give a new or empty folder as ", Argument("out"))
         (path / mark).touch()
     except OSError as exc:
-        raise InputError(f"{path}: cannot be used as a folder: {system_reason(exc)}") from exc
+        raise _failure(f"{path}: cannot be used as a folder", exc) from exc
 
 
 def _check_regular(path: Path) -> None:
