@@ -153,3 +153,16 @@ def test_joints_without_limits_have_defaults(tmp_path):
     assert free.sum() == choose_defaults(limited.chain, rig, rows, limited.free, nobody, prior=False)[0].sum()
     assert why.base
     assert why.tool
+
+
+def test_seats_that_measure_no_length_do_not_shrink_the_robot():
+    """Without a known distance a robot of half the size has half the residuals: then its lengths have a prior."""
+    data = Path(__file__).parents[1] / "data" / "mukca"
+    panda = truearm.load_robot("panda")
+    rows = truearm.read_table(data / "panda_3.csv", panda)
+    found = truearm.identify(panda, rows, options=truearm.IdentifyOptions(joint_laws="none"))
+    assert {"joint3.d", "joint5.d"} <= set(found.document["defaults"]["believed"])
+    assert (found.document["usable"], found.document["scale"]) == (True, None)
+    sockets = [[found.parameters[f"socket.backcenter.{k}.{axis}"].value for axis in "xyz"] for k in "01"]
+    assert np.linalg.norm(np.subtract(*sockets)) == pytest.approx(0.05, rel=0.01)
+    assert found.parameters["joint3.d"].sigma is None

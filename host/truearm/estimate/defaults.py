@@ -11,7 +11,8 @@ anything is identified:
 3. **Prior.** The standard deviation of a drawing (1 mm, 5 mrad, 0.001 of a gain) about the nominal value. It applies
    only to parameters of directions that the data determine less well than that, judged by the noise in the data, and
    not to mountings, which are not on any drawing. Without it, a fit drifts along such a direction by centimetres,
-   although no prediction at these poses depends on it. If the data determine everything, there is no prior.
+   although no prediction at these poses depends on it. It also applies to the robot's lengths if nothing measures a
+   length. If the data determine everything, there is no prior.
 
 Null space and hardly identifiable directions are reported from the data alone, without this prior (``identify``).
 """
@@ -27,8 +28,15 @@ from scipy import special
 
 from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import held_as_frames, mounting
-from truearm.estimate.identifiability import identifiability, spread, suggested_free, weakly_identifiable
-from truearm.estimate.information import RANK_TOLERANCE, of_rows
+from truearm.estimate.identifiability import (
+    SMALL_PART,
+    identifiability,
+    null_basis,
+    spread,
+    suggested_free,
+    weakly_identifiable,
+)
+from truearm.estimate.information import RANK_TOLERANCE, of_rows, scaled_columns
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
@@ -46,6 +54,7 @@ LARGEST_MISFIT = 10.0  # ratio of the observed noise to the declared one
 HEAVY = 1.4  # RMS of the rows over that of the usual one; it is 1 for normal errors
 PRELIMINARY = 20  # iterations
 LEAST_POSES = 300  # random ones; three times the number of parameters of any robot
+INVARIANT = 1e-6  # of the gradient: in a null direction in which χ² is the same
 MOTION = 0.5  # rad, m: assumed motion of a still joint
 
 
@@ -138,8 +147,25 @@ def _weak_where_needed(problem: Problem, x: Floats, free: Mask, unit: Floats, mo
         x = fit(wide, columns, x, Options(loss=Loss.CAUCHY)).x
         misfit, _ = _misfit(problem, x, columns)
     root = _root(problem, x, free) / misfit
-    needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) & ~mounted
-    return np.where(needed, unit / misfit, np.inf)
+    needed = spread(weakly_identifiable(root, n, unit[free], least=RANK_TOLERANCE), free) | _shrinking(problem, x, free)
+    return np.where(needed & ~mounted, unit / misfit, np.inf)
+
+
+def _shrinking(problem: Problem, x: Floats, free: Mask) -> Mask:
+    """Return the parameters (p,) of null directions along which χ² falls although no prediction depends on them.
+
+    They change the robot's size if nothing measures a length, such as seats in sockets of unknown places and distances:
+    the residuals are in proportion to the robot, so the best fit to noise is a robot without extent.
+    """
+    given = of_rows(problem, x, problem.columns(free))
+    scaled, scale = scaled_columns(_root(problem, x, free))
+    _, unseen = null_basis(scaled)
+    gradient = (given.root.T @ given.rhs) / scale
+    along = unseen @ (unseen.T @ gradient)
+    if np.linalg.norm(along) <= INVARIANT * np.linalg.norm(gradient):
+        return np.zeros(free.size, dtype=bool)
+    step = np.abs(along / scale)[: int(free.sum())] / weak_prior(problem.chain)[free]
+    return spread(step > SMALL_PART * step.max(), free)
 
 
 def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
