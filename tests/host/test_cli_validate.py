@@ -71,6 +71,14 @@ def test_a_robot_that_did_not_change_passes(folder, run):
     )
 
 
+@pytest.mark.parametrize(("n", "few"), [(1, "But 1 row cannot show"), (9, "But 9 rows cannot show"), (10, None)])
+def test_a_few_rows_say_nothing_about_other_poses(folder, run, n, few):
+    verdict = judged(run, folder, measured(folder / f"few{n}.csv", TRUTH, n))["verdict"]
+    assert verdict.startswith("The calibration holds")
+    assert ("cannot show how accurate it is at other poses" in verdict) == (few is not None)
+    assert few is None or few in verdict
+
+
 def test_a_robot_without_errors_of_its_own_is_not_helped_by_where_it_was_bolted(tmp_path, run):
     """Base 5 mm and 3 mrad off, tool 2 mm: that is not an error that a calibration takes credit for."""
     bolted = {"link1.x": 5e-3, "link1.beta": 3e-3, "link7.x": 2e-3}

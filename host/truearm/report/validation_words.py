@@ -10,6 +10,7 @@ from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
 
+FEW_ROWS = 10  # fewer say nothing about other poses
 FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 
 
@@ -56,6 +57,8 @@ def verdict(document: Mapping[str, Any]) -> str:
     worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
     if worse:
         words += f" Worse than without it: {'; '.join(worse)}."
+    if document["consistent"] and document["rows"] < FEW_ROWS:
+        words += f" But {counted(document['rows'], 'row')} cannot show how accurate it is at other poses: validate with {FEW_ROWS} or more."
     if document["identified_from"]:
         words += " But the identification used these rows too, so this verdict proves little: validate with other measurements."
     return words
