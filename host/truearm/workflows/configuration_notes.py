@@ -23,10 +23,16 @@ def _other_quarters(lines: Sequence[int], q: Floats, quarters: Floats, wrong: ND
     """Return "line 2: cf4 is 0, axis 4 at -95° needs -2" for the first wrong quarter turns (n, j)."""
     found = np.argwhere(wrong)
     said = [
-        f"line {lines[i]}: cf{j + 1} is {quarters[i, j]:.0f}, axis {j + 1} at {DEG.of(q[i, j]):.0f}° needs {np.floor(q[i, j] / (0.5 * np.pi)):.0f}"
+        f"line {lines[i]}: cf{j + 1} is {quarters[i, j]:.0f}, axis {j + 1} at {_in_its_quarter(DEG.of(q[i, j]))}° needs {np.floor(q[i, j] / (0.5 * np.pi)):.0f}"
         for i, j in found[:MOST_NAMED].tolist()
     ]
     return said + [f"and {len(found) - MOST_NAMED} more"] * (len(found) > MOST_NAMED)
+
+
+def _in_its_quarter(angle: float) -> str:
+    """Return an angle [deg] with as many digits as show its quarter turn: -95, but -0.03."""
+    shown = (f"{angle:.{digits}f}" for digits in range(6))
+    return next((text for text in shown if float(text) // 90.0 == angle // 90.0), f"{angle:.3g}")
 
 
 def configuration_notes(
