@@ -187,7 +187,7 @@ def read_rig(path: PathLike) -> Rig:
     return rig_file.read_rig(Path(path))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SessionObservations:
     """The observations of a session, the rig they were measured with, and what was lost from a damaged file.
 

@@ -54,7 +54,7 @@ class Figures(NamedTuple):
         return {unit: figures for unit, figures in every.items() if figures.n}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HeldOut:
     """Errors on ``n`` rows that were not used to fit, by SI unit.
 
@@ -464,7 +464,7 @@ class PredictedError(NamedTuple):
         return "m" in unexplained and self.rms > unexplained["m"].mean
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """The result of an identification.
 

@@ -284,7 +284,7 @@ def _absent() -> Any:
 _NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of a table
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObservationTable:
     """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 

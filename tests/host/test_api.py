@@ -1,5 +1,6 @@
 """The public Python interface: every name has a doctest that runs, errors name the wrong argument, and types are exact."""
 
+import copy
 import doctest
 import inspect
 import re
@@ -636,3 +637,13 @@ def test_a_files_name_is_no_option(tmp_path):
     """Messages name arguments as Python has them; two dashes in a name stay."""
     with pytest.raises(InputError, match=r"runs--monday\.csv"):
         truearm.read_table(tmp_path / "runs--monday.csv", truearm.load_robot("puma560"))
+
+
+def test_what_holds_arrays_is_compared_by_identity(folder, robot, table, result):
+    """NumPy would refuse to say whether two arrays are equal, as in ``table in tables``."""
+    identified = truearm.identify(robot, table, truearm.read_rig(folder / "rig.toml"))
+    session = truearm.SessionObservations(table, truearm.Rig())
+    for one in (robot, table, result, session, identified, identified.estimate):
+        assert one in (copy.copy(one), one)
+        assert one in {one}
+        assert one != copy.copy(one)

@@ -54,7 +54,7 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters that are fixed in the file.
 

@@ -57,7 +57,7 @@ class ParameterEstimate(NamedTuple):
         return self.sigma is not None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """A robot and its identified parameters, as stored in a result.json.
 

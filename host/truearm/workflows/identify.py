@@ -131,7 +131,7 @@ class IdentifyOptions(Checked):
 DEFAULTS = IdentifyOptions()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Identification(Calibration):
     """A calibration with its observations and the complete estimate.
 
