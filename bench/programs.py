@@ -35,7 +35,8 @@ import sys
 from pathlib import Path
 from truearm.files.programs.corrected_text import changed_text, changes_of, solved
 from truearm.files.programs.program import Surroundings, read_program
-from truearm.files.programs.targets import poses_of, targets_of
+from truearm.files.programs.target_poses import poses_of
+from truearm.files.programs.targets import targets_of
 program = read_program(Path(sys.argv[1]), Surroundings())
 poses = targets_of(program, True, False).poses
 told = poses_of(poses)[0]

@@ -18,8 +18,9 @@ from truearm.files.programs import work
 from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import Surroundings, parse_program
 from truearm.files.programs.reader import MAX_DEPTH
-from truearm.files.programs.targets import poses_of, quarters_of, targets_of
-from truearm.files.programs.values import NOWHERE, readings_of
+from truearm.files.programs.target_poses import poses_of, quarters_of, readings_of
+from truearm.files.programs.targets import targets_of
+from truearm.files.programs.values import NOWHERE
 from truearm.files.programs.work import Work
 from truearm.model.poses import apart, pose_of
 

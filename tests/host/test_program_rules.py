@@ -7,7 +7,8 @@ from tests.host.test_program_corrections import TOOLS, outcome
 from tests.host.test_program_corrections import module as moved_by
 
 from truearm.errors import ProgramError
-from truearm.files.programs.targets import poses_of, targets_of
+from truearm.files.programs.target_poses import poses_of
+from truearm.files.programs.targets import targets_of
 
 DATA = [f"CONST robtarget a:={T1};", f"CONST robtarget b:={T2};", "CONST num n:=1;", f"CONST tooldata t:={TOOL};", f"CONST wobjdata w:={WORK};",
         f"CONST jointtarget j:=[[0,0,0,0,30,0],{FREE}];", f"CONST robtarget list{{2}}:=[{T1},{T2}];"]  # fmt: skip

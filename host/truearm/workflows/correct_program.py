@@ -30,17 +30,10 @@ from truearm.files.programs.program import (
 )
 from truearm.files.programs.reread import Wanted, check_reread
 from truearm.files.programs.syntax import Taught
+from truearm.files.programs.target_poses import PoseTarget, literal_poses, nears_of, poses_of, quarters_of, readings_of
 from truearm.files.programs.target_users import users_of
-from truearm.files.programs.targets import (
-    PoseTarget,
-    ProgramTargets,
-    literal_poses,
-    nears_of,
-    poses_of,
-    quarters_of,
-    targets_of,
-)
-from truearm.files.programs.values import Pose, fixed_six, readings_of
+from truearm.files.programs.targets import ProgramTargets, targets_of
+from truearm.files.programs.values import Pose, fixed_six
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, for_each, frame_of, inverted
 from truearm.text import counted

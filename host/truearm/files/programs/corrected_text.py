@@ -13,17 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from truearm.files.programs.program import Program, Refused, uncollected
 from truearm.files.programs.syntax import NUMBERS, Form, Taught
-from truearm.files.programs.targets import PoseTarget, literal_poses
-from truearm.files.programs.values import (
-    Factor,
-    Goal,
-    LiteralPoses,
-    Pose,
-    literals_in,
-    matrix_of,
-    plain_literal,
-    values_of,
-)
+from truearm.files.programs.target_poses import LiteralPoses, PoseTarget, literal_poses, matrix_of, values_of
+from truearm.files.programs.values import Factor, Goal, Pose, literals_in, plain_literal
 from truearm.types import Floats
 from truearm.units import DEG, MM
 

@@ -13,19 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from truearm.files.programs.rotations import Nine
 from truearm.files.programs.syntax import Number
-from truearm.files.programs.values import (
-    Listed,
-    LiteralPoses,
-    Pose,
-    Unknown,
-    Value,
-    first_unknown,
-    fixed,
-    literals_in,
-    matrices_of,
-    matrix_of,
-    origin_of,
-)
+from truearm.files.programs.target_poses import LiteralPoses, matrices_of, matrix_of
+from truearm.files.programs.values import Listed, Pose, Unknown, Value, first_unknown, fixed, literals_in, origin_of
 from truearm.types import Floats
 
 HALF = 1e-6  # a number this close to a half may be rounded up or down

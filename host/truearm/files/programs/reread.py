@@ -15,8 +15,8 @@ from truearm.errors import ProgramError
 from truearm.files.programs.motions import Motion
 from truearm.files.programs.program import Program
 from truearm.files.programs.syntax import Taught
-from truearm.files.programs.targets import PoseTarget, poses_of
-from truearm.files.programs.values import Goal, Pose, readings_of
+from truearm.files.programs.target_poses import PoseTarget, poses_of, readings_of
+from truearm.files.programs.values import Goal, Pose
 from truearm.model.poses import apart
 from truearm.types import Floats
 

@@ -17,33 +17,10 @@ from truearm.errors import ProgramError
 from truearm.files.programs.motions import Motion
 from truearm.files.programs.program import Program, Refused, refused_at, uncollected
 from truearm.files.programs.syntax import Form, Taught
-from truearm.files.programs.values import (
-    EVERY,
-    UNIT_QUATERNION,
-    Factor,
-    Goal,
-    LiteralPoses,
-    Pose,
-    Value,
-    literals_in,
-    matrices_of,
-    matrix_of,
-    plain_literal,
-    values_of,
-)
+from truearm.files.programs.target_poses import PoseTarget, literals_of, values_of
+from truearm.files.programs.values import EVERY, UNIT_QUATERNION, Factor, Goal, Pose, Value, literals_in, plain_literal
 from truearm.files.target_table import MAX_TARGETS
-from truearm.types import Floats
 from truearm.units import DEG, MM, UNITS
-
-QUARTERS = (0, 3, 5)  # joints whose quarter turns a robtarget's configuration gives: axes 1, 4 and 6
-
-
-class PoseTarget(NamedTuple):
-    """A pose that is a goal of moves. ``literal`` receives the correction; None if written into the move (``split``)."""
-
-    goal: Goal
-    literal: Taught | None
-    at: int  # of the first move that goes to it
 
 
 class Line(NamedTuple):
@@ -120,7 +97,7 @@ def targets_of(program: Program, joint_moves: bool, split: bool) -> ProgramTarge
             f"{program.source.name}: has {len(users) + len(joints)} targets, the maximum is {MAX_TARGETS}; split it"
         )
     poses, index = _assigned(program, users, read, split, refuse)
-    literals = _literals_of(poses)
+    literals = literals_of(poses)
     for literal in _suspects([*literals.values(), *joints]):
         if (absurd := _absurd(literal)) is not None:
             raise program.source.wrong(literal.start, absurd)
@@ -421,84 +398,3 @@ def _beyond(values: Sequence[float], largest: float) -> float | None:
     if max(values) <= largest and min(values) >= -largest:
         return None
     return next((value for value in values if not abs(value) <= largest), None)
-
-
-# as arrays
-
-
-def poses_of(targets: Sequence[PoseTarget], known: LiteralPoses | None = None) -> tuple[Floats, Floats, Floats]:
-    """Return targets (n, 4, 4) in their frames, the frames in the controller's base, and the tools, in m.
-
-    ``known`` are their ``literal_poses``.
-    """
-    literals = known or literal_poses(targets)
-    goals = [one.goal for one in targets]
-    target, frame, tool = (
-        _products([pose for pose in poses if isinstance(pose, Pose)], literals)
-        for poses in ([g.target for g in goals], [g.frame for g in goals], [g.tool for g in goals])
-    )
-    return target, frame, tool
-
-
-def _products(poses: Sequence[Pose], literals: LiteralPoses) -> Floats:
-    """Return the matrices (n, 4, 4) of poses, many of which are one literal or the same object."""
-    if poses and all(pose is poses[0] for pose in poses):  # as tools and frames usually are
-        return np.broadcast_to(matrix_of(poses[0], literals), (len(poses), 4, 4))
-    plain = [plain_literal(pose) for pose in poses]
-    at = [0 if literal is None else literals.rows[literal.start] for literal in plain]
-    out = literals.matrices[at] if literals.rows else np.empty((len(poses), 4, 4))
-    known: dict[int, Floats] = {}
-    for i, pose in enumerate(poses) if None in plain else ():
-        if plain[i] is None:
-            matrix = known.get(id(pose))
-            if matrix is None:
-                matrix = known[id(pose)] = matrix_of(pose, literals)
-            out[i] = matrix
-    return out
-
-
-def literal_poses(targets: Sequence[PoseTarget]) -> LiteralPoses:
-    """Return the poses of all literals that make up targets, tools and frames."""
-    found = _literals_of(targets)
-    return LiteralPoses(dict(zip(found, range(len(found)), strict=True)), matrices_of(list(found.values())))
-
-
-def _literals_of(targets: Sequence[PoseTarget]) -> dict[int, Taught]:
-    """Return the literals of targets, tools and frames by their places."""
-    found: dict[int, Taught] = {}
-    seen: set[int] = set()  # tools and frames are usually the same objects
-    for one in targets:
-        for pose in one.goal[:3]:
-            if not isinstance(pose, Pose) or not pose.factors or id(pose) in seen:
-                continue
-            if one.literal is not None and len(pose.factors) == 1 and pose is one.goal.target:
-                found[one.literal.start] = one.literal
-                continue
-            seen.add(id(pose))
-            for literal in literals_in(pose):
-                found[literal.start] = literal
-    return found
-
-
-def nears_of(goals: Sequence[Goal], n_joints: int) -> Floats:
-    """Return joint readings (n, j) [rad] near those of each goal, NaN if the program gives none."""
-    out = np.full((len(goals), n_joints), np.nan)
-    taught = [(i, one.near) for i, one in enumerate(goals) if isinstance(one.near, Taught)]
-    if taught and n_joints == 6:
-        out[[i for i, _ in taught]] = values_of([near for _, near in taught])
-    for i, one in enumerate(goals):
-        near = one.near
-        if near is not None and not isinstance(near, Taught) and len(near) == n_joints:
-            out[i] = near
-    return out
-
-
-def quarters_of(goals: Sequence[Goal], n_joints: int) -> Floats:
-    """Return the quarter turns (n, j) of axes 1, 4 and 6 by the configurations of robtargets, NaN elsewhere."""
-    out = np.full((len(goals), n_joints), np.nan)
-    poses = [(i, one.target) for i, one in enumerate(goals)]
-    known = [(i, pose.like) for i, pose in poses if isinstance(pose, Pose) and not pose.free and pose.like is not None]
-    if known and n_joints == 6:
-        rows = np.array([i for i, _ in known])
-        out[rows[:, None], QUARTERS] = values_of([like for _, like in known])[:, 7:10]
-    return out

@@ -8,18 +8,13 @@ target reached through names, features and offsets therefore leads back to the n
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, product
 from typing import NamedTuple
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from truearm.files.programs.rotations import NO_TURN, Nine, of_quaternion, of_vector, rows_of
-from truearm.files.programs.syntax import NO_NUMBERS, Form, Number, Taught, Text, Truth
-from truearm.types import Floats
-from truearm.units import DEG, MM
+from truearm.files.programs.syntax import Form, Number, Taught, Text, Truth
+from truearm.units import MM
 
 MOST = 1_000  # possibilities of a function of several arguments
 MOST_NUMBERS = 64  # possible results of an operator: a number with more, such as a count, is unknown
@@ -178,8 +173,6 @@ Value = Number | Text | Truth | Taught | Listed | Fields | Pose | Solved | Goal 
 Values = tuple[Value, ...]
 
 NOWHERE = Pose(())  # the identity
-_IDENTITY = np.eye(4)
-_IDENTITY.flags.writeable = False
 
 
 def joined(a: Values | None, b: Values | None) -> Values:
@@ -376,49 +369,6 @@ def taught_pose(taught: Taught) -> Pose:
     return Pose((Factor(taught),), taught if taught.form is Form.ROBTARGET else None)
 
 
-def values_of(literals: Sequence[Taught]) -> Floats:
-    """Return the numbers (n, k) of literals of one form."""
-    joined_text = ",".join([one.text for one in literals]).translate(NO_NUMBERS)
-    return np.fromstring(joined_text, sep=",").reshape(len(literals), -1)
-
-
-def matrices_of(literals: Sequence[Taught]) -> Floats:
-    """Return the poses (n, 4, 4) [m] of literals of form POSE and ROBTARGET."""
-    out = np.tile(np.eye(4), (len(literals), 1, 1))
-    for form in (Form.POSE, Form.ROBTARGET):
-        rows = [i for i, one in enumerate(literals) if one.form is form]
-        if rows:
-            numbers = values_of([literals[i] for i in rows])
-            if form is Form.POSE:
-                place, turn = numbers[:, :3], Rotation.from_rotvec(numbers[:, 3:])
-            else:
-                place, turn = MM.to_si(numbers[:, :3]), Rotation.from_quat(numbers[:, [4, 5, 6, 3]])
-            out[rows, :3, 3], out[rows, :3, :3] = place, turn.as_matrix()
-    return out
-
-
-@dataclass(frozen=True)
-class LiteralPoses:
-    """Poses (m, 4, 4) of literals; ``rows`` are their rows by the places of the literals."""
-
-    rows: Mapping[int, int]
-    matrices: Floats
-
-    def of(self, literal: Taught) -> Floats:
-        """Return the pose (4, 4) of one of them."""
-        return np.asarray(self.matrices[self.rows[literal.start]])
-
-
-def matrix_of(pose: Pose, literals: LiteralPoses) -> Floats:
-    """Return the product (4, 4)."""
-    out = _IDENTITY
-    for factor in pose.factors:
-        of = factor.pose
-        here = np.array(of.rows).reshape(4, 4) if isinstance(of, Fixed) else literals.of(of)
-        out = out @ (np.linalg.inv(here) if factor.inverse else here)
-    return out
-
-
 def plain_literal(pose: Pose) -> Taught | None:
     """Return the literal of a pose that is nothing else, otherwise None."""
     factor = pose.factors[0] if len(pose.factors) == 1 else None
@@ -428,9 +378,3 @@ def plain_literal(pose: Pose) -> Taught | None:
 def literals_in(pose: Pose) -> Iterator[Taught]:
     """Yield the literals of a product."""
     return (factor.pose for factor in pose.factors if isinstance(factor.pose, Taught))
-
-
-def readings_of(taught: Taught) -> tuple[float, ...]:
-    """Return the joint readings [rad] of a literal of form JOINTS or JOINTTARGET."""
-    values = taught.values[:6]
-    return values if taught.form is not Form.JOINTTARGET else tuple(float(DEG.to_si(value)) for value in values)
