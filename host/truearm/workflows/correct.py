@@ -112,6 +112,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     program = is_program(files.targets)
     if not program:
         check_is_table(files.targets)
+        _refuse_for_table(files.targets, options.program)
     read = [files.result, files.targets, *files.robot.files]
     ours, suffixes = (None, suffixes_like(files.targets)) if program else (looks_like_targets, (".csv",))
     check_writable(files.out, program or files.force, inputs=read, ours=ours, suffixes=suffixes)
@@ -146,6 +147,22 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     return CorrectedFile(
         calibration, options.own_frames, files.out, correction, places, caveats, said, document, done.refused
     )
+
+
+def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
+    """Raise InputError for an option that would have no effect on a table."""
+    of_programs = {
+        "joint_moves": given.joint_moves is not None,
+        "split": given.split,
+        "partial": given.partial,
+        "harmless": bool(given.harmless),
+        "flange": given.flange is not None,
+    }
+    named = {"tool": given.tools, "work": given.works}
+    for option in (name for name, is_given in of_programs.items() if is_given):
+        raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
+    for option in (name for name, poses in named.items() if poses):
+        raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
 
 
 def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOptions) -> Correction:
