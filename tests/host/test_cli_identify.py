@@ -92,7 +92,7 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     )
     hardly = [{"names": ["joint2.d"], "weights": [1.0]}]
     (stopped,) = not_converged({**document, "prior": "none", "hardly_seen": hardly})
-    assert "omit --prior none" in stopped
+    assert "give --prior weak" in stopped
 
 
 @pytest.mark.parametrize(

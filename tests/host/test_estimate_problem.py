@@ -204,7 +204,7 @@ def tracker(**fields):
         (unchecked(Rig(), time_offset=np.nan), "line", {"line": "l", **POINT}, "time_offset is nan"),
         (Rig(), "plane", {"plane": "p"}, "plane 1: plane 'p' is not in the rig"),
         (Rig(planes={"p": FLAT}), "plane", {"plane": "p", "value": np.array([0.0, np.inf])}, "plane 2: its distance"),
-        (Rig(joint_cov=((1.0,),)), "line", {"line": "l", **POINT}, "joint_cov must be 6×6"),
+        (Rig(joint_cov=((1.0,),)), "line", {"line": "l", **POINT}, "joint noise is of 1 joint, the robot has 6"),
     ],
 )
 def test_devices_and_rows_that_make_no_problem(rig, kind, columns, says):

@@ -139,6 +139,6 @@ def test_identify_refuses_noise_of_other_bars_and_robots(files, capsys):
     noise.write_text("joint_sigma_rad = [1e-4, 1e-4]\n")
     code, said = identified(files, capsys, "--noise", noise)
     assert (code, said.count("\n")) == (2, 1)
-    assert "joint_cov must be 6×6" in said
+    assert "joint noise is of 2 joints, the robot has 6; give joint_sigma_rad" in said
     code, said = identified(files, capsys, "--noise", files / "none.toml")
     assert (code, said.count("\n")) == (2, 1)

@@ -113,7 +113,7 @@ def not_converged(document: Document) -> list[str]:
             " A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg."
         )
     if document["hardly_seen"] and document["prior"] == Prior.NONE:
-        return [f"{line} Weakly identifiable parameters slow a fit down: omit --prior none, or give --prior weak."]
+        return [f"{line} Weakly identifiable parameters slow a fit down: give --prior weak."]
     raised = ", or raise --max-iterations" if document["status"] == "max_iterations" else ""
     return [f"{line} Check the units, the order and signs of the joints, and the labels{raised}."]
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from truearm.errors import ProblemError
 from truearm.schema import Matrix
+from truearm.text import counted
 from truearm.types import Floats
 
 
@@ -61,6 +62,9 @@ def whiten(stacked: Floats, cov: Floats) -> None:
 def checked_joint_cov(matrix: Matrix, joints: int) -> Floats | None:
     """Return (j, j) from a rig's ``joint_cov``, None if it is empty or zero. Raises ProblemError for another size."""
     if matrix and len(matrix) != joints:
-        raise ProblemError(f"joint_cov must be {joints}×{joints}, one row per joint")
+        raise ProblemError(
+            f"the rig's joint noise is of {counted(len(matrix), 'joint')}, the robot has {joints}; "
+            "give joint_sigma_rad (or joint_cov_si) one entry per joint"
+        )
     cov = np.array(matrix)
     return cov if cov.any() else None
