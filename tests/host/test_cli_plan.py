@@ -253,3 +253,26 @@ def test_a_language_that_the_robot_cannot_use_is_told_before_the_planning(folder
     assert "URScript programs have six joints, the robot has 7; give a program that ends in .csv" in said
     assert not plan.exists()
     assert not script.exists()
+
+
+def test_a_joint_that_slides_has_no_bounds_in_degrees(folder, tmp_path, capsys):
+    """0:100 would be 1.7 m of a rail."""
+    chain = bench.known("irb120").chain
+    rail = (
+        '<link name="floor"/><joint name="rail" type="prismatic"><parent link="floor"/><child link="base"/>'
+        '<limit lower="0" upper="2" effort="1" velocity="1"/></joint>'
+    )
+    text = new_urdf(link_frames(chain, chain.params_nominal, chain.params_nominal)).replace(
+        "</robot>", rail + "</robot>"
+    )
+    (tmp_path / "railed.urdf").write_text(text)
+    bounds = "0:100,-155:155,-80:100,-60:65,-150:150,12:115,-180:180"
+    given = ["--model", str(tmp_path / "railed.urdf"), "--base", "floor", "--tip", "tool0"]
+    for arguments in (
+        ["plan", "ballbar", *given, "--rig", str(folder / "rig.toml"), "--poses", "20", f"--branch={bounds}"],
+        ["plan", "ballbar", *given, "--rig", str(folder / "rig.toml"), "--poses", "20"],
+        ["init", str(tmp_path / "cell"), *given, "--minutes", "0", f"--branch={bounds}"],
+    ):
+        assert main(arguments) == 2
+        assert "joint rail is prismatic, and a plan is for arms with revolute joints only" in capsys.readouterr().err
+    assert not (tmp_path / "cell").exists()

@@ -9,7 +9,7 @@ from truearm.model.builtin import names_with_branch
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
-from truearm.units import DEG, MM
+from truearm.units import DEG
 
 MIN_JOINTS = 6  # with fewer, an arm cannot orient the tool freely
 
@@ -20,12 +20,24 @@ def check_joints(chain: Chain) -> None:
         raise PlanError(f"robot {chain.name} has {len(chain.joints)} joints; a plan needs six or more")
 
 
+def _check_kinds(chain: Chain) -> None:
+    """Raise PlanError for an arm with a prismatic joint: a branch has angles, and a move's pace is that of turning."""
+    sliding = [joint.name for joint in chain.joints if joint.kind != "revolute"]
+    if sliding:
+        raise PlanError(
+            f"robot {chain.name}: joint {sliding[0]} is prismatic, and a plan is for arms with revolute joints only; "
+            "choose the poses yourself, and identify from a table"
+        )
+
+
 def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
     """Return the branch of a robot file, or the given one.
 
-    Raises PlanError if there is none, or if it does not have two bounds per joint within the joint's limits.
+    Raises PlanError if there is none, if it does not have two bounds per joint within the joint's limits, or if a joint
+    is prismatic.
     """
     chain = robot.chain
+    _check_kinds(chain)
     if given is None:
         if robot.branch is None:
             check_joints(chain)  # no bounds would help
@@ -42,7 +54,6 @@ def branch_of(robot: Robot, given: Branch | None = None) -> Branch:
     outside = np.flatnonzero((given.lower < lower) | (given.upper > upper))
     if outside.size:
         joint = chain.joints[outside[0]]
-        scale = DEG if joint.kind == "revolute" else MM
-        limits_text = f"{scale.of(joint.lower):.6g} to {scale.text(joint.upper, '.6g')}"
+        limits_text = f"{DEG.of(joint.lower):.6g} to {DEG.text(joint.upper, '.6g')}"
         raise PlanError(Argument("branch"), f": the bounds of {joint.name} must lie within its limits, {limits_text}")
     return given
