@@ -38,6 +38,7 @@ from truearm.cli.truth_options import (
     WornOption,
     truth_of,
 )
+from truearm.errors import InputError
 from truearm.units import MS
 
 FAST_RATE_HZ = 500.0
@@ -197,6 +198,8 @@ def simulate(
         level=level,
         faults=tuple(fault or ()),
     )
+    if stage and fast:
+        raise InputError("--stage waits for what you type, in real time: leave out --fast")
     if stage:
         simulate_stage(options, typer.echo, _typed_lines())
     elif fast:
