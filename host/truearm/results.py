@@ -469,7 +469,7 @@ class Estimate:
     """The result of an identification.
 
     Arrays cover all parameters of the problem: first those of the robot, then those of the rig (nuisance parameters).
-    ``sigma`` is NaN where the observations do not depend on a parameter or it was not free. ``covariance`` is (p, p),
+    ``sigma`` is NaN where the observations do not determine a parameter or it was not free. ``covariance`` is (p, p),
     with zero rows for parameters that were not free. ``identifiable`` is False where a parameter takes part in a null
     direction. ``distance`` is standardised: for a clean row it has the χ distribution with the row's number of
     residuals; it is NaN where a row was held out.
