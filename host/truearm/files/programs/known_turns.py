@@ -8,12 +8,13 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 
-from truearm.files.programs.syntax import Element, Expression, Loop, Number, Operation
+from truearm.files.programs.syntax import Element, Expression, Loop, Name, Number, Operation, Taught, Text, Truth
 from truearm.files.programs.values import Values
 from truearm.files.programs.work import Work
 
 MOST_TURNS = 300  # of all loops of a program together; of more, all turns are followed at once
 SPARE = 0.5  # of the work that may be spent on a program: with less left, all turns are followed at once
+WITHOUT_ELEMENTS = frozenset({Name, Number, Taught, Text, Truth})
 _COMPARED: Mapping[str, Callable[[float, float], bool]] = {
     "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge, "!=": operator.ne, "<>": operator.ne,
 }  # fmt: skip
@@ -46,9 +47,13 @@ class Turns:
         return turns <= self._left
 
 
-def _several_indexes(node: object) -> tuple[bool, list[int]]:
+def _several_indexes(node: tuple[object, ...]) -> tuple[bool, list[int]]:
     """Return whether a body has several elements of lists, and the identities of the loops seen in it before that."""
-    waiting, loops, several = [node], list[int](), 0
+    waiting, loops, several = (
+        [node],
+        list[int](),
+        0,
+    )  # only what may hold an element: a body may have 100,000 statements
     while waiting:
         here = waiting.pop()
         if isinstance(here, Element) and not isinstance(here.at, str | Number):
@@ -57,8 +62,7 @@ def _several_indexes(node: object) -> tuple[bool, list[int]]:
                 return True, loops
         elif isinstance(here, Loop):
             loops.append(id(here))
-        if isinstance(here, tuple) and not isinstance(here, Number):
-            waiting += here
+        waiting += [inner for inner in here if isinstance(inner, tuple) and type(inner) not in WITHOUT_ELEMENTS]
     return False, loops
 
 
