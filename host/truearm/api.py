@@ -465,7 +465,7 @@ def plan_ball_bar(
     Raises
     ------
     InputError
-        If no budget is given, or the travel of the bar is too short.
+        If none or both of the budgets are given, or the travel of the bar is too short.
     PlanError
         If truearm cannot plan for this robot.
 

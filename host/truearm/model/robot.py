@@ -58,9 +58,9 @@ HEAD = (
 class Robot:
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters that are fixed in the file.
 
-    ``source`` is the origin of the numbers, "" if unknown. ``branch`` and ``capsules`` are required for plans; they are
-    None if the file has none. ``file`` is the file that the robot was read from (a URDF has the suffix .urdf or .xml), ""
-    for a built-in robot.
+    ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``, links
+    count as capsules of 50 mm radius there. Both are None if the file has none. ``file`` is the file that the robot was
+    read from (a URDF has the suffix .urdf or .xml), "" for a built-in robot.
 
     Examples
     --------

@@ -18,7 +18,7 @@ N_POSES = 300
 
 @dataclass(frozen=True, init=False)
 class Region:
-    """A box of the base frame.
+    """A cuboid in the base frame, with edges along its axes.
 
     Parameters
     ----------
