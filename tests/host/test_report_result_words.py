@@ -2,9 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from truearm.report.result_words import displacement_sentences, unexplained_words
+import truearm
+from truearm.model.chain import forward
+from truearm.report.result_words import displacement_sentences, unexplained_words, zero_sentences
 from truearm.results import MeanError
 
 HELD_OUT = {"m": MeanError(mean=0.9e-4, low=0.7e-4, high=1.1e-4, n=36, held_out=True)}
@@ -76,3 +79,30 @@ def test_bad_rows_in_the_fit_come_first_whatever_the_rows_show():
     assert lines[1].startswith(
         "The error that the rows show includes that of the bad rows themselves: 0.0900 mm (95 %: "
     )
+
+
+def seen_by_a_tracker(turned=(0.0,) * 6, mirrored=1.0):
+    """An IRB 120 as described, whose controller counts joints from other zeros, or whose tracker has left-handed axes."""
+    robot, rng = truearm.load_robot("irb120"), np.random.default_rng(5)
+    q = rng.uniform(-1.05, 1.05, (120, 6))
+    xyz = forward(robot.chain, robot.chain.params_nominal, q)[:, :3, 3] + 2e-5 * rng.normal(size=(120, 3))
+    covariance = ((4e-10, 0.0, 0.0), (0.0, 4e-10, 0.0), (0.0, 0.0, 4e-10))
+    rig = truearm.Rig(trackers={"t": truearm.Device("t", covariance)})
+    rows = truearm.ObservationTable(
+        q=q + turned, kind=["position"] * 120, xyz=xyz * [1.0, 1.0, mirrored], tracker=["t"] * 120
+    )
+    return truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(joint_laws="none")).document
+
+
+def test_a_joint_that_counts_from_another_zero_is_named():
+    """The first and the last joint's zeros are those of base and tool, which may be anywhere."""
+    assert zero_sentences(seen_by_a_tracker()) == []
+    assert zero_sentences(seen_by_a_tracker((1.5, 0.0, 2.0 * np.pi, 0.0, 0.0, 1.5))) == []
+    (said,) = zero_sentences(seen_by_a_tracker((0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0)))
+    assert said.startswith("Zeros of joints differ from the description: joint2.offset by -90.0 deg. ")
+
+
+def test_left_handed_axes_that_a_mirrored_arm_explains_are_not_silent():
+    """A robot with its lengths and zeros reversed is the mirrored one; no residual is left."""
+    document = seen_by_a_tracker(mirrored=-1.0)
+    assert not document["usable"] or "check the signs and axes" in zero_sentences(document)[0]

@@ -33,6 +33,7 @@ from truearm.report.result_words import (
     pose_error_words,
     time_offset,
     unexplained_words,
+    zero_sentences,
 )
 from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
@@ -66,7 +67,7 @@ def show_result(document: Document, files: ResultFiles) -> None:
     console = Console(markup=False, highlight=False, emoji=False, width=width)
     for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
         console.print(line)
-    for line in bad_row_sentences(document, _option):
+    for line in (*zero_sentences(document), *bad_row_sentences(document, _option)):
         console.print(line)
     for line in () if hardly_matters(document) else systematic_sentences(document, _option):
         console.print(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, assert_never
 
@@ -13,6 +14,7 @@ from truearm.units import DEG, MM, MS, UNITS, from_shown, number, symbol, tolera
 
 CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
+FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 MAX_COPIES = 5  # copied rows that are named
 UNIT_RATIOS = {
     1000.0: "a thousand (metres and millimetres)",
@@ -214,6 +216,30 @@ def residual_words(kind: str) -> str:
     of = kinds()[kind]
     parts = [f"{PARTS.get(si, si)}: {text}" if len(of.residual) > 1 else text for si, text in of.residual.items()]
     return f"Residual of {with_article(of.name)} observation: {'; '.join(parts)}."
+
+
+def zero_sentences(document: Mapping[str, Any]) -> list[str]:
+    """Return which joints count from another zero than described, and what it means; empty if none does.
+
+    The zeros of the first and the last joint place base and tool, so they do not count, and neither do whole turns.
+    """
+    if document["unusable_because"]:
+        return []
+    offsets = [p for p in document["parameters"] if p["of"] == "robot" and p["name"].endswith(".offset")]
+    far = []
+    for one in offsets[1:-1]:
+        change = one["value"] - one["nominal"]
+        if one["unit"] == "rad":
+            change = math.remainder(change, 2.0 * math.pi)
+        if one["sigma"] is not None and abs(change) > FAR_OFF * UNITS[one["unit"]].wide_sigma:
+            far.append(f"{one['name']} by {(DEG if one['unit'] == 'rad' else MM).text(change, '+.1f')}")
+    if not far:
+        return []
+    return [
+        f"Zeros of joints differ from the description: {', '.join(far)}. No assembly does that. Either the readings count from "
+        "another zero than the robot's description: correct its offsets. Or an input is wrong: check the signs and axes. "
+        "truearm correct needs a description that the controller shares."
+    ]
 
 
 def displacement_sentences(document: Mapping[str, Any]) -> list[str]:

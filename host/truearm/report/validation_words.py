@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from truearm.report.result_words import copy_sentences
+from truearm.report.result_words import FAR_OFF, copy_sentences
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
 
 FEW_ROWS = 10  # fewer say nothing about other poses
-FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
 
 
 def verdict(document: Mapping[str, Any]) -> str:

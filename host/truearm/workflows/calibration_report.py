@@ -41,7 +41,7 @@ def write_page(
     from truearm.report.certificate import facts_of
     from truearm.report.law_words import law_sentences, law_steps
     from truearm.report.residual_rows import row_name
-    from truearm.report.result_words import copy_sentences, displacement_sentences
+    from truearm.report.result_words import copy_sentences, displacement_sentences, zero_sentences
     from truearm.report.suspect_words import bad_row_sentences
     from truearm.report.systematic_words import hardly_matters, systematic_sentences
     from truearm.report.usability_words import usability_sentences
@@ -75,6 +75,7 @@ def write_page(
         systematic=() if little else systematic,
         usability=tuple(usability_sentences(found.document)),
         notes=(
+            *zero_sentences(found.document),
             *_timing(estimate),
             *_error_elsewhere(found),
             *displacement_sentences(found.document),
