@@ -240,3 +240,12 @@ def test_unknowns_of_devices_have_units_and_priors():
     np.testing.assert_array_equal(problem.prior_sigma[54:], [0.1] * 3 + [0.05] * 3 + [np.inf] * 2)
     assert problem.names[60:] == ("plane.p.tilt1", "plane.p.tilt2")
     np.testing.assert_array_equal(problem.start[54:], [1.0] + [0.0] * 7)
+
+
+def test_a_robot_and_a_rig_with_one_name_are_refused():
+    """A joint of a URDF may be called anything."""
+    first, *others = CHAIN.parameters
+    chain = replace(CHAIN, parameters=(replace(first, name="tracker.t.x"), *others))
+    t = rows("position", Q, tracker="t", **POINT)
+    with pytest.raises(ProblemError, match=r"both have a parameter tracker\.t\.x; rename the joint"):
+        build_problem(chain, Rig(trackers={"t": Device("t", COV)}), t)

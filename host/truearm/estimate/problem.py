@@ -116,8 +116,8 @@ def build_problem(
     of x.
 
     Raises ProblemError for joint readings that do not match the robot, for unknown kinds, chucks, spheres or bars
-    (naming the row), for missing readings, for σ that are not positive, and for rigs that differ in the noise of the
-    joints.
+    (naming the row), for missing readings, for σ that are not positive, for rigs that differ in the noise of the
+    joints, and for a parameter of the rig that has the name of one of the robot.
     """
     _check_joints(chain, table)
     bad = np.flatnonzero(~np.isin(table.kind, list(kinds())))
@@ -143,6 +143,10 @@ def build_problem(
     prior = np.concatenate([robot_prior(chain, prior_sigma), [u.sigma for u in free]])
     start = np.concatenate([chain.params_nominal, [u.value for u in free]])
     names = (*chain.parameter_names, *(u.name for u in free))
+    if both := {*chain.parameter_names} & {u.name for u in free}:
+        raise ProblemError(
+            f"robot and rig both have a parameter {min(both)}; rename the joint, or the entry of the rig"
+        )
     units = (*(p.unit for p in chain.parameters), *(u.unit for u in free))
     groups = tuple(group for use in uses for group in use.make(layout))
     if has_payload_law(chain):
