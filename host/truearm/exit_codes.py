@@ -23,7 +23,7 @@ class ExitCode(IntEnum):
         return member
 
     DONE = 0, "done"
-    FAILED = 1, "the box, the robot, the disk or the program that reads the output failed"
+    FAILED = 1, "the box or the robot is missing or failed, or the disk or the program that reads the output failed"
     INPUT = 2, "an option, a file or the data in it is wrong"
     UNUSABLE = 3, "the fit is not usable (the result is written anyway, marked as not usable)"
     INCOMPLETE = 4, "the recording is incomplete (the received data are kept)"

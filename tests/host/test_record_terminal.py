@@ -243,7 +243,7 @@ class TestWhichBox:
 
     def test_none(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/ttyS0", None, None, None)])
-        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 2
+        assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
         assert "no box is plugged in: no serial port has a Pico's USB identity. Plug it in" in capsys.readouterr().err
 
     def test_the_only_one(self, tmp_path, monkeypatch, capsys):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from truearm.errors import Argument, InputError
+from truearm.errors import Argument, InputError, LinkError
 from truearm.text import one_line
 
 NONE = (
@@ -19,7 +19,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
     """Return the device of the box and print it on ``output``.
 
     If there are several and ``output`` is a terminal, the operator is asked there and answers on standard input. Raises
-    InputError if there is none, or several and nobody to ask.
+    LinkError if there is none, InputError if there are several and nobody to ask.
     """
     from truearm.record.ports import find_boxes
 
@@ -27,7 +27,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
         return device
     boxes = find_boxes()
     if not boxes:
-        raise InputError(*NONE)
+        raise LinkError(*NONE)
     if len(boxes) == 1:
         print(f"box: {one_line(boxes[0].device)} ({_words(boxes[0].product, boxes[0].serial)})", file=output)
         return boxes[0].device
