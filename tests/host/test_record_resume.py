@@ -103,6 +103,21 @@ class TestEarlier:
         path.write_bytes(path.read_bytes()[:-60])
         assert earlier(path).dwells == (0, 1)
 
+    def test_a_damaged_file_that_is_continued_is_named(self, tmp_path, monkeypatch, capsys):
+        """Other commands refuse it, and what recover makes of it does not name its further parts."""
+        monkeypatch.setattr("truearm.record.ports.list_ports.comports", list)
+        path = session(tmp_path / "s.mcap", ("dwell", {"pose": 0}))
+        for damaged in (False, True):
+            if damaged:
+                path.write_bytes(path.read_bytes()[:-60])
+            assert main(["record", "--resume", str(path)]) == 1
+            said = capsys.readouterr().err
+            assert (f"{path}: is damaged or has no end" in said) == damaged
+            assert (f"--resume {tmp_path / 's-recovered.mcap'}" in said) == damaged
+        assert main(["recover", str(path)]) == 0
+        assert earlier(tmp_path / "s-recovered.mcap").dwells == (0,)
+        assert earlier(tmp_path / "s-recovered.mcap").damaged == ()
+
     @pytest.mark.parametrize("of", ["", ".", "..", "/", "x/..", "none.mcap", "a\0b", "s.mcap"])
     def test_a_part_of_what_is_not_there(self, tmp_path, of):
         path = session(tmp_path / "t.mcap", setup={"of": of})

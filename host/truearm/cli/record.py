@@ -104,6 +104,7 @@ def record(
     recorded = record_request(
         Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
         sys.stderr,
+        lambda text: typer.echo(text, err=True),
     )
     print_result(document(recorded), lines(recorded), as_json)
     if recorded.trouble:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,10 +18,11 @@ from truearm.live.mounted_parts import check_mounted, parse_mounted
 from truearm.live.session_progress import SessionProgress
 from truearm.live.state import LiveState
 from truearm.live.view import View, showing
-from truearm.text import counted
+from truearm.text import counted, one_line
 from truearm.types import Move
 from truearm.units import NS
 from truearm.workflows.recorded_dwells import RecordedDwells, recorded_dwells
+from truearm.workflows.recover import recovered_name
 from truearm.workflows.session_parts import SETUP, SUFFIX, Earlier, earlier, gone_on, looks_like_session
 
 if TYPE_CHECKING:
@@ -85,9 +87,11 @@ class Recorded:
     dwells: RecordedDwells | None = None  # of a recording with a robot and a rig
 
 
-def record_request(request: Request, output: TextIO) -> Recorded:
-    """Record until the end; the operator's display goes to ``output``. Raises InputError, LinkError, IncompleteError."""
+def record_request(request: Request, output: TextIO, say: Callable[[str], None]) -> Recorded:
+    """Record until the end; the operator's display goes to ``output``, and warnings before the start to ``say``. Raises InputError, LinkError, IncompleteError."""
     work = _work(request)
+    for part in () if work.before is None else work.before.damaged:
+        say(damaged_part(part))
     device = choose_box(request.device, output)
     try:
         summary, writer, view = _record(device, work, request, output)
@@ -100,6 +104,15 @@ def record_request(request: Request, output: TextIO) -> Recorded:
         filter(None, [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)])
     )
     return Recorded(writer.path, summary, writer.kept, view.trouble, missing, dwells)
+
+
+def damaged_part(part: Path) -> str:
+    """Return that a part of the session that is continued is damaged, and what to do."""
+    name, out = one_line(str(part)), one_line(str(recovered_name(part)))
+    return (
+        f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this recording, "
+        f"run truearm recover {name}, and record with --resume {out}"
+    )
 
 
 def unsettled(dwells: RecordedDwells | None, session: Path) -> str:

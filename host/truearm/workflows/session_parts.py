@@ -41,6 +41,7 @@ class Earlier:
     mounted: dict[str, str] = field(default_factory=dict)
     dwells: tuple[int | None, ...] = ()  # rows of the plan with a dwell; None for a dwell that is not in the plan
     lines: tuple[int | None, ...] = ()  # rows of the plan that were driven; None without a plan
+    damaged: tuple[Path, ...] = ()  # parts that other commands refuse
 
 
 def session_parts(path: Path) -> list[Path]:
@@ -128,6 +129,7 @@ def earlier(path: Path) -> Earlier:
         mounted,
         tuple(dwells),
         tuple(driven),
+        tuple(one.path for one in sessions if one.truncated or one.damage),
     )
 
 
