@@ -77,6 +77,15 @@ def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> N
     told(process("identify", tmp_path / "t.csv", *good[2:]), "its name must end in .mcap")
 
 
+@pytest.mark.parametrize("name", ["rig.toml", "result.json", "arm.urdf"])
+def test_a_file_of_another_kind_as_observations(run: Run, good: list[object], tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("# a rig\njoint_sigma_rad = 1e-4, 2\n[[bar]]\n")
+    told(
+        run("identify", tmp_path / name, *good[2:]),
+        "no table of observations (.csv) and no session (.mcap); give a rig as --rig",
+    )
+
+
 def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:
     assert "Example: truearm demo" in run("--help").out
     assert "Example:" in run("identify", "--help").out

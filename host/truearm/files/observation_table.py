@@ -29,7 +29,17 @@ from truearm.types import Floats, ObservationTable, Rig
 from truearm.units import SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
+OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
+
+
+def check_is_observations(path: Path) -> None:
+    """Raise TableError if the name of a file is that of another kind of file that commands read."""
+    if path.suffix.lower() in OTHERS:
+        raise TableError(
+            f"{path}: is by its name no table of observations (.csv) and no session (.mcap); give a rig as ",
+            Argument("rig"),
+        )
 
 
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:
@@ -38,6 +48,7 @@ def read_table(path: Path, joint_units: Sequence[str] | None = None) -> Observat
     If ``joint_units`` ("rad" or "m" for each joint of the robot) is given, the joint columns must match it. If all rows
     have a time, they are returned in that order. Raises TableError with file, row and column.
     """
+    check_is_observations(path)
     return in_order_of_time(parse_table(read_text(path, MAX_BYTES, TableError), str(path), joint_units))
 
 
