@@ -1,12 +1,13 @@
-"""Temperatures in ``truearm box monitor``: thermometers by name, and the difference from the calibration's temperature."""
+"""What ``truearm box monitor`` shows: thermometers by name, the difference from the calibration's temperature, the clock."""
 
 import dataclasses
 from types import SimpleNamespace
 
+import pytest
 from record_live import box
 
 from truearm.box.control import Sent
-from truearm.box.monitor import Watch, rows_of
+from truearm.box.monitor import Watch, clock_words, rows_of
 from truearm_wire.messages import HEARTBEAT, TEMPERATURE
 
 LINK = SimpleNamespace(lost_frames=0)
@@ -32,3 +33,14 @@ def test_a_box_far_from_its_calibration_is_said_where_no_thermometer_is_on_the_b
     assert "thermometers" not in rows
     assert "temperature" not in beaten(Watch(box(calibration=CALIBRATED)), 22_900)
     assert "temperature" not in beaten(Watch(box()))
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(2, "rate not known yet"), (40, "host 37.0 ppm")])
+def test_the_rate_of_the_clocks_is_shown_once_the_exchanges_bound_it(seconds, words):
+    """Round trips of 1.2 ms bound the rate to 600 ppm in 2 s, and to 30 ppm in 40 s."""
+    watch = Watch(box())
+    for k in range(4 * seconds):
+        host_ns = 250_000_000 * k
+        device_us = round(250_000 * k * (1.0 + 37e-6))
+        watch.clock.add(host_ns, device_us + 600, device_us + 605, host_ns + 1_205_000)
+    assert words in clock_words(watch)

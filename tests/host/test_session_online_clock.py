@@ -42,6 +42,10 @@ def test_every_estimate_is_within_its_bound_and_agrees_with_the_fit_afterwards(p
     a, b = 0.5 * true.drift, 1.0 + true.rate
     truth_ns = 1e9 * 2.0 * elapsed / (b + np.sqrt(b * b + 4.0 * a * elapsed))
     assert np.all(np.abs(host - truth_ns) <= bound + 1.0)
+    rate = -(ppm + drift_ppm_per_s * elapsed)
+    rate_bound = np.array([e.rate_bound_ppm for e in found])
+    assert np.all(np.abs([e.rate_ppm for e in found] - rate) <= rate_bound + 1.0)  # the clocks drift by 1 ppm a minute
+    assert rate_bound[0] > 100.0 > 10.0 > rate_bound[-1]
     afterwards, bound_afterwards = clock.to_host_ns(device)
     assert np.all(np.abs(host - afterwards) <= bound + bound_afterwards)
     assert found[-1].bound_ns < 1.5 * TAIL_NS  # 90 µs of half asymmetry, and what a minute of exchanges leaves open

@@ -30,6 +30,7 @@ WINDOW_S = 1.0  # averaging time of displayed values
 PROBE_S = 0.25
 Labelled = list[tuple[str, str]]  # label and value
 MAX_PROBES = 64  # pending
+RATE_KNOWN_PPM = 100.0  # a bound of the rate's error above it is worse than assuming equal clocks: crystals stay within
 TROUBLES = tuple(name for name in COUNTERS if name not in ("sent", "short_writes", "overruns"))
 
 
@@ -206,8 +207,9 @@ def clock_words(watch: Watch) -> str:
     now = watch.clock.estimate()
     if now is None:
         return "not known yet"
+    rate = f"host {faster(now.rate_ppm, 1)}" if now.rate_bound_ppm < RATE_KNOWN_PPM else "rate not known yet"
     return (
-        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, host {faster(now.rate_ppm, 1)}, "
+        f"± {US.text(NS.to_si(now.bound_ns), '.0f')}, {rate}, "
         f"shortest round trip {US.text(NS.to_si(now.rtt_min_ns), '.0f')}"
     )
 

@@ -199,6 +199,7 @@ class OnlineEstimate:
     device_us: int
     offset_ns: int  # host − device there
     rate_ppm: float  # how much faster the host counts than the device
+    rate_bound_ppm: float  # of the rate's error: lines within the bound at both ends of the exchanges
     bound_ns: float  # of the offset's error
     half_asymmetry_ns: float  # half the shortest round trip: no exchange can show it; included in the bound
     rtt_min_ns: int
@@ -241,6 +242,9 @@ class OnlineClock:
             device_us=t_us,
             offset_ns=int(host[0]) - 1000 * t_us,
             rate_ppm=PPM.of(clock.windows[-1].rate),
+            rate_bound_ppm=PPM.of(
+                2.0 * float(bound[0]) / (1000.0 * max(1, self._window[-1].t1_us - self._window[0].t1_us))
+            ),
             bound_ns=float(bound[0]),
             half_asymmetry_ns=report.half_asymmetry_ns,
             rtt_min_ns=report.rtt_min_ns,
