@@ -55,6 +55,8 @@ def test_json_says_what_was_put_in(stream, tmp_path, run):
     assert (losses["console_runs"], losses["console_bytes"]) == (1, len(EVIL))
     assert not {"restarts", "samples_overrun", "frames_malformed", "sync_unanswered"} & set(losses)
     assert said["topics"]["/box/adc"]["messages"] == len(places)
+    assert said["topics"]["/box/adc"]["rate_hz"] > 0.0
+    assert said["topics"]["/box/ident"]["rate_hz"] is None  # the pages of one document
     (adc,) = said["streams"]
     assert adc["rate_nominal_hz"] == pytest.approx(1e9 / PERIOD_NS)
     assert adc["rate_by_host_hz"] == pytest.approx(1e9 / PERIOD_NS, rel=1e-6)  # stamps are cut to 1 µs over 15 s

@@ -89,11 +89,11 @@ def _session(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _topics(topics: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{'topic':24} {'messages':>9} {'rate/Hz':>9} {'silent/s':>9} {'bytes':>11}"
+    yield f"{'topic':24} {'messages':>9} {'rate/Hz':>9} {'longest gap/s':>13} {'bytes':>11}"
     for name, topic in topics.items():
         rate = _number(topic["rate_hz"], ".2f")
         silence = f"{topic['longest_silence_s']:.3f}"
-        yield f"{one_line(name):24} {topic['messages']:>9} {rate:>9} {silence:>9} {topic['bytes']:>11}"
+        yield f"{one_line(name):24} {topic['messages']:>9} {rate:>9} {silence:>13} {topic['bytes']:>11}"
 
 
 def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from truearm.session.session_file import Session
 
 MAX_TOPICS = 1000
+DOCUMENTS = frozenset({"/plan", "/box/ident"})  # topics of documents sent in parts: their messages have no rate
 CONSOLE_RUNS = 10  # displayed of the box's text
 CONSOLE_BYTES = 400  # displayed of each run
 
@@ -108,7 +109,7 @@ def describe(session: Session) -> dict[str, Any]:
             key: session.metadata.get(key, {}) for key in ("session", "session-end", "joints-added", "recovered")
         },
         "attachments": sorted(session.attachments),
-        "topics": {name: _topic(topic) for name, topic in sorted(contents.topics.items())},
+        "topics": {name: _topic(name, topic) for name, topic in sorted(contents.topics.items())},
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),
         "streams": [_stream(stream, found) for stream in found.streams],
         "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
@@ -132,12 +133,12 @@ def printable(data: bytes) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
-def _topic(topic: Topic) -> dict[str, Any]:
+def _topic(name: str, topic: Topic) -> dict[str, Any]:
     span = NS.to_si(topic.last_ns - topic.first_ns)
     return {
         "messages": topic.messages,
         "bytes": topic.bytes,
-        "rate_hz": (topic.messages - 1) / span if span > 0.0 else None,
+        "rate_hz": (topic.messages - 1) / span if span > 0.0 and name not in DOCUMENTS else None,
         "longest_silence_s": NS.to_si(topic.longest_silence_ns),
     }
 
