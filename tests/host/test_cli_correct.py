@@ -314,7 +314,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert f"line {line}: grip(3): grip is not defined in this file; it may move the robot" in err
     last = err.rstrip().splitlines()[-1]
     assert (
-        "nothing was written; change these lines as their reasons say, or correct the other moves alone with --partial"
+        "nothing was written; change these lines as their reasons say, or correct the others alone with --partial"
         in last
     )
     assert not (tmp_path / "o.script").exists()
@@ -323,7 +323,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert (code, document["out"], [one["line"] for one in document["refused"]]) == (2, None, [line])
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 0, err
-    assert said.startswith("1 move not corrected:\n")
+    assert said.startswith("1 statement not corrected:\n")
     out = (tmp_path / "o.script").read_bytes().decode("latin-1")
     assert [row for row in out.splitlines() if "# truearm: not corrected" in row] == [
         "  grip(3) # truearm: not corrected: grip is not defined in this file; it may move the robot"

@@ -276,7 +276,7 @@ def test_a_move_with_two_reasons_counts_once(tmp_path):
         "end",
         "movel(get_target_tcp_pose())",
     )
-    with pytest.raises(ProgramRefused, match="1 move of 2 cannot be corrected") as caught:
+    with pytest.raises(ProgramRefused, match="1 of 2 statements that may move the robot cannot be corrected") as caught:
         corrected(tmp_path, text)
     assert {one.line for one in caught.value.refused} == {6}
 

@@ -37,7 +37,7 @@ def lines(found: CorrectedFile) -> list[str]:
         frames = f"Targets are poses of {chain.end_frame} in {chain.base_frame}; the mountings of robot and tool were held at their nominal values, so they are not corrected."
         mounted = []
     else:
-        frames = f"Targets are poses of {chain.end_frame} in {chain.base_frame}; the mountings of robot and tool are corrected too:"
+        frames = f"Targets are poses of {chain.end_frame} in {chain.base_frame}; the mountings of robot and tool are corrected as far as they were identified:"
     text = [*refused_lines(found.refused), one_line(frames), *(f"  {one_line(line)}" for line in mounted)]
     text.append(f"{'target':<10}{'before [mm]':>14}{'after [mm]':>14}{'before [deg]':>14}{'after [deg]':>14}")
     rows = list(zip(found.places, done.before, done.after, strict=True))
@@ -56,7 +56,7 @@ def _nominal_mountings(calibration: Calibration) -> bool:
 
 
 def refused_lines(refused: Sequence[Refused]) -> list[str]:
-    """Return the moves of a program that are not corrected, their number first."""
+    """Return the statements of a program that move the robot or may move it and are not corrected, their number first."""
     if not refused:
         return []
     rows = [
@@ -64,8 +64,8 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
         for one in refused[:MOST_REFUSED]
     ]
     more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more reason')}"] * (len(refused) > MOST_REFUSED)
-    moves = len({(one.line, one.statement) for one in refused})
-    return [f"{counted(moves, 'move')} not corrected:", *rows, *more]
+    statements = len({(one.line, one.statement) for one in refused})
+    return [f"{counted(statements, 'statement')} not corrected:", *rows, *more]
 
 
 def _cells(before: Floats, after: Floats) -> str:

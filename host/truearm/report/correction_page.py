@@ -56,7 +56,7 @@ def render(page: CorrectionPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     sections = [
         _summary(page),
-        section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "moves not corrected"))
+        section("Not corrected", _rows(("line", "statement", "reason"), page.refused, "statements not corrected"))
         if page.refused
         else "",
         section("Shifts", pictures(map(picture, _pictures(page)))),

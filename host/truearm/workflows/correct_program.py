@@ -174,8 +174,8 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
     refused = sorted(set(refused))
     if refused and not options.partial:
         count, total = len({(one.line, one.statement) for one in refused}), len(program.motions)
-        said = f"{path}: {counted(count, 'move')} of {total} cannot be corrected, so nothing was written; change these lines as their reasons say"
-        others = (", or correct the other moves alone with ", Argument("partial")) if count < total else ()
+        said = f"{path}: {count} of {counted(total, 'statement')} that may move the robot cannot be corrected, so nothing was written; change these lines as their reasons say"
+        others = (", or correct the others alone with ", Argument("partial")) if count < total else ()
         raise ProgramRefused((said, *others), refused)
     kept = [i for i, one in enumerate(poses) if one not in new.circular]
     moved = [i for i, problem in enumerate(joints.problem) if not problem]
