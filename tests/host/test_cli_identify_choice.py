@@ -66,7 +66,7 @@ def test_the_seed_decides_the_draw() -> None:
     ("wanted", "message"),
     [
         (["place=d"], r"the table has no row with that place; it has a, b, c"),
-        (["d"], r"no place or shell has that name; it has place=a, place=b, place=c"),
+        (["d"], r"no place or shell has that name; the table has place=a, place=b, place=c"),
         (["shell=s61"], "the observations have no shell column"),
         (["colour=a"], "'colour' is not a group"),
         (["place="], "the table has no row with that place"),

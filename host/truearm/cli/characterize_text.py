@@ -47,7 +47,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
-    yield f"truearm identify --noise uses: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, in place of the rig's {declared:.3f} mm; sigmas of the joints as in the last column"
+    yield f"truearm identify --noise uses: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, in place of the rig's {declared:.3f} mm; sigmas of the joints as in the last column; for dwells of sessions, a correction for the backlash in place of the half of it that the last column includes"
 
 
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:

@@ -407,7 +407,9 @@ def held_out_notes(document: Document) -> list[str]:
     held_out, notes = document["held_out"], []
     gone = [one_line(name) for name in document["all_held_out"] if name not in document["held_out_by"]]
     if held_out and gone:
-        other = f" Instead{_proposal(document)}." * (document["hold_out_proposal"] is not None)
+        other = f" If you did not intend this, hold out others{_proposal(document)}." * (
+            document["hold_out_proposal"] is not None
+        )
         notes.append(f"No row with {_names(gone)} is left in the fit.{other}")
     if held_out and held_out["n_settled"]:
         notes.append(

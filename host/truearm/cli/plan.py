@@ -62,7 +62,8 @@ CriterionOption = Annotated[
 RegionOption = Annotated[
     str | None,
     typer.Option(
-        metavar="X0:X1,Y0:Y1,Z0:Z1", help="Box in which accuracy is wanted [mm, base frame]. Default: around the poses."
+        metavar="X0:X1,Y0:Y1,Z0:Z1",
+        help="Box in which accuracy is wanted [mm, base frame]. Default: around the planned places of the spheres, or around the planned lines.",
     ),
 ]
 ResultOption = Annotated[
@@ -331,7 +332,7 @@ def characterize(
             min=2,
             max=100,
             metavar="N",
-            help="Number of rounds. In each, every pose is reached once from each combination of joint directions (eight for six or seven joints).",
+            help="Number of rounds. In each, every pose is reached once from each of the planned combinations of joint directions (eight for four to seven joints), which together distinguish all joints.",
         ),
     ] = option_defaults.ROUNDS,
     long_s: Annotated[

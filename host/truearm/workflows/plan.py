@@ -97,7 +97,7 @@ class BallBarOptions(Checked):
         What the poses minimise: "I", the error in the region; "D", the volume of the uncertainty of all parameters; "A",
         their mean uncertainty; "E", the uncertainty of the worst combination of parameters.
     region : Region, optional
-        Where accuracy is required. Default: around the poses.
+        Where accuracy is required. Default: around the planned places of the spheres.
     candidates : int
         Poses to choose from, 9 to 100000.
     bars : tuple of str

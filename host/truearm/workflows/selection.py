@@ -100,7 +100,9 @@ def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argumen
         )
     if not found:
         known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
-        raise InputError(argument, f" {identifier}: no place or shell has that name; {_listed('group', known)}")
+        raise InputError(
+            argument, f" {identifier}: no place or shell has that name; {_listed('group', known, 'the table')}"
+        )
     return np.asarray(getattr(table, found[0]) == identifier)
 
 
@@ -112,8 +114,8 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _listed(what: str, known: Sequence[str]) -> str:
-    return f"it has {listed(known)}" if known else f"the observations have no {what} column"
+def _listed(what: str, known: Sequence[str], where: str = "it") -> str:
+    return f"{where} has {listed(known)}" if known else f"the observations have no {what} column"
 
 
 def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
