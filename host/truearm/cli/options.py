@@ -160,7 +160,9 @@ PlainOption = Annotated[
 ]
 
 # What is written
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite the output file if truearm wrote it.")]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Overwrite the output file if it is of the kind that this command writes.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 SeedOption = Annotated[int, typer.Option("--seed", metavar="N", help="Random seed.", **bounded(SEED))]
 

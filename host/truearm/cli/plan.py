@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -59,13 +59,14 @@ CriterionOption = Annotated[
         help="What to minimise. " + ". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion) + ".",
     ),
 ]
-RegionOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X0:X1,Y0:Y1,Z0:Z1",
-        help="Box in which accuracy is wanted [mm, base frame]. Default: around the planned places of the spheres, or around the planned lines.",
-    ),
-]
+
+
+def _region_option(default: str) -> Any:
+    return typer.Option(
+        metavar="X0:X1,Y0:Y1,Z0:Z1", help=f"Box in which accuracy is wanted [mm, base frame]. Default: {default}."
+    )
+
+
 ResultOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Plan with the robot of an earlier result.json instead of the nominal one."),
@@ -131,7 +132,7 @@ def ballbar(
     ] = None,
     minutes: MinutesOption = None,
     criterion: CriterionOption = option_defaults.CRITERION,
-    region: RegionOption = None,
+    region: Annotated[str | None, _region_option("around the planned places of the spheres")] = None,
     bars: Annotated[
         list[str] | None, typer.Option("--bar", metavar="NAME", help="Use only this bar (repeatable).")
     ] = None,
@@ -255,7 +256,9 @@ def line(
         str | None, typer.Option(metavar="NAME", help="Target of the rig to measure. Default: its only one.")
     ] = None,
     criterion: CriterionOption = option_defaults.CRITERION,
-    region: RegionOption = None,
+    region: Annotated[
+        str | None, _region_option("around the points of the candidate lines with the largest expected error")
+    ] = None,
     candidates: Annotated[
         int, typer.Option(min=1, max=5000, metavar="N", help="Lines to choose from.")
     ] = option_defaults.LINE_CANDIDATES,
