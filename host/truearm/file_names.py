@@ -17,6 +17,8 @@ def no_such_file(path: Path) -> str:
         if not folder.is_dir():
             return f"{path}: no such file, because the folder {folder} does not exist; check the path"
         names = [one.name for one in islice(folder.iterdir(), MOST_NAMES) if one.name != path.name]
+        if path.suffix:  # "results" is a folder, not what "result.json" should have been
+            names = [name for name in names if not (folder / name).is_dir()]
     except OSError:  # a folder that may not be listed
         names = []
     if close := difflib.get_close_matches(path.name, names, n=1, cutoff=0.75):

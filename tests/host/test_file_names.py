@@ -17,4 +17,7 @@ def test_a_missing_folder_is_named(tmp_path):
 
 def test_a_link_to_nothing_is_not_its_own_proposal(tmp_path):
     (tmp_path / "rig.toml").symlink_to(tmp_path / "other")
+    (tmp_path / "results").mkdir()
+    assert "did you mean" not in no_such_file(tmp_path / "result.json")
+    assert no_such_file(tmp_path / "result").endswith(f"did you mean {tmp_path / 'results'}?")
     assert "did you mean" not in no_such_file(tmp_path / "rig.toml")
