@@ -134,7 +134,7 @@ def correct(
     """Correct targets so that the real robot reaches them.
 
     In a program, only the numbers of targets change. Every move is traced through names, lists, routines, features, tools and work objects to the
-    numbers that define it. If a move cannot be corrected with certainty, nothing is written, and every such move is listed with its line and the reason.
+    numbers that define it. If a move, or a call that may move the robot, cannot be corrected with certainty, nothing is written, and every such statement is listed with its line and the reason.
 
     \b
     Example:
