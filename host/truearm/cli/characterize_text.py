@@ -14,7 +14,7 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """The lines to print; every figure with its interval of 95 %."""
     of, settling, noise = document["repeatability"], document["settling"], document["noise"]
     yield (
-        f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses from {document['sides']} approach directions, "
+        f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses, in {document['sides']} combinations of pose and approach direction, "
         f"bar {document['bar']} (in brackets: 95 % intervals)"
     )
     yield ""

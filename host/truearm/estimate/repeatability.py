@@ -68,7 +68,8 @@ class Repeatability:
     do not explain. ``backlash`` (j) [rad or m] is the full width by which the link lags the encoder; ``backlash_sigma``
     (j) is its standard deviation. ``spread`` (j) is that of the mean reading at one pose from one side, and
     ``difference`` (j) that of the mean reading between the sides, up minus down. ``bar_sigma`` and ``joint_sigma`` (j)
-    are the values to give to an identification: see ``repeatability()``. ``misfit`` is the probability of differences
+    are the values to give to an identification: see ``repeatability()``. ``n_sides`` counts the combinations of pose and
+    approach direction. ``misfit`` is the probability of differences
     between the sides at least this large if backlash were the only cause; NaN if too few visits repeat.
     """
 
@@ -100,7 +101,7 @@ def repeatability(visited: Visited) -> Repeatability:
     n, n_poses, n_sides = len(pose), len(np.unique(pose)), len(np.unique(approach))
     if n - n_sides < 3:
         raise ProblemError(
-            f"too few repetitions: {counted(n, 'dwell')} with a known approach direction, at {n_poses} poses from {n_sides} directions; "
+            f"too few repetitions: {counted(n, 'dwell')} with a known approach direction, in {counted(n_sides, 'combination')} of pose and direction; "
             "record a plan of truearm plan characterize, which repeats them"
         )
     jac = _group_means(visited.jac, pose)
