@@ -244,6 +244,7 @@ OPTIONS = {
     f"{CORRECT} --margin nan": "--margin",
     f"{CORRECT} --margin 1.0": "too near a singularity",
     f"{CORRECT} --residuals new.csv": "already an input or output",
+    f"{CORRECT} --steps 3": "--steps: 3 has no effect with method newton; leave it out, or use method false-target or joints",
     f"{CORRECT} --split": "targets.csv: is a table, and --split is for programs; leave it out",
     f"{CORRECT} --joint-moves keep": "--joint-moves is for programs",
     f"{CORRECT} --partial": "--partial is for programs",

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.correct.correction import MARGIN, Configuration, Correction
-from truearm.correct.methods import Method
+from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
@@ -109,6 +109,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     Raises InputError with a one-line message, and then writes nothing.
     """
     check_names(files.targets, files.out, files.residuals, files.report)
+    _refuse_steps(options)
     program = is_program(files.targets)
     if not program:
         check_is_table(files.targets)
@@ -147,6 +148,14 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     return CorrectedFile(
         calibration, options.own_frames, files.out, correction, places, caveats, said, document, done.refused
     )
+
+
+def _refuse_steps(options: CorrectOptions) -> None:
+    """Raise InputError for a number of steps that would have no effect."""
+    if options.steps > 1 and not entry(Method(options.method)).steps:
+        instead = " or ".join(with_steps())
+        text = f": {options.steps} has no effect with method {options.method}; leave it out, or use method {instead}"
+        raise InputError(Argument("steps"), text)
 
 
 def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
