@@ -162,7 +162,7 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
 BAD_TABLES = {
     "x_mm,y_mm,z_mm\nnan,0,0\n": "row 2 column x_mm: nan is not a finite number",
     "x_mm,y_mm,z_mm\n1,2\n": "row 2: has 2 cells",
-    "x_mm,y_mm,z_mm\n9000,0,0\n": "row 2: the nominal robot does not reach it",
+    "x_mm,y_mm,z_mm\n9000,0,0\n": "row 2: no joint values within the limits were found",
     "x_mm,y_mm\n1,2\n": "has no column z; give all of x_m, y_m, z_m, or none of them",
     "x,y,z\n1,2,3\n": "('x'): is not a known column",
     "x_deg,y_mm,z_mm\n1,2,3\n": "unit deg does not fit x; name it x_m or x_mm",

@@ -152,8 +152,8 @@ URDFS = {
 TARGETS = {
     "not a number": (f"{HEAD}\nnan,0,0\n", "row 2 column x_mm: nan is not a finite number"),
     "infinite": (f"{HEAD}\n1e999,0,0\n", "too large for mm"),
-    "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: the nominal robot does not reach it"),
-    "in the base": (f"{HEAD}\n0,0,0\n", "row 2: the nominal robot does not reach it"),
+    "out of reach": (f"{HEAD}\n9000,0,0\n", "row 2: no joint values within the limits were found"),
+    "in the base": (f"{HEAD}\n0,0,0\n", "row 2: no joint values within the limits were found"),
     "another alphabet": (f"{HEAD}\n١,2,3\n", "is not a number"),
     "half a rotation": (
         f"{HEAD},rx_deg\n1,2,3,4\n",
@@ -161,7 +161,7 @@ TARGETS = {
     ),
     "joints beyond": (
         f"{HEAD},rx_deg,ry_deg,rz_deg,{JOINTS}\n500,0,500,0,0,0,50,0,0,0,0,0\n",
-        "row 2: the nominal robot",
+        "row 2: no joint values within the limits",
     ),
     "UTF-16": (f"{HEAD}\n1,2,3\n".encode("utf-16"), "is not UTF-8"),
     "long line": (f"{HEAD}\n{'1' * 200_000},2,3\n", "field larger than"),

@@ -131,7 +131,10 @@ def _at(
         for i in np.flatnonzero(where):
             problem[i] = problem[i] or words.format(singular[i])
 
-    refuse(~nominal.reached, "the nominal robot does not reach it within its joint limits; move the target or the base")
+    refuse(
+        ~nominal.reached,
+        "no joint values within the limits were found at which the nominal robot reaches it; move the target or the base",
+    )
     refuse(singular < margin, f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g})")
     refuse(grew, "the correction does not converge")
     refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
