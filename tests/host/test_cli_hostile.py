@@ -157,7 +157,7 @@ TARGETS = {
     "another alphabet": (f"{HEAD}\n١,2,3\n", "is not a number"),
     "half a rotation": (
         f"{HEAD},rx_deg\n1,2,3,4\n",
-        "has no column ry; give all of rx_rad, ry_rad, rz_rad, or none of them",
+        "has no column ry; give all of rx_deg, ry_deg, rz_deg, or none of them",
     ),
     "joints beyond": (
         f"{HEAD},rx_deg,ry_deg,rz_deg,{JOINTS}\n500,0,500,0,0,0,50,0,0,0,0,0\n",

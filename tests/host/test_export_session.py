@@ -308,6 +308,11 @@ class TestRefusals:
             capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx"
         )
 
+    def test_a_rate_for_all_samples(self, made, tmp_path, capsys):
+        said = self.refused(capsys, made[1], "--out", tmp_path / "x", "--rate", "5")
+        assert "--rate has no effect with format csv" in said
+        assert not (tmp_path / "x").exists()
+
     def test_parquet_without_its_library(self, made, tmp_path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)

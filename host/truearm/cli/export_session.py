@@ -33,11 +33,13 @@ def export_session(
         ),
     ] = "csv",
     rate: Annotated[
-        float,
+        float | None,
         typer.Option(
-            min=0.0, metavar="HZ", help="With --format mcap: largest number of samples per second of a stream; 0: all."
+            min=0.0,
+            metavar="HZ",
+            help="With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.",
         ),
-    ] = 100.0,
+    ] = None,
     rig: SessionRigOption = None,
     robot: OptionalRobotOption = None,
     base: BaseOption = None,

@@ -111,7 +111,9 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
     if len(missing) == len(keys):
         return None
     if missing:
-        titles = ", ".join(next(iter(key.spellings)) for key in keys)
+        unit = next(columns[key.name].unit for key in keys if key.name in columns)
+        written = ({suffix: title for title, suffix in key.spellings.items()} for key in keys)
+        titles = ", ".join(of.get(unit, next(iter(of.values()))) for of in written)
         raise TargetError(f"{name}: has no column {missing[0].name}; give all of {titles}, or none of them")
     largest = [UNITS[SUFFIXES[columns[key.name].unit].si].largest for key in keys]
     both = zip(keys, largest, strict=True)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import InputError, WriteError
+from truearm.errors import Argument, InputError, WriteError
 from truearm.file_names import system_reason
 from truearm.files.column_tables import Columns, ColumnTable, Placement
 from truearm.files.column_writers import FORMATS, check_format
@@ -30,6 +30,7 @@ from truearm.workflows.session_parts import open_finished
 
 SAID = "session.json"
 NO_ROBOT = RobotChoice()
+USUAL_RATE_HZ = 100.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,8 @@ class ExportSession:
     """What to export.
 
     ``out``: a new or empty folder. ``rig`` replaces the recorded one. ``robot`` shows which joints are prismatic.
-    ``rate_hz``: for a format with timed messages, the maximum number of samples of a stream per second; 0 for all.
+    ``rate_hz``: for the format mcap only, the maximum number of samples of a stream per second; 0 for all, None for
+    USUAL_RATE_HZ.
     """
 
     session: Path
@@ -46,13 +48,16 @@ class ExportSession:
     rig: Path | None = None
     robot: RobotChoice = NO_ROBOT
     allow_damaged: bool = False
-    rate_hz: float = 100.0
+    rate_hz: float | None = None
 
 
 @step("exporting the session")
 def export_session_files(wanted: ExportSession) -> dict[str, int]:
     """Write all tables, or none; return the number of rows by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)
+    if wanted.rate_hz is not None and wanted.format != "mcap":
+        text = f" has no effect with format {wanted.format}, which holds all samples; leave it out, or use format mcap"
+        raise InputError(Argument("rate"), text)
     robot = wanted.robot
     units = () if robot.robot is None else load_robot(robot.robot, robot.base, robot.tip).chain.joint_units
     given = None if wanted.rig is None else read_rig(wanted.rig)
@@ -91,7 +96,8 @@ def _export(
     ident = recorded_ident(session)
     found = survey(session.batches, ident)
     utc_ns, host_ns = read_anchor(session.metadata.get("session", {})) or (0, 0)
-    tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, wanted.rate_hz))
+    rate_hz = USUAL_RATE_HZ if wanted.rate_hz is None else wanted.rate_hz
+    tables = _Tables(folder, wanted.format, Placement(utc_ns - host_ns, host_ns, rate_hz))
     for name, batch in tabulate(found, units):
         tables.write(name, batch)
     plan = plan_columns(found, units)
