@@ -92,6 +92,7 @@ CASES = {
     "a device of no address": (("record", "--box", "socket://", "--out", "s.mcap"), "is not an address"),
     "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration", "inf"), "must be a finite number"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),
+    "a rate in real time": (("simulate", "--rate", "300", "--out", "new"), "--rate has no effect without --fast"),
     "a stage in virtual time": (("simulate", "--fast", "--stage", "--out", "new"), "in real time: leave out --fast"),
     "no command": (("",), "No such command"),
 }

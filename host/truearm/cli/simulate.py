@@ -70,8 +70,11 @@ def simulate(
         ),
     ] = False,
     rate: Annotated[
-        float, typer.Option(metavar="HZ", help="With --fast: samples per second of each channel.")
-    ] = FAST_RATE_HZ,
+        float | None,
+        typer.Option(
+            metavar="HZ", help=f"With --fast: samples per second of each channel. Default: {FAST_RATE_HZ:.0f}."
+        ),
+    ] = None,
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
     ] = 7007,
@@ -182,7 +185,7 @@ def simulate(
         truth=truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed),
         truth_out=truth_out,
         force=force,
-        osr=nearest_osr(rate),
+        osr=nearest_osr(FAST_RATE_HZ if rate is None else rate),
         port=port,
         protocol=protocol,
         robot_port=robot_port,
@@ -198,6 +201,10 @@ def simulate(
         level=level,
         faults=tuple(fault or ()),
     )
+    if rate is not None and not fast:
+        raise InputError(
+            "--rate has no effect without --fast: in real time, truearm record --rate sets it; leave it out"
+        )
     if stage and fast:
         raise InputError("--stage waits for what you type, in real time: leave out --fast")
     if stage:
