@@ -26,6 +26,7 @@ from truearm.cli.output import print_json, print_result
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
+from truearm.files.programs.suffixes import RAPID_SUFFIXES, SCRIPT_SUFFIXES
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six
@@ -37,7 +38,10 @@ def correct(
     result: ResultArgument,
     targets: Annotated[
         Path,
-        typer.Argument(metavar="TARGETS", help="Targets (.csv), a RAPID module (.mod, .prg) or a URScript (.script)."),
+        typer.Argument(
+            metavar="TARGETS",
+            help=f"Targets (.csv), a RAPID module ({', '.join(RAPID_SUFFIXES)}) or a URScript ({', '.join(SCRIPT_SUFFIXES)}).",
+        ),
     ],
     out: Annotated[Path, out_file("the corrected table or program")],
     robot: IdentifiedRobotOption = None,

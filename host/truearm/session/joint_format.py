@@ -8,11 +8,9 @@ A reading is a line of JSON (docs/reference/session-format.md), checked in the s
 
 from __future__ import annotations
 
-import gc
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from operator import attrgetter
@@ -23,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.collector import uncollected
 from truearm.types import Floats, Ints
 
 MAX_T_S = 4e9  # such times in ns still fit 63 bits
@@ -102,18 +101,6 @@ def parse_usual(lines: Sequence[bytes]) -> Sequence[ShortLine] | None:
         except (msgspec.MsgspecError, RecursionError):
             pass
     return None
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Pause the garbage collector: it would look at thousands of lists that hold only numbers, for a quarter of the time."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def parse_reading(line: bytes) -> Reading | None:
@@ -209,7 +196,7 @@ class JointBatch:
         return _each(lambda column: column[rows], self)
 
 
-@_no_collection()
+@uncollected()
 def parse_lines(lines: Sequence[bytes], arrival_ns: Sequence[int] | Ints, joints: int | None = None) -> JointBatch:
     """Return the readings among ``lines``, as ``parse_line`` accepts them, with ``joints`` joints (None: as many as the
     first).

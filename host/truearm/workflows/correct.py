@@ -15,7 +15,8 @@ from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.programs.program import Refused, is_program, suffixes_like
+from truearm.files.programs.program import Refused
+from truearm.files.programs.suffixes import is_program, suffixes_like
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import Chain, forward

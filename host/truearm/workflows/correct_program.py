@@ -20,15 +20,14 @@ from truearm.errors import Argument, ProgramError
 from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
 from truearm.files.programs.program import (
     Program,
-    ProgramLanguage,
     Refused,
     Surroundings,
-    language_of,
     parse_program,
     read_program,
     refused_at,
 )
 from truearm.files.programs.reread import Wanted, check_reread
+from truearm.files.programs.suffixes import ProgramLanguage, language_of
 from truearm.files.programs.syntax import Taught
 from truearm.files.programs.target_poses import PoseTarget, literal_poses, nears_of, poses_of, quarters_of, readings_of
 from truearm.files.programs.target_users import users_of

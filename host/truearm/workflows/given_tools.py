@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import assert_never
 
 from truearm.errors import Argument, ProgramError
-from truearm.files.programs.program import Program, ProgramLanguage
+from truearm.files.programs.program import Program
+from truearm.files.programs.suffixes import ProgramLanguage
 from truearm.model.poses import Six
 
 

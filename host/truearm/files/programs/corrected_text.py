@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.files.programs.program import Program, Refused, uncollected
+from truearm.collector import uncollected
+from truearm.files.programs.program import Program, Refused
 from truearm.files.programs.syntax import NUMBERS, Form, Taught
 from truearm.files.programs.target_poses import LiteralPoses, PoseTarget, literal_poses, matrix_of, values_of
 from truearm.files.programs.values import Factor, Goal, Pose, literals_in, plain_literal

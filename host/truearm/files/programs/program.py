@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, NamedTuple, assert_never
+from typing import NamedTuple, assert_never
 
+from truearm.collector import uncollected
 from truearm.errors import ProgramError
 from truearm.files.disk import read_bytes
 from truearm.files.programs import rapid_meaning, urscript_meaning
@@ -18,6 +17,7 @@ from truearm.files.programs.dataflow import Flow
 from truearm.files.programs.motions import Motion, goals_of
 from truearm.files.programs.rapid import read_rapid
 from truearm.files.programs.rapid_poses import tooldata, wobjdata
+from truearm.files.programs.suffixes import ProgramLanguage, language_of
 from truearm.files.programs.syntax import Source
 from truearm.files.programs.urscript import read_urscript
 from truearm.files.programs.values import Pose, Unknown
@@ -25,10 +25,6 @@ from truearm.files.programs.work import Work
 from truearm.text import one_line
 
 MAX_BYTES = 64 * 2**20
-RAPID_SUFFIXES = (".mod", ".prg", ".modx", ".sys", ".sysx")
-SCRIPT_SUFFIXES = (".script", ".urscript")
-
-ProgramLanguage = Literal["urscript", "rapid"]
 
 
 class Surroundings(NamedTuple):
@@ -65,44 +61,10 @@ class Program:
         return {motion.start: motion for motion in self.motions}
 
 
-def suffixes_like(path: Path) -> tuple[str, ...]:
-    """Return the suffixes of programs in the language of a program."""
-    return SCRIPT_SUFFIXES if language_of(path) == "urscript" else RAPID_SUFFIXES
-
-
-def is_program(path: Path) -> bool:
-    """Return whether a file is a robot program, by its suffix."""
-    return path.suffix.lower() in (*RAPID_SUFFIXES, *SCRIPT_SUFFIXES)
-
-
-def language_of(path: Path) -> ProgramLanguage:
-    """Return the language of a program, by its suffix."""
-    return "urscript" if path.suffix.lower() in SCRIPT_SUFFIXES else "rapid"
-
-
 def read_program(path: Path, surroundings: Surroundings) -> Program:
     """Read a program and follow its moves. Raises ProgramError with file and line."""
     source = _source_of(read_bytes(path, MAX_BYTES, ProgramError), str(path))  # the bytes are not kept
     return _program_of(source, language_of(path), surroundings)
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Disable cyclic garbage collection: it would scan the hundreds of thousands of tuples of a large program
-    repeatedly.
-
-    They have no cycles. At the end they join the objects that are scanned least often, or the first of many small
-    allocations would scan them all.
-    """
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.freeze()
-            gc.unfreeze()
-            gc.enable()
 
 
 def parse_program(data: bytes, language: ProgramLanguage, surroundings: Surroundings, name: str = "program") -> Program:

@@ -13,9 +13,10 @@ from typing import NamedTuple, assert_never
 
 import numpy as np
 
+from truearm.collector import uncollected
 from truearm.errors import ProgramError
 from truearm.files.programs.motions import Motion
-from truearm.files.programs.program import Program, Refused, refused_at, uncollected
+from truearm.files.programs.program import Program, Refused, refused_at
 from truearm.files.programs.syntax import Form, Taught
 from truearm.files.programs.target_poses import PoseTarget, literals_of, values_of
 from truearm.files.programs.values import EVERY, UNIT_QUATERNION, Factor, Goal, Pose, Value, literals_in, plain_literal
