@@ -54,7 +54,7 @@ class Figures(NamedTuple):
         return {unit: figures for unit, figures in every.items() if figures.n}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class HeldOut:
     """Errors on ``n`` rows that were not used to fit, by SI unit.
 
