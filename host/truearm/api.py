@@ -467,7 +467,7 @@ def plan_ball_bar(
     InputError
         If none or both of the budgets are given, or the travel of the bar is too short.
     PlanError
-        If truearm cannot plan for this robot.
+        If truearm cannot plan for this robot or with these options.
 
     Examples
     --------

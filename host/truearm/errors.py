@@ -112,7 +112,7 @@ class RobotError(InputError):
 
 
 class PlanError(InputError):
-    """A plan of poses is wrong.
+    """A plan of poses is wrong, or none can be made for the robot, with the options, or from the poses within reach.
 
     Examples
     --------

@@ -168,6 +168,8 @@ def rows_of(watch: Watch, elapsed_s: float, box: BoxControl) -> Labelled:
             for k, name in each
         )
         rows.append(("thermometers", ", ".join(texts)))
+    if watch.edges:
+        rows.append(("trigger", counted(watch.edges, "edge")))
     rows.append(("losses", losses(watch, box)))
     return rows
 
@@ -221,9 +223,11 @@ def losses(watch: Watch, box: BoxControl) -> str:
         f"{counted(box.lost_frames, 'frame')} on the link",
         f"{counted(beat.get('overruns', 0), 'sample')} in the box",
     ]
-    words = {"crc_errors": "wrong CRCs of the converter", "bad_frames": "bad frames received"}
+    words = {
+        "dropped": "trigger edges without room in the box",
+        "crc_errors": "wrong CRCs of the converter",
+        "bad_frames": "bad frames received",
+    }
     parts += [f"{beat[key]} {words.get(key, key.replace('_', ' '))}" for key in TROUBLES if beat.get(key)]
-    parts += [f"{watch.restarts} restarts"] * (watch.restarts > 0) + [f"{watch.edges} trigger edges"] * (
-        watch.edges > 0
-    )
+    parts += [counted(watch.restarts, "restart")] * (watch.restarts > 0)
     return ", ".join(parts)

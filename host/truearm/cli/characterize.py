@@ -41,7 +41,7 @@ def characterize(
             min=1e-4,
             max=100.0,
             metavar="MM",
-            help="Settled means: within this distance of the final length (repeatable). Default: 0.02, 0.05, 0.1.",
+            help="Count the arm as settled once the length stays within this distance of its final value (repeatable). Default: 0.02, 0.05, 0.1.",
         ),
     ] = None,
     out: Annotated[Path | None, out_file("the noise file for truearm identify --noise (.toml)")] = None,

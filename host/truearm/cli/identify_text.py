@@ -449,14 +449,13 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
             + " The sigmas above follow from the declared noise alone."
             * (not read_off and document["pose_error"] is None)
         )
-    wrong = wrong_first(document)
-    if wrong:
+    unusable = document["unusable_because"]
+    lines += [] if wrong_first(document) else further_measurements(document)
+    if unusable not in (None, Unusable.NO_FREEDOM):  # which more rows mend
         lines.append("Next: correct what the first lines name, then identify again.")
-    else:
-        lines += further_measurements(document)
-    if not wrong and not document["held_out_by"]:
+    if unusable is None and not document["held_out_by"]:
         lines.append(f"Next: judge the result by held-out rows{_proposal(document)}.")
-    if not wrong and files.out is None:
+    if unusable is None and files.out is None:
         lines.append("Next: keep the result with --out result.json.")
     written = [*([files.out] if files.out else []), *files.others]
     return [*lines, *(f"Written: {one_line(str(path))}" for path in written)]

@@ -99,7 +99,7 @@ def map_(
     written = [str(path) for path in (out, picture) if path is not None]
     print_result(
         {**document(found, section.cell), "written": written},
-        [*lines(found, section.cell, task), *(f"Written: {one_line(path)}" for path in written)],
+        [*lines(found, section.cell, task, within is not None), *(f"Written: {one_line(path)}" for path in written)],
         as_json,
     )
 

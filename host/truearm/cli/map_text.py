@@ -13,8 +13,9 @@ from truearm.units import MM
 from truearm.workflows.map import Mapped, axis
 
 
-def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
-    """Return the errors over the section, and the best place for a task (the option's text); ``cell`` [m]."""
+def lines(mapped: Mapped, cell: float, task: str | None, within: bool = False) -> list[str]:
+    """Return the errors over the section, and the best place for a task (the option's text), sought in all of it or
+    ``within`` a part; ``cell`` [m]."""
     found = mapped.map
     error = MM.of(found.error[~np.isnan(found.error)])
     rms = Figures.of(error).rms
@@ -42,7 +43,7 @@ def lines(mapped: Mapped, cell: float, task: str | None) -> list[str]:
     if mapped.payload:
         text.append(mapped.payload)
     if task:
-        text.append(_task_line(found, mapped.region, task))
+        text.append(_task_line(found, mapped.region, task, within))
     return text
 
 
@@ -51,9 +52,10 @@ def _outside(found: ErrorMap) -> int | None:
     return None if found.outside is None else int((found.outside & ~np.isnan(found.error)).sum())
 
 
-def _task_line(found: ErrorMap, region: BestRectangle | None, task: str) -> str:
+def _task_line(found: ErrorMap, region: BestRectangle | None, task: str, within: bool) -> str:
     if region is None:
-        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches: give a smaller task, or a larger --within."
+        larger = "or a larger --within" if within else "or another section with --at"
+        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches: give a smaller task, {larger}."
     u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
     names = [axis(direction) for direction in found.axes]
     return (

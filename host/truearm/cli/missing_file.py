@@ -54,7 +54,8 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
         typed = [path for path in results if path in {Path(os.path.abspath(word)) for word in arguments}]
         of = documents[(typed or results)[-1]]
         read = [path for path in sessions if path.parent != home / project.sessions and _was_read(path, of)]
-        used = [*(results[-1:] if parameter == "result" else []), *read] or used
+        read = read or (used if parameter != "result" else [])
+        used = [*([] if typed else results[-1:]), *read]
     others = ", ".join(shown(path) for path in found[:-1][-MOST:])
     proposed = shlex.join(["truearm", *arguments, *map(shown, used)])
     return f"{why} yet; to read another one, type: {proposed}{f' (there is also {others})' * bool(others)}"

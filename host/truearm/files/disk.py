@@ -45,9 +45,10 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as exc:
         if data.startswith(SESSION_MAGIC):
+            named = path.suffix.lower() == ".mcap"
             raise error(
-                f"{path}: is a session; where a session is wanted, its name must end in .mcap; otherwise give a table, "
-                "such as that of truearm identify SESSION --save-table FILE"
+                f"{path}: is a session; {'' if named else 'where a session is wanted, its name must end in .mcap; otherwise '}"
+                "give what truearm identify writes of it: a table (--save-table FILE) or a result (--out FILE)"
             ) from exc
         raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
     if "\0" in text:

@@ -22,12 +22,13 @@ def few_freedom(freedom: float | None, rank: int) -> bool:
 def wrong_first(document: Document) -> bool:
     """Return whether inputs are to be corrected before more is measured.
 
-    A fit that did not converge is one of these if labels were searched: with right inputs it only needs more iterations.
+    A fit that did not converge is one of these if it is explained or labels were searched: with right inputs it may only
+    need more iterations.
     """
     because = document["unusable_because"]
-    searched = document["relabelling_search"] != "not needed"
+    doubted = document["relabelling_search"] != "not needed" or bool(document["explanations"])
     wrong = (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
-    return because in wrong or (because == Unusable.NOT_CONVERGED and searched)
+    return because in wrong or (because == Unusable.NOT_CONVERGED and doubted)
 
 
 def usability_sentences(document: Document, argument: Callable[[str], str] = str) -> list[str]:

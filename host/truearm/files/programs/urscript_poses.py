@@ -48,7 +48,11 @@ def as_pose(value: Value, at: int) -> Pose | Unknown:
     if numbers is not None and len(numbers) == SIX and _finite(numbers):
         return fixed_six(numbers)._replace(origin=origin_of((value,)))
     several = isinstance(value, Listed) and len(value.items) == SIX and any(len(item) > 1 for item in value.items)
-    why = "its numbers have several possible values" if several else "it is not a pose of six numbers"
+    why = (
+        "its numbers have several possible values; write a target of its own for each"
+        if several
+        else "it is not a pose of six numbers"
+    )
     return unknown_in(value) or Unknown(why, at)
 
 
