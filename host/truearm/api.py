@@ -240,6 +240,8 @@ def read_session(
         If the file is not a session, or is damaged.
     RigError
         If no rig was recorded or given.
+    InputError
+        If ``line_points`` is given for a session without passes along a line.
 
     Examples
     --------

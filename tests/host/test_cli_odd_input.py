@@ -93,6 +93,10 @@ CASES = {
     "an endless time": (("record", "--box", "x", "--out", "s.mcap", "--duration", "inf"), "must be a finite number"),
     "a port beyond": (("simulate", "--port", "99999"), "65535"),
     "a rate in real time": (("simulate", "--rate", "300", "--out", "new"), "--rate has no effect without --fast"),
+    "a level that is none": (("simulate", "--fast", "--level", "abc", "--out", "new"), "choose vm or chip"),
+    "a seed that draws nothing": ((*IDENTIFY, "--seed", "3"), "--seed draws a fraction to hold out"),
+    "a seed with a group": ((*IDENTIFY, "--seed", "3", "--hold-out", "bar=b"), "--seed draws a fraction to hold out"),
+    "points of no line": ((*IDENTIFY, "--line-points", "9"), "--line-points has no effect"),
     "a stage in virtual time": (("simulate", "--fast", "--stage", "--out", "new"), "in real time: leave out --fast"),
     "no command": (("",), "No such command"),
 }

@@ -28,6 +28,8 @@ from truearm.cli.options import (
     rigs_of,
 )
 from truearm.cli.output import warn
+from truearm.cli.project import typed
+from truearm.errors import InputError
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.exit_codes import ExitCode
 from truearm.units import tolerances
@@ -168,7 +170,10 @@ def identify(
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
     from truearm.workflows.inputs import Sources
+    from truearm.workflows.selection import held_out_fraction
 
+    if typed(context, "seed") is not None and all(held_out_fraction(text) is None for text in hold_out or ()):
+        raise InputError("--seed draws a fraction to hold out, such as --hold-out 0.2; without one, leave it out")
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(RobotChoice(robot, base, tip), sources, out, save_table, report, command, force)

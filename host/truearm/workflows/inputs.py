@@ -150,6 +150,10 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
             )
     tables = [one.table for one in read.values()]
     counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
+    if sources.line_points is not None and not any(one.lines for one in counts):
+        raise InputError(
+            Argument("line_points"), " has no effect: no input is a session with passes along a line; leave it out"
+        )
     table = concatenate([part for part in tables if len(part)] or tables)
     if not len(table):
         raise SessionError(

@@ -50,7 +50,7 @@ def held_out_rows(
         return held if held.any() else None
     if not wanted:
         return None
-    fractions = [value for value in map(_fraction, wanted) if value is not None]
+    fractions = [value for value in map(held_out_fraction, wanted) if value is not None]
     if not fractions:
         mask: Mask = np.any([_group_rows(table, group, HOLD_OUT) for group in wanted], axis=0)
     elif len(wanted) == 1:
@@ -64,7 +64,8 @@ def held_out_rows(
     return mask
 
 
-def _fraction(text: str) -> float | None:
+def held_out_fraction(text: str) -> float | None:
+    """Return the fraction of the rows that ``text`` holds out, None if it names a group."""
     try:
         value = float(text)
     except ValueError:

@@ -260,8 +260,8 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
             thermal=thermal,
         ),
     )
-    own_folder(folder, MARK)
     of_box = hardware(options.level, say)
+    own_folder(folder, MARK)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
     if options.truth_out is not None:
@@ -327,7 +327,7 @@ def hardware(level: str, say: Say) -> Hardware:
     from truearm_sim.vmbox import VmBox
 
     if level not in tuple(Level):
-        raise InputError(Argument("level"), f" {level!r}: choose {' and '.join(Level)}")
+        raise InputError(Argument("level"), f" {level!r}: choose {' or '.join(Level)}")
     match wanted := Level(level):
         case Level.VM:
             interpreter = find_interpreter()
