@@ -52,7 +52,10 @@ def get(
 @config.command("set")
 def put(
     changes: Annotated[
-        list[str], typer.Argument(metavar="FILE.toml | KEY=VALUE...", help="A file that get wrote, or single values.")
+        list[str],
+        typer.Argument(
+            metavar="FILE.toml | KEY=VALUE...", help="A file that truearm box config get wrote, or single values."
+        ),
     ],
     device: BoxOption,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
@@ -61,7 +64,7 @@ def put(
 ) -> None:
     """Change a box's configuration; print what changes.
 
-    Values that you do not give stay unchanged; KEY= without a value removes one that may be missing, such as
+    Values that you do not give stay unchanged; KEY= without a value removes an optional value, such as
     channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it
     keeps either the old or the new one.
 

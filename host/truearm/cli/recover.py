@@ -20,7 +20,7 @@ SHOWN = 10  # damaged places that are listed
 
 def recover(
     session: SessionArgument,
-    out: Annotated[Path | None, out_file("a session (default: SESSION-recovered.mcap)")] = None,
+    out: Annotated[Path | None, out_file("a session (default: NAME-recovered.mcap for NAME.mcap)")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
