@@ -9,9 +9,10 @@ from tests.host import plan_bench as bench
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
-from truearm.estimate.prior import free_without_gains, weak_prior
+from truearm.estimate.prior import weak_prior
 from truearm.estimate.solvers import Prior
 from truearm.model.robot import builtin_robot
+from truearm.model.urdf import free_without_gains
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Aim, bar_table, forecast

@@ -8,12 +8,13 @@ import pytest
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import body_motion
-from truearm.estimate.prior import free_without_gains, weak_prior
+from truearm.estimate.prior import weak_prior
 from truearm.estimate.wrong_inputs import explanations_of
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward
+from truearm.model.urdf import free_without_gains
 from truearm.results import WrongInput
 from truearm.units import DEG
 

@@ -23,12 +23,10 @@ from collections.abc import Mapping
 from typing import assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truearm.errors import ProblemError
 from truearm.estimate.solvers import Prior
 from truearm.model.chain import Chain
-from truearm.model.joint_terms.gain import Gain
 from truearm.types import Floats
 from truearm.units import UNITS
 
@@ -54,11 +52,6 @@ def prior_named(chain: Chain, prior: Prior) -> Floats | None:
             return wide_prior(chain)
         case _:
             assert_never(prior)
-
-
-def free_without_gains(chain: Chain) -> NDArray[np.bool_]:
-    """Return True (p,) for all except joint gains: encoders count complete turns of the joint, so their gain is 1."""
-    return np.array([p.term != Gain.name for p in chain.parameters])
 
 
 def robot_prior(chain: Chain, prior_sigma: Mapping[str, float] | Floats | None) -> Floats:

@@ -6,14 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from truearm.errors import Argument, RobotError
 from truearm.files.disk import read_text
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot, parse_robot
-from truearm.model.urdf import chain_from_urdf
+from truearm.model.urdf import chain_from_urdf, free_without_gains
 
 MAX_BYTES = 8_000_000
 
@@ -79,4 +77,4 @@ def is_urdf(robot: str) -> bool:
 
 
 def _urdf_robot(chain: Chain) -> Robot:
-    return Robot(chain, {"nominal": chain.params_nominal}, np.ones(len(chain.parameters), dtype=bool))
+    return Robot(chain, {"nominal": chain.params_nominal}, free_without_gains(chain))

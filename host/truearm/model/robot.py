@@ -88,7 +88,7 @@ class Robot:
 
     @property
     def is_urdf(self) -> bool:
-        """Return whether it was read from a URDF, which does not specify which parameters are fixed."""
+        """Return whether it was read from a URDF, which does not say which parameters are fixed: all but the gains are free."""
         return self.file.lower().endswith((".urdf", ".xml"))
 
 

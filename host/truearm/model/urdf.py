@@ -18,6 +18,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element as Xml
 from xml.etree.ElementTree import ParseError
 
+import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
@@ -26,6 +27,7 @@ from truearm.model.chain import Chain, Element, Joint, Parameter
 from truearm.model.joint_terms.gain import Gain
 from truearm.model.joint_terms.offset import Offset
 from truearm.text import listed
+from truearm.types import Mask
 from truearm.units import UNITS
 
 MAX_TEXT = 8_000_000  # characters; a large humanoid has about 200,000
@@ -266,3 +268,8 @@ def _only(candidates: list[str], what: str, option: str) -> str:
     if not candidates:
         raise RobotError(f"URDF has no {what}: its joints form a loop")
     raise RobotError(f"URDF has {len(candidates)} {what}; choose ", Argument(option), f" among {listed(candidates)}")
+
+
+def free_without_gains(chain: Chain) -> Mask:
+    """Return True (p,) for all except joint gains: encoders count complete turns of the joint, so their gain is 1."""
+    return np.array([p.term != Gain.name for p in chain.parameters])

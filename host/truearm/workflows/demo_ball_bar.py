@@ -30,13 +30,10 @@ def calibrate(out: Path, table: ObservationTable, subject: Subject) -> BallBarCa
     from truearm.estimate.prior import prior_named
     from truearm.files.rig_file import read_rig
     from truearm.workflows.identify import default_prior
-    from truearm.workflows.selection import default_free
 
     robot, rig, judging = subject.robot, read_rig(out / "rig.toml"), subject.judging.name
     chain, held_out, prior = robot.chain, table.bar == judging, default_prior(robot, "lm")
-    estimate = identify(
-        chain, rig, table, free=default_free(robot), hold_out=held_out, prior_sigma=prior_named(chain, prior)
-    )
+    estimate = identify(chain, rig, table, free=robot.free, hold_out=held_out, prior_sigma=prior_named(chain, prior))
     all_free = identify(chain, rig, table, hold_out=held_out)
     said = prior if robot.is_urdf else "none"
     found = demo_steps.identified(out, table, subject, rig, estimate, [f"bar={judging}"], said)

@@ -111,10 +111,9 @@ def calibrate(with_bar: bool, out: Path, table: ObservationTable, subject: Subje
     from truearm.estimate.identify import SolverOptions, identify
     from truearm.estimate.prior import wide_prior
     from truearm.files.rig_file import read_rig
-    from truearm.workflows.selection import default_free
 
     robot, rig = subject.robot, read_rig(out / "rig.toml")
-    chain, free, judging = robot.chain, default_free(robot), subject.judging.name
+    chain, free, judging = robot.chain, robot.free, subject.judging.name
     judges = (table.line == CHECK) | (table.bar == judging)
     if not with_bar:
         prior = wide_prior(chain)

@@ -46,7 +46,7 @@ from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.informative_rows import check_rows
 from truearm.workflows.inputs import DwellCount, Sources, check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
-from truearm.workflows.selection import default_free, free_parameters, held_out_rows, matching, parse_effect, parse_rows
+from truearm.workflows.selection import free_parameters, held_out_rows, matching, parse_effect, parse_rows
 from truearm.workflows.session_parts import with_parts
 
 Progress = Callable[[int, Mapping[str, float]], None]  # iteration, RMS of the residuals by SI unit
@@ -254,7 +254,7 @@ def selected(robot: Robot, table: ObservationTable, hold_out: Sequence[str], opt
     rows = held_out_rows(table, hold_out, options.seed, options.fit_only)
     held_out_by = (*hold_out, *(f"all but {group}" for group in options.fit_only))
     names = robot.chain.parameter_names
-    free = free_parameters(names, default_free(robot), options.free, options.freeze, options.also_free)
+    free = free_parameters(names, robot.free, options.free, options.freeze, options.also_free)
     named = matching(names, "free", options.free) | matching(names, "also_free", options.also_free)
     return Selection(free, rows, held_out_by, named, tuple(hold_out))
 
@@ -316,14 +316,14 @@ def identified(
             hold_out=selection.held_out,
             prior_sigma=sigma,
             options=replace(solver_options, outliers=outliers),
-            prefer=default_free(robot),
+            prefer=robot.free,
         )
 
     def checked(estimate: Estimate) -> Estimate:
         others = _other_robots() if absurd(estimate) or elsewhere(estimate) else {}
         offsets = [effect.what for effect in effects if effect == Effect(effect.what)]
         with step("trying other interpretations of the inputs"):
-            found = diagnosed(estimate, chain, rig, table, selection.free, others, default_free(robot), offsets)
+            found = diagnosed(estimate, chain, rig, table, selection.free, others, robot.free, offsets)
             return with_scale(chain, found)
 
     def with_laws(estimate: Estimate) -> tuple[Chain, Estimate]:

@@ -44,7 +44,7 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.identify import DEFAULTS, default_prior
 from truearm.workflows.inputs import Sources, observed
-from truearm.workflows.selection import default_free, held_out_rows
+from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
 APPROACH_CANDIDATES = 400
@@ -327,7 +327,7 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
         params, values = result.identified, {name: value for name, value in estimates if np.isfinite(value)}
     prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
-    return replace(known, params=params, rig_values=values, free=default_free(robot), prior=prior)
+    return replace(known, params=params, rig_values=values, free=robot.free, prior=prior)
 
 
 def _named(what: str, given: str | None, have: Iterable[str]) -> str:

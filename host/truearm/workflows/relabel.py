@@ -224,11 +224,10 @@ def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
 
 
 def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> MountingChances:
-    from truearm.workflows.selection import default_free
 
     words = Words([one.planned for one in said], [one.typed for one in said])
     _check_joints(robot, readings)
-    return mountings(robot.chain, rig, readings, words, default_free(robot))
+    return mountings(robot.chain, rig, readings, words, robot.free)
 
 
 def _check_joints(robot: Robot, readings: Readings) -> None:
@@ -350,7 +349,6 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     Rows that are not dwells are included. A session is judged AT_ONCE dwells at a time. If all of these fit their labels,
     nothing else is checked. Otherwise all evidence about them must support a label, weighed as in ``relabel``.
     """
-    from truearm.workflows.selection import default_free
 
     out = np.ones(len(result.table), dtype=bool)
     used = [i for i, dwell in enumerate(result.dwells) if not dwell.reason]
@@ -358,7 +356,7 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
         return out
     dwells = [result.dwells[i] for i in used]
     labels = [(d.mounted["bar"], d.mounted["chuck"], d.mounted["sphere"]) for d in dwells]
-    readings, free = readings_of(rig, dwells), default_free(robot)
+    readings, free = readings_of(rig, dwells), robot.free
     doubtful = list[slice]()
     for first in range(0, len(used), AT_ONCE):
         rows = slice(first, min(first + AT_ONCE, len(used)))

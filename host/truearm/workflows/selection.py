@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import poses
-from truearm.estimate.prior import free_without_gains
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
 from truearm.model.joint_terms.gain import Gain
-from truearm.model.robot import Robot
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
 from truearm.types import Mask, ObservationTable
 
 HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "allow", "leave_out"))
-
-
-def default_free(robot: Robot) -> NDArray[np.bool_]:
-    """Return the parameters (p,) to identify by default: for a URDF, which has redundant constants, all but the gains."""
-    return free_without_gains(robot.chain) if robot.is_urdf else robot.free
 
 
 def held_out_rows(
