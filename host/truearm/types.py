@@ -80,7 +80,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Point(Checked):
-    """A chuck, sphere or socket: coordinates [m] and their standard deviation [m].
+    """A chuck, sphere, socket or target: coordinates [m] and their standard deviation [m].
 
     ``sigma`` is 0 if the point is known exactly, finite for a parameter with that prior, and None for a parameter
     without a prior.
