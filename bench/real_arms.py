@@ -34,7 +34,7 @@ from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.types import BallBar, Device, Floats, ObservationTable, Point, Rig
 from truearm.workflows.identify import Identification, IdentifyOptions, Selection, identified
-from truearm.workflows.selection import default_free, held_out_rows
+from truearm.workflows.selection import held_out_rows
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "tests" / "data"
@@ -253,7 +253,7 @@ def errors(case: Case, chain: Chain, names: tuple[str, ...], value: Floats) -> F
 
 
 def run(case: Case) -> Outcome:
-    selection = Selection(default_free(case.robot), case.held if case.held.any() else None, (case.split,))
+    selection = Selection(case.robot.free, case.held if case.held.any() else None, (case.split,))
     seconds, results = [], []
     for mode in ("none", "auto"):
         start = time.process_time()

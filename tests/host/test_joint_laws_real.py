@@ -13,7 +13,6 @@ from truearm.files.observation_table import parse_table
 from truearm.files.robot_file import load_robot
 from truearm.types import ObservationTable
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.selection import default_free
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "tests" / "data"
@@ -22,7 +21,7 @@ LARGEST = 0.36  # mm, of UR10 C
 
 def held_out_means(robot, rig, table, held):
     """Mean held-out errors [mm] of geometry and with laws."""
-    selection = Selection(default_free(robot), held, ("held",))
+    selection = Selection(robot.free, held, ("held",))
     found = identified(robot, rig, table, selection, IdentifyOptions())
     steps = found.estimate.joint_laws.steps
     last = found.estimate.held_out.figures["m"].mean
