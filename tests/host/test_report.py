@@ -318,8 +318,9 @@ def test_notes_steps_and_facts_are_shown():
 
 
 def test_tiles_and_verdict_are_of_this_estimate():
-    page = make_page(validation=HeldOut({"m": Figures(9.19e-5, 7.3e-5, 3.39e-4, 800)}, 800))
-    estimate = replace(page.estimate, rms_before={"m": 1.06463e-2}, rms_after={"m": 8.018e-5})
+    page = make_page()
+    held_out = HeldOut({"m": Figures(9.19e-5, 7.3e-5, 3.39e-4, 800)}, 800)
+    estimate = replace(page.estimate, rms_before={"m": 1.06463e-2}, rms_after={"m": 8.018e-5}, held_out=held_out)
     page = replace(page, estimate=estimate)
     tiles = re.findall(r'<p class="figure">(.*?)<span>', render(page))
     assert tiles == ["10.6", "0.0802", "0.0919"]

@@ -62,7 +62,8 @@ def gauge(
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
     Set the reference, type its reading, and do not touch it while the box samples. Measure at least five places over the whole
-    travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. truearm chooses the
+    travel, preferably there and back. An empty line ends the measurement if the places are enough; "undo" drops the last place. With
+    --references, Enter samples the place that is asked for, "s" skips it, and "q" ends the measurement. truearm chooses the
     lowest order of the polynomial that is not significantly worse than the best in cross-validation. For the magnetostrictive sensor, the velocity of sound and the
     delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
     temperature. If a run ends early, the same command continues from the places that were measured.

@@ -37,7 +37,7 @@ from truearm.report.result_words import (
 )
 from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
-from truearm.report.usability_words import few_freedom, usability_sentences, wrong_first
+from truearm.report.usability_words import few_freedom, freedom_words, usability_sentences, wrong_first
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line, outcome
@@ -124,11 +124,9 @@ def little_freedom(document: Document) -> list[str]:
     none = document["unusable_because"] == Unusable.NO_FREEDOM  # which has its own sentence
     if none or not few_freedom(document["chi2_freedom"], document["rank"]):
         return []
-    freedom = counted(round(document["chi2_freedom"]), "degree of freedom", "degrees of freedom")
-    return [
-        f"Only {freedom} for {counted(document['rank'], 'parameter')}: the residuals say nothing about accuracy. Measure more rows, and "
-        "hold some of them out."
-    ]
+    unknowns = any(one["of"] == "rig" and one["free"] for one in document["parameters"])
+    few = freedom_words(document["chi2_freedom"], document["rank"], unknowns)
+    return [f"{few} Measure more rows, and hold some of them out."]
 
 
 def _option(argument: str) -> str:

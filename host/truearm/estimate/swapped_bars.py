@@ -1,4 +1,4 @@
-"""Indices that were measured with another bar than the one they name: its zero is another, so their lengths are wrong.
+"""Rows that were measured with another bar than the one they name: its zero is another, so their lengths are wrong.
 
 A length is zero + gain · extension of the bar that a row names. With zero z₀ and gain k₀ of that bar, the same reading of
 a bar with z₁ and k₁ is the length z₁ + k₁·(length − z₀)/k₀.

@@ -68,7 +68,7 @@ def _likely(
     problem, columns, _ = trial_problem(chain, rig, table, free, [Effect(cause.name) for cause in causes])
     x = problem.at(before.known)
     seen = with_prior(observe(problem, x, columns), *prior_error(problem, columns, x))
-    names = [name for name, one in zip(problem.names, columns, strict=True) if one]
+    names = problem.names_of(columns)
     mine = [np.isin(names, cause.numbers) for cause in causes]
     parts = spectrum(seen.root[:, ~np.any(mine, axis=0)])
     followed = parts.u[:, : parts.singular.size][:, significant(parts)]

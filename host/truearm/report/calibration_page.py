@@ -32,7 +32,7 @@ from truearm.report.page_tables import fact_list, parameter_table, step_table, v
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import CHI2_DOUBTFUL, before_words, kind_name, parts_words, pose_error_words
-from truearm.report.usability_words import few_freedom
+from truearm.report.usability_words import few_freedom, freedom_words
 from truearm.results import Estimate, HeldOut, PredictedError
 from truearm.text import counted
 from truearm.types import Floats, ObservationTable
@@ -47,8 +47,7 @@ class CalibrationPage:
 
     ``estimate`` was made from ``table``, whose n rows include fitted and held-out ones. ``longitude`` (n,) [rad] is
     that of the sphere about its chuck, NaN for rows without one. ``facts`` are labels and values about the recording,
-    ``steps`` names and seconds, ``command`` the command that makes the page again. ``validation`` is the error on rows
-    that were not fitted; None: the estimate's own ``held_out``. ``notes`` are sentences for the reader. ``prior`` is
+    ``steps`` names and seconds, ``command`` the command that makes the page again. ``notes`` are sentences for the reader. ``prior`` is
     the name of the robot's prior, ``predicted`` the predicted error of the tool from the parameters' covariance.
 
     Raises ValueError if table, longitude and estimate have different numbers of rows.
@@ -62,7 +61,6 @@ class CalibrationPage:
     facts: tuple[tuple[str, str], ...] = ()
     steps: tuple[tuple[str, float], ...] = ()
     command: str = ""
-    validation: HeldOut | None = None
     notes: tuple[str, ...] = ()
     prior: str = "none"
     predicted: PredictedError | None = None
@@ -80,16 +78,13 @@ class CalibrationPage:
         if any(shape != (n,) for shape in shapes):
             raise ValueError(f"longitude, fitted and residual must be ({n},) like the table, are {shapes}")
 
-    @property
-    def judged(self) -> HeldOut | None:
-        """The held-out error that the verdict quotes."""
-        return self.validation or self.estimate.held_out
-
 
 def render(page: CalibrationPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     sections = (
-        certificate_section(page.certificate, page.estimate, page.judged, page.predicted) if page.certificate else "",
+        certificate_section(page.certificate, page.estimate, page.estimate.held_out, page.predicted)
+        if page.certificate
+        else "",
         _verdict(page),
         _pictures(page),
         _parameters(page.estimate),
@@ -102,7 +97,7 @@ def render(page: CalibrationPage) -> str:
 
 
 def _verdict(page: CalibrationPage) -> str:
-    e, judged = page.estimate, page.judged
+    e, judged = page.estimate, page.estimate.held_out
     tiles = [
         _tile(
             "before",
@@ -135,12 +130,12 @@ def verdict(page: CalibrationPage) -> str:
     if e.unusable:
         return page.usability[0] if page.usability else "This fit is not usable."
     if few_freedom(e.chi2_freedom, e.rank):
-        freedom = counted(round(e.chi2_freedom), "degree of freedom", "degrees of freedom")
-        judged = page.judged.figures.items() if page.judged else ()
+        judged = page.estimate.held_out.figures.items() if page.estimate.held_out else ()
         held = "".join(f" The error is {size(of.rms, si)} on observations not used to fit." for si, of in judged)
-        return f"Only {freedom} for {counted(e.rank, 'parameter')}: the residuals say nothing about accuracy.{held}"
+        return freedom_words(e.chi2_freedom, e.rank, len(e.value) > e.n_robot_parameters) + held
     return " ".join(
-        f"The {_kinds(page, si)}error is {_change(page.estimate, page.judged, si)}." for si in page.estimate.rms_before
+        f"The {_kinds(page, si)}error is {_change(page.estimate, page.estimate.held_out, si)}."
+        for si in page.estimate.rms_before
     )
 
 
@@ -166,7 +161,7 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
 
 def caveats(page: CalibrationPage) -> list[str]:
     """Return the reasons to distrust the figures, one sentence each."""
-    e, judged = page.estimate, page.judged
+    e, judged = page.estimate, page.estimate.held_out
     found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]
     if e.status != "converged" and not e.unusable:
         found.append(f"The fit did not converge: {e.message}.")

@@ -7,7 +7,7 @@ from typing import Any, assert_never
 
 from truearm.report.result_words import scale_sentence
 from truearm.results import Unusable
-from truearm.text import one_line
+from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, size
 
 Document = Mapping[str, Any]
@@ -17,6 +17,13 @@ NUMBERED = " (rows numbered from 1 over all inputs)"
 def few_freedom(freedom: float | None, rank: int) -> bool:
     """Return whether there are fewer degrees of freedom than fitted parameters: residuals then show no accuracy."""
     return freedom is not None and freedom < rank
+
+
+def freedom_words(freedom: float, rank: int, unknowns: bool) -> str:
+    """Return how few degrees of freedom there are; ``unknowns``: some of the rig were estimated too."""
+    of_rig = " of the robot, besides the unknowns of the rig" * unknowns
+    left = counted(round(freedom), "degree of freedom", "degrees of freedom")
+    return f"Only {left} for {counted(rank, 'parameter')}{of_rig}: the residuals say nothing about accuracy."
 
 
 def wrong_first(document: Document) -> bool:

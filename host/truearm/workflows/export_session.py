@@ -15,7 +15,7 @@ from truearm.files.column_writers import FORMATS, check_format
 from truearm.files.disk import sha256, working_folder
 from truearm.files.observation_table import table_columns
 from truearm.files.rig_file import read_rig
-from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import strict_json
 from truearm.progress import step
 from truearm.record.session_writer import read_anchor
@@ -58,8 +58,7 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
     if wanted.rate_hz is not None and wanted.format != "mcap":
         text = f" has no effect with format {wanted.format}, which holds all samples; leave it out, or use format mcap"
         raise InputError(Argument("rate"), text)
-    robot = wanted.robot
-    units = () if robot.robot is None else load_robot(robot.robot, robot.base, robot.tip).chain.joint_units
+    units = () if wanted.robot.robot is None else wanted.robot.load().chain.joint_units
     given = None if wanted.rig is None else read_rig(wanted.rig)
     out = wanted.out
     _check_folder(out)

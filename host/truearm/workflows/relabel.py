@@ -224,7 +224,6 @@ def readings_of(rig: Rig, dwells: Sequence[Dwell]) -> Readings:
 
 
 def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) -> MountingChances:
-
     words = Words([one.planned for one in said], [one.typed for one in said])
     _check_joints(robot, readings)
     return mountings(robot.chain, rig, readings, words, robot.free)
@@ -349,7 +348,6 @@ def borne_out_rows(robot: Robot, rig: Rig, result: SyncResult) -> NDArray[np.boo
     Rows that are not dwells are included. A session is judged AT_ONCE dwells at a time. If all of these fit their labels,
     nothing else is checked. Otherwise all evidence about them must support a label, weighed as in ``relabel``.
     """
-
     out = np.ones(len(result.table), dtype=bool)
     used = [i for i, dwell in enumerate(result.dwells) if not dwell.reason]
     if len(used) < LEAST_DWELLS or result.dwells[used[0]].q.size != len(robot.chain.joints):

@@ -49,11 +49,7 @@ class Turns:
 
 def _several_indexes(node: tuple[object, ...]) -> tuple[bool, list[int]]:
     """Return whether a body has several elements of lists, and the identities of the loops seen in it before that."""
-    waiting, loops, several = (
-        [node],
-        list[int](),
-        0,
-    )  # only what may hold an element: a body may have 100,000 statements
+    waiting, loops, several = [node], list[int](), 0
     while waiting:
         here = waiting.pop()
         if isinstance(here, Element) and not isinstance(here.at, str | Number):
@@ -62,6 +58,7 @@ def _several_indexes(node: tuple[object, ...]) -> tuple[bool, list[int]]:
                 return True, loops
         elif isinstance(here, Loop):
             loops.append(id(here))
+        # Only what may hold an element: a body may have 100,000 statements.
         waiting += [inner for inner in here if isinstance(inner, tuple) and type(inner) not in WITHOUT_ELEMENTS]
     return False, loops
 

@@ -14,6 +14,7 @@ from truearm.files.programs.variables import Turn
 from truearm.files.programs.work import Work
 
 MAX_TURNS = 4  # of a loop, before values that still change become unknown
+CHANGES = "changes between iterations of a loop; write the targets out as a list, and let the loop go through it"
 
 
 class Loops(Calls):
@@ -105,17 +106,7 @@ class Loops(Calls):
             for key in grown:
                 if turns >= MAX_TURNS or (turns and counts(before[key], environment.get(key))):
                     origin = origin_of(environment.get(key) or ())
-                    environment.set(
-                        key,
-                        (
-                            Unknown(
-                                f"{key[1]} changes between iterations of a loop; write the targets out as a list, and let the loop go through it",
-                                0,
-                                "",
-                                origin,
-                            ),
-                        ),
-                    )
+                    environment.set(key, (Unknown(f"{key[1]} {CHANGES}", 0, "", origin),))
         if loop.condition is not None and self.routines.runs_routine(loop.condition):
             self.decide(loop.condition)  # it is evaluated once more often than the body
         environment.join([{}, *turn.breaks])
