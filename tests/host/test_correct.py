@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from truearm.correct import inverse as inverse_kinematics
 from truearm.correct.correction import Configuration, correct
-from truearm.correct.inverse import inverse, search, singular_value, turned, within
+from truearm.correct.inverse import inverse, jacobian, search, singular_value, turned, within
 from truearm.correct.methods import Method, entry
 from truearm.correct.model_pair import ModelPair
 from truearm.model import joint_law
@@ -221,6 +221,46 @@ def test_any_robot_finds_its_own_poses(name):
     np.testing.assert_allclose(
         forward(chain, chain.params_nominal, searched.q[searched.reached]), targets[searched.reached], atol=1e-9
     )
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "irb120"])
+def test_poses_of_joints_at_their_limits_are_found(name):
+    """An arm with seven joints reaches them with many others, of which only some are within; six end there but for rounding."""
+    chain = builtin_robot(name).chain
+    rng = np.random.default_rng(4)
+    q = rng.uniform(*chain.limits, (300, len(chain.joints)))
+    for row in q:
+        at = rng.choice(q.shape[1], 2, replace=False)
+        row[at] = chain.limits[rng.integers(2, size=2), at]
+    q = q[singular_value(chain, chain.params_nominal, q) > 0.05]
+    found = search(chain, chain.params_nominal, forward(chain, chain.params_nominal, q))
+    assert found.reached.all()
+    assert within(chain, found.q).all()
+    np.testing.assert_allclose(
+        forward(chain, chain.params_nominal, found.q), forward(chain, chain.params_nominal, q), atol=1e-9
+    )
+
+
+def test_an_arm_with_seven_joints_is_corrected_within_its_limits():
+    """Where the shortest correction ends beyond a limit, the joint stays there and the others make up for it."""
+    robot = builtin_robot("iiwa14")
+    rng = np.random.default_rng(6)
+    nominal = robot.chain.params_nominal
+    arm = ModelPair(robot.chain, nominal, nominal + np.where(robot.free, rng.normal(0.0, 1e-3, nominal.size), 0.0))
+    q = 0.9 * rng.uniform(*robot.chain.limits, (300, 7))
+    at = rng.choice([0, 2, 4, 6], 300)  # the shoulder and the wrist; the elbow alone sets the reach
+    q[np.arange(300), at] = robot.chain.limits[rng.integers(2, size=300), at]
+    jac = jacobian(robot.chain, nominal, q)
+    jac[np.arange(300), :, at] = 0.0
+    q = q[np.linalg.svd(jac, compute_uv=False)[:, -1] > 0.1]  # the six others can make up for it
+    targets = forward(robot.chain, nominal, q)
+    freely = inverse(robot.chain, arm.identified, targets, q).q
+    done = correct(arm, targets, configuration=Configuration(q))
+    assert not within(robot.chain, freely).all()
+    assert within(robot.chain, done.q).all()
+    assert set(done.problem) == {""}
+    assert done.after.max() < 1e-9
+    np.testing.assert_array_equal(done.q[within(robot.chain, freely)], freely[within(robot.chain, freely)])
 
 
 @pytest.mark.parametrize("name", ["ur5e", "irb120"])

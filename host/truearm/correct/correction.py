@@ -165,7 +165,13 @@ def _corrected(
             lost: NDArray[np.bool_] = np.asarray(~np.isfinite(q).all(axis=-1))
             return np.where(lost[:, None], q_nominal, q), lost, None
         case Method.NEWTON:
-            found = inverse(pair.chain, pair.identified, in_rig(pair, targets), q_nominal, oriented)
+            goals = in_rig(pair, targets)
+            found = inverse(pair.chain, pair.identified, goals, q_nominal, oriented)
+            outside = ~within(pair.chain, found.q) & within(pair.chain, q_nominal)
+            # An arm with more joints than needed may have joints within the limits for the same pose.
+            stopped = inverse(pair.chain, pair.identified, goals[outside], q_nominal[outside], oriented, bounded=True)
+            for part, of_outside in zip(found, stopped, strict=True):
+                part[np.flatnonzero(outside)[stopped.reached]] = of_outside[stopped.reached]
             return found.q, ~found.reached, found.singular_value
         case Method.FALSE_TARGET:
             return *_repeated(false_target, pair, targets, q_nominal, steps, oriented), None

@@ -64,18 +64,21 @@ class Origins(NamedTuple):
     q: Floats
 
 
-def inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True) -> Inverse:
-    """Return the solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j); limits are ignored.
+def inverse(
+    chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool = True, bounded: bool = False
+) -> Inverse:
+    """Return the solutions for targets (n, 4, 4) that are nearest downhill from q_start (n, j).
 
-    oriented : False if only the origin matters.
+    oriented : False if only the origin matters. bounded : True if no step may leave the joint limits, within which
+        q_start must be; otherwise limits are ignored.
     """
     parts = [slice(at, at + CHUNK) for at in range(0, max(len(targets), 1), CHUNK)]
     parts_done = steps_of(parts, f"solving for the joints of {len(targets)} targets")
-    found = [_inverse(chain, params, targets[part], q_start[part], oriented) for part in parts_done]
+    found = [_inverse(chain, params, targets[part], q_start[part], oriented, bounded) for part in parts_done]
     return Inverse(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool) -> Inverse:
+def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, oriented: bool, bounded: bool) -> Inverse:
     q = np.array(q_start, dtype=float)
     damping = np.full(len(q), DAMPING_START)
     error, jac = _error_and_jacobian(chain, params, targets, q, oriented)
@@ -84,7 +87,8 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         at = np.flatnonzero((size > TOLERANCE) & (damping < DAMPING_MOST))
         if not at.size:
             break
-        there = q[at] + _step(jac[at], error[at], damping[at])
+        ahead = _next_within if bounded else _next
+        there = ahead(chain, q[at], jac[at], error[at], damping[at])
         new, new_jac = _error_and_jacobian(chain, params, targets[at], there, oriented)
         new_size = np.linalg.norm(new, axis=-1)
         better = new_size < size[at]
@@ -119,6 +123,23 @@ def scaled(error: Floats, oriented: bool = True) -> Floats:
     """Return a difference (n, 6) scaled like the rows of ``jacobian``."""
     error = np.concatenate([error[..., :3] / LEVER, error[..., 3:]], axis=-1)
     return error if oriented else error[..., :3]
+
+
+def _next(_: Chain, q: Floats, jac: Floats, error: Floats, damping: Floats) -> Floats:
+    return q + _step(jac, error, damping)
+
+
+def _next_within(chain: Chain, q: Floats, jac: Floats, error: Floats, damping: Floats) -> Floats:
+    """Return the joints (n, j) after a step in which a joint stops at its limit; from there the others move alone."""
+    lower, upper = chain.limits
+    there = _next(chain, q, jac, error, damping)
+    for _ in range(q.shape[1]):
+        stopped = ((there < lower) & (q <= lower)) | ((there > upper) & (q >= upper))
+        if not stopped.any():
+            break
+        jac = np.where(stopped[:, None], 0.0, jac)
+        there = _next(chain, q, jac, error, damping)
+    return np.clip(there, lower, upper)
 
 
 def _step(jac: Floats, error: Floats, damping: Floats) -> Floats:
@@ -192,6 +213,10 @@ def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) ->
             of_each = Inverse(
                 found.q.reshape(*shape, len(lower)), found.reached.reshape(shape), found.singular_value.reshape(shape)
             )
+            outside = _only_outside(chain, of_each, oriented)
+            goals, starts = np.repeat(some[outside], N_STARTS, axis=0), starts[outside].reshape(-1, len(lower))
+            for part, bounded in zip(of_each, inverse(chain, params, goals, starts, oriented, True), strict=True):
+                part[outside] = bounded.reshape(part[outside].shape)
             parts.append(_distinct(chain, params, of_each) if oriented else of_each)
         return _stacked(parts)
 
@@ -214,10 +239,17 @@ def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) ->
         # A solution may be lost on the way if it merges with another, or begins between the two targets.
         lost = near.reached.sum(axis=1) < begin.reached.sum(axis=1)
         lost |= np.where(begin.reached, begin.singular_value, np.inf).min(axis=1) < SINGULAR
+        lost |= _only_outside(chain, near, oriented)
         stock += [_rows(near, ~lost), searched(rows[lost])]
         order += [rows[~lost], rows[lost]]
     back = np.argsort(np.concatenate(order))
     return _rows(_stacked(stock), back)
+
+
+def _only_outside(chain: Chain, found: Inverse, oriented: bool) -> NDArray[np.bool_]:
+    """Return whether all solutions of a target (n, k) are beyond the limits although the arm has others (redundant)."""
+    redundant = found.q.shape[-1] > (6 if oriented else 3)
+    return np.asarray(redundant & found.reached.any(axis=1) & ~(found.reached & within(chain, found.q)).any(axis=1))
 
 
 def _rows(of: Inverse, rows: NDArray[Any]) -> Inverse:
@@ -301,17 +333,26 @@ def _followed(origin: NDArray[np.int_]) -> list[int]:
 
 
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
-    """Return joint readings (…, j) shifted by whole turns as close to ``near`` (j,) as the limits allow."""
+    """Return joint readings (…, j) shifted by whole turns as close to ``near`` (j,) as the limits allow.
+
+    A reading that is beyond a limit only by rounding is returned as the limit.
+    """
     turn, law = 2.0 * np.pi / np.abs(chain.law.gain.of(params)), chain.law
-    lower, upper = chain.limits
+    lower, upper = chain.limits + np.array([[-GOOD], [GOOD]])
     turning = np.array([joint.kind == "revolute" for joint in chain.joints])
     turns = np.clip(np.round((near - q) / turn), np.ceil((lower - q) / turn), np.floor((upper - q) / turn))
     turns = np.where(turning, turns, 0.0)
     there = q + turn * turns
-    if law.affine or not turns.any():
-        return there
-    same = law.angles(params, q) + 2.0 * np.pi * np.sign(law.gain.of(params)) * turns
-    return np.where(turns.any(axis=-1, keepdims=True), law.readings(params, same, near=there), q)
+    if turns.any() and not law.affine:
+        same = law.angles(params, q) + 2.0 * np.pi * np.sign(law.gain.of(params)) * turns
+        there = np.where(turns.any(axis=-1, keepdims=True), law.readings(params, same, near=there), q)
+    return _at_limit(chain, there)
+
+
+def _at_limit(chain: Chain, q: Floats) -> Floats:
+    """Return joint readings (…, j) with those that are beyond a limit only by rounding at the limit."""
+    there = np.clip(q, *chain.limits)
+    return np.where(np.abs(there - q) < GOOD, there, q)
 
 
 def within(chain: Chain, q: Floats, room: float = 0.0) -> NDArray[np.bool_]:
