@@ -133,6 +133,7 @@ HOP = joint("j1", "revolute", "a", "b")
         (robot(joint("j1", "revolute", "a", "b", xyz="0 inf 0"), links="ab"), "not finite"),
         (robot(joint("j1", "revolute", "a", "b", xyz="0 0 333"), links="ab"), "larger than 100"),
         (robot(joint("j1", "revolute", "a", "b", xyz="0 0"), links="ab"), "needs 3 numbers"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0_1 0 0"), links="ab"), "write digits with a decimal point"),
         (robot(joint("j1", "revolute", "a", "b", rpy="0 ${pi} 0"), links="ab"), "expand xacro"),
         (robot(joint("j1", "revolute", "a", "b", axis="0 0 0"), links="ab"), "axis has no length"),
         (robot(joint("j1", "revolute", "a", "b", more=""), links="ab"), "needs a <limit>"),

@@ -255,6 +255,8 @@ def _numbers(joint: _UrdfJoint, what: str, text: str, count: int, bound: float) 
         values = [float(word) for word in text.split()]
     except ValueError as error:
         raise RobotError(f"{where} is not numbers (expand xacro files first)") from error
+    if "_" in text or not text.isascii():  # float() accepts "0_1" and the digits of other scripts
+        raise RobotError(f"{where} is not numbers; write digits with a decimal point")
     if len(values) != count:
         raise RobotError(f"{where} needs {count} number{'s' if count > 1 else ''}")
     if not all(math.isfinite(v) and abs(v) <= bound for v in values):
