@@ -27,8 +27,8 @@ QUIET = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    "--allow-file-access-from-files",  # a page around others can read how they are laid out
 )
+READING_FILES = "--allow-file-access-from-files"  # a page around others can read how they are laid out
 A4_PT = (595.0, 842.0)
 MARGIN_PT = 14.0 / 25.4 * 72.0  # of page.css
 
@@ -49,7 +49,7 @@ def probed(folder: Path, around: str, *arguments: str):
     """Load a page that writes JSON into its element "probe"; return what it wrote."""
     path = folder / "around.html"
     path.write_text(around, encoding="utf-8")
-    dom = browse(folder, *arguments, "--window-size=1400,1000", "--dump-dom", path.as_uri())
+    dom = browse(folder, READING_FILES, *arguments, "--window-size=1400,1000", "--dump-dom", path.as_uri())
     return json.loads(html.unescape(re.search(r'<pre id="probe">(.*?)</pre>', dom, re.S).group(1)))
 
 
