@@ -325,6 +325,14 @@ def test_record_takes_address_and_rig(project, run):
     assert "--address nonsense://x --rig rig.toml" in err
 
 
+@pytest.mark.parametrize("words", [("test",), ("reset",), ("config", "get"), ("config", "set", "osr=2048")])
+def test_commands_for_the_box_take_its_port(project, run, words):
+    (project / FILE).write_text(format_project(Project("puma560", box="/dev/none")))
+    code, _, err = run("box", *words)
+    assert code != 0
+    assert err.splitlines()[0] == "truearm.toml: --box /dev/none"
+
+
 def test_a_recording_that_is_resumed_takes_no_plan_or_file_from_the_project(project, run):
     (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
     err = run("record", "--resume", project / "gone.mcap").err

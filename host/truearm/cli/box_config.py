@@ -10,6 +10,7 @@ import typer
 from truearm.box.conversation import conversation
 from truearm.cli.options import BoxOption, ForceOption, JsonOption, StopOption, out_file
 from truearm.cli.output import command_group, print_json, print_lines
+from truearm.cli.project import ProjectCommand
 from truearm.errors import ConfigError
 
 config = command_group(
@@ -19,7 +20,7 @@ config = command_group(
 )
 
 
-@config.command()
+@config.command(cls=ProjectCommand)
 def get(
     device: BoxOption,
     out: Annotated[Path | None, out_file("the configuration (.toml), instead of printing it")] = None,
@@ -49,7 +50,7 @@ def get(
         typer.echo(f"{out}: the configuration of {device}")
 
 
-@config.command("set")
+@config.command("set", cls=ProjectCommand)
 def put(
     changes: Annotated[
         list[str],

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 EXPERIMENTS = ("ballbar", "line", "both")  # of truearm demo, whose option was once --rig
-BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash")
+BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash", "reset")
 Answer = Callable[[], Any]  # the value of an option; None: no default
 
 
@@ -149,6 +149,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         return shown(new_plan(home / project.plan))
 
     planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
+    box: Mapping[str, Answer] = {"device": text(project.box)}
     gauging = {"gauge": {"operator": text(project.operator)}}
     result: Mapping[str, Answer] = {"result": newest_result, **robot}
     return {
@@ -172,5 +173,8 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "relabel": {"session": newest_session, **robot},
         "export-session": {"session": newest_session, **robot},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
-        "box": {name: {"device": text(project.box), **gauging.get(name, {})} for name in BOX_COMMANDS},
+        "box": {
+            **{name: {**box, **gauging.get(name, {})} for name in BOX_COMMANDS},
+            "config": {"get": box, "set": box},
+        },
     }

@@ -50,7 +50,8 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
     if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:
         raise RobotError(
-            f"robot {robot.name}: its axes are not arranged like those of a Universal Robots arm; use another format"
+            f"robot {robot.name}: its axes are not arranged like those of a Universal Robots arm in its drawing; use another "
+            "format, such as urdf"
         )
     segments, _ = ur_segments(robot)
     lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]
