@@ -97,8 +97,9 @@ def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
     residuals = bench.folder / f"residuals-{name}.csv"
     more = ("--home", home(bench), "--residuals", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
-    code, _, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
+    code, said, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err
+    assert said.splitlines()[-2:] == [f"Written: {out}", f"Written: {residuals}"]
     rows = list(csv.DictReader(residuals.open()))
     numbered = enumerate(given.read_bytes().splitlines(), start=1)
     mine = {"program.mod": b"[0,", "program.script": b"p["}[name]
@@ -191,9 +192,9 @@ def test_other_files_are_not_read_as_tables(bench, tmp_path, capsys):
     robot.write_text((bench.folder / "targets.csv").read_text())  # a table in all but its name
     code, _, err = run(capsys, "correct", bench.folder / "result.json", robot, "--out", tmp_path / "out.csv")
     assert code == 2
-    assert "robot.urdf: is neither a table of targets (.csv) nor a program (.mod, .prg, .script)" in " ".join(
-        err.split()
-    )
+    suffixes = ".mod, .prg, .modx, .sys, .sysx, .script, .urscript"
+    told = f"robot.urdf: is neither a table of targets (.csv) nor a program ({suffixes})"
+    assert told in " ".join(err.split())
     assert not (tmp_path / "out.csv").exists()
 
 

@@ -190,7 +190,8 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    print_result(found.document, [*lines(found), *([f"Written: {one_line(str(report))}"] if report else [])], as_json)
+    further = [f"Written: {one_line(str(path))}" for path in (residuals, report) if path is not None]
+    print_result(found.document, [*lines(found), *further], as_json)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:

@@ -85,4 +85,5 @@ def export(
 
     options = ExportOptions(form, own_frames, tuple(adjust or ()), payload_of(payload))
     found = export_file(result, RobotChoice(robot, base, tip), out, options, over, curves, force, allow_unusable)
-    print_result(document(found, out, curves), lines(found, out, over), as_json)
+    written = [path for path in (out, curves) if path is not None]
+    print_result(document(found, written), lines(found, written, over), as_json)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,13 @@ from truearm.workflows.export import ExportedRobot, cost_lines
 REMEDY = "For the best fit where you work, give --over FILE, a plan or a table of poses there."
 
 
-def lines(found: ExportedRobot, out: Path, over: Path | None) -> list[str]:
-    """The mountings, the error that the refit leaves, and the file; ``over``: what it was refitted over."""
+def lines(found: ExportedRobot, written: Sequence[Path], over: Path | None) -> list[str]:
+    """The mountings, the error that the refit leaves, and the files; ``over``: what it was refitted over."""
     remedy = [REMEDY] if found.fitted.refitted and over is None else []
-    return [*found.mountings, *cost_lines(found), *remedy, f"Written: {one_line(str(out))}"]
+    return [*found.mountings, *cost_lines(found), *remedy, *(f"Written: {one_line(str(path))}" for path in written)]
 
 
-def document(found: ExportedRobot, out: Path, curves: Path | None) -> dict[str, Any]:
+def document(found: ExportedRobot, written: Sequence[Path]) -> dict[str, Any]:
     """The same as JSON: what the format has no place for, whether the rest was refitted, and the errors of position and orientation that are left [mm, deg]."""
     fitted = found.fitted
     left, dropped = (Figures.of(MM.of(error)) for error in (fitted.left, fitted.dropped))
@@ -37,5 +38,5 @@ def document(found: ExportedRobot, out: Path, curves: Path | None) -> dict[str, 
         "left_max_deg": left_turn.max,
         "dropped_rms_mm": dropped.rms,
         "dropped_rms_deg": dropped_turn.rms,
-        "written": [str(path) for path in (out, curves) if path is not None],
+        "written": [str(path) for path in written],
     }

@@ -19,6 +19,7 @@ from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_columns import Column
+from truearm.files.programs.suffixes import RAPID_SUFFIXES, SCRIPT_SUFFIXES
 from truearm.model.poses import pose_of
 from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
@@ -47,7 +48,8 @@ def check_is_table(path: Path) -> None:
     """Raise TargetError unless the name of a file is that of a table."""
     if path.suffix.lower() != ".csv":
         raise TargetError(
-            f"{path}: is neither a table of targets (.csv) nor a program (.mod, .prg, .script); give one of these"
+            f"{path}: is neither a table of targets (.csv) nor a program ({', '.join((*RAPID_SUFFIXES, *SCRIPT_SUFFIXES))}); "
+            "give one of these"
         )
 
 
