@@ -15,7 +15,7 @@ DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/v
 .PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
-	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-20s %s\n", $$1, $$2}'
+	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-22s %s\n", $$1, $$2}'
 
 demo: .venv/installed ## simulate, record, identify, validate: ends with out/demo/report.html
 	@$(BIN)/python -m truearm_sim.micropython --get || echo "demo: going on with CPython in MicroPython's place"
