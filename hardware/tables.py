@@ -112,7 +112,7 @@ def inputs(circuit: Netlist) -> str:
     t, loop, d = budget.transducer(circuit), budget.loop_scale(circuit), budget.demodulator(circuit)
     low = budget.transducer(circuit, budget.ADC_OHM * (1 - budget.ADC_OHM_TOLERANCE)).scale / t.scale - 1
     return table(
-        ("input", "signal", "at the converter", "set gain", "corner", "delay"),
+        ("input", "signal", "at the converter", "gain to set", "corner", "delay"),
         [
             (
                 "AIN0",

@@ -35,6 +35,7 @@ BOX_WORDS = {  # of the box's counters; others are called by their names
     "crc_errors": "damaged frames of the box's converter",
     "converter_resets": "resets of the box's converter by itself",
     "missing_stops": "magnetostrictive interrogations without a stop pulse",
+    "thermometer_errors": "failed readings of a thermometer",
 }
 EDGE_WORDS = (  # of trigger edges that are not used
     ("unseen", "not visible in any reading"),
