@@ -616,7 +616,7 @@ def test_masked_values_are_not_taken_for_values(table, result):
 def test_numpy_numbers_and_lists_are_taken():
     chosen = truearm.IdentifyOptions(free=["*.offset"], max_iterations=np.int64(3))
     assert (list(chosen.free), chosen.max_iterations) == (["*.offset"], 3)
-    assert truearm.BallBarOptions(dwell=np.float32(1.0), spread=0, candidates=np.int32(60)).dwell == 1.0
+    assert truearm.BallBarOptions(dwell=np.float32(2.0), spread=0, candidates=np.int32(60)).dwell == 2.0
     rows = truearm.ObservationTable(q=[[1, 2]], kind=["seat"], place=["p"], socket=["s"])
     assert (rows.q.dtype, rows.q.shape, rows.kind.shape) == (np.dtype(float), (1, 2), (1,))
 

@@ -348,7 +348,7 @@ def characterize(
     branch: BranchOption = None,
     reserve: ReserveOption = None,
     dwell_s: Annotated[
-        float, typer.Option(min=1.5, max=600.0, metavar="S", help="Duration of the rest at each pose.")
+        float, typer.Option(metavar="S", help="Duration of the rest at each pose.", **bounded(DWELL))
     ] = option_defaults.DWELL,
     seed: SeedOption = option_defaults.SEED,
     out: OutOption = None,

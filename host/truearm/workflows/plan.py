@@ -108,7 +108,7 @@ class BallBarOptions(Checked):
     spread : float
         Varies the bar's length [m] about mid-travel.
     dwell : float
-        Duration of the rest at each pose [s], 0.5 to 600.
+        Duration of the rest at each pose [s], 1.5 to 600.
     seed : int
         Random seed; 0 or more.
     visits : int
