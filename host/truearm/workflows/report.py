@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from truearm import __version__
-from truearm.errors import InputError
+from truearm.errors import Argument, InputError
 from truearm.estimate.solvers import Prior
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project
@@ -141,5 +141,7 @@ def _check_same(path: Path, value: np.ndarray[Any, np.dtype[np.float64]], found:
     if (apart & seen).any() or len(e.value) != len(value):
         name = e.parameter_names[int(np.argmax(apart & seen))]
         raise InputError(
-            f"{path}: the files given lead to another result (first difference: {name}); give the rig and noise files that it was made with"
+            f"{path}: the files given lead to another result (first difference: {name}); give only the files that it was made "
+            "with, and the same ",
+            Argument("line_points"),
         )
