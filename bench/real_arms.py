@@ -322,7 +322,7 @@ PAGE = """# Real arms
 This page shows how accurate truearm's results are on public data of real arms, for engineers who want to know what to expect. The errors
 are those of rows that were not fitted. `make benchmark` writes this page and its picture (`bench/real_arms.py`).
 
-Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for MUKCa they are the distance of the ball from its
+Errors are mean / largest of the held-out rows, in mm. They are 3-D errors of a tracked point; for the MUKCa sets they are the distance of a seated ball from its
 socket. "Before" is the nominal robot, with the rig that the identification found. (`truearm identify` fits the rig to the nominal robot instead, so its "before" is smaller.) All data sets are fitted with the same options: `truearm identify` with
 `--joint-laws none`, then with its defaults. "Rows to fit" includes the rows that a fit leaves out as outliers. "s" is the CPU time of these two fits in seconds. "To reach" is the goal that the project set itself. UR10 C and A are two series of measurements of one arm. pybotics fits 25 geometric parameters, as its example does. figaroh is not
 run, because its calibration needs a URDF and a configuration file for each arm; [Benchmarks](benchmarks.md) compares its geometry on simulated data.
@@ -338,20 +338,20 @@ run, because its calibration needs a URDF and a configuration file for each arm;
 - **UR10** (Fraunhofer IPA, laser tracker): a random fifth of the rows of series C and A is held out. Series A is a grid, so a random split only tests interpolation. Its other split holds out 4 of 22 clusters of
   joint space (k-means of all joint readings, scaled to their standard deviations).
 - **The largest error of UR10 C** depends on whether its first row is held out. That row is the home position, straight up. It lies outside all other rows by 32° in joint 2, 7° in joint 1 and
-  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 (the line `--hold-out 0.2` of the table) holds it out, and the largest error is that of the home position.
+  3° in joint 3, where no error curve could be fitted. `truearm identify --hold-out 0.2` with seed 0 (the row `--hold-out 0.2` of the table) holds it out, and the largest error is that of the home position.
   Of 11 such splits (seeds 0 to 10), the mean error is 0.081 to 0.089 mm. The largest is 0.28 to 0.36 mm in the six that fit the home position, and 0.54 to 0.61 mm, at the home position, in the five that hold it out.
-  Geometry alone errs by 1.32 mm there. In the line `--hold-out 0.2, row 1 left out`, the split is the same, but
+  Geometry alone errs by 1.32 mm there. In the row `--hold-out 0.2, row 1 left out`, the split is the same, but
   the home position is neither fitted nor judged. The largest error, 0.365 mm, is then that of data row 291, which lies 2° outside all fitted rows in joint 3. Within the fitted range, the largest error is 0.314 mm.
 - **UR10 C by bars**: simulated bar lengths between three chucks and the tracked points, where they lie within ±37.5 mm of 46 and 61 cm, with 0.03 mm of noise. The chucks were placed at random
   (`chuck_places()` with seed 0). The identification starts from coordinates with a standard deviation of 10 mm and estimates them. The result is judged by the tracked points of a fifth of the poses, after the base was fitted to them.
 - **UR5** (Tsinghua, laser tracker): the author's 20 random poses are held out.
-- **MUKCa** (ball in sockets): complete places are held out, which the table names.
+- **MUKCa** (a ball on the end is seated in the sockets of a tool, which lies at several places): complete places are held out. The table names the fitted places, an arrow, and the held-out ones.
 - **Constants.** The constants of the error curves (knots, length scales in octaves, and priors of the variances: [decision 28](../decisions/0028-joint-laws-by-evidence.md)) were chosen on UR10 series C and on an IRB 120 that is not in this table. The rule by which a variance
   that fell to zero is raised again was chosen on simulated arms. Nothing was chosen on the other data sets. `auto`, the default of `--joint-laws`, never uses held-out rows.
 
 ## Public data that are not in the repository
 
-These sets were fitted with the same options, after all constants had been chosen. UR10 B and D are other series of the arm above. The constants were chosen on an IRB 120 too, probably this one, so it is no independent test. They are not copied here, so `make benchmark` does not repeat them. All of them are
+These sets were fitted with the same options, after all constants had been chosen. UR10 B and D are other series of the arm above. The constants were chosen on an IRB 120 too, probably this one, so this IRB 120 is no independent test. The data are not copied here, so `make benchmark` does not repeat them. All of them are
 public repositories of other projects.
 
 | data | split | geometry | with joint laws |
