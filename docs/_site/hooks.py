@@ -138,10 +138,6 @@ def docstring_section(name: str) -> str:
     if name.startswith("__"):
         return ""
     thing = getattr(truearm, name)
-    try:
-        signature = str(inspect.signature(thing))
-    except ValueError:
-        signature = ""
     text, heading, examples = (inspect.getdoc(thing) or "").partition("Examples\n--------\n")
     text = re.sub(r"^(\w+)\n-{3,}$", r"**\1**\n", text, flags=re.MULTILINE)
     text = re.sub(r"^(\S.*)\n((?: {4}.*\n?)+)", _entry, text, flags=re.MULTILINE)
@@ -149,7 +145,7 @@ def docstring_section(name: str) -> str:
         f"### `{name}` {{ #{name} }}",
         "",
         "```python",
-        f"{name}{_short(signature)}",
+        f"{name}{_signature(thing)}",
         "```",
         "",
         text.replace("``", "`"),
@@ -166,8 +162,15 @@ def _entry(found: re.Match[str]) -> str:
     return f"- `{name}`{' : ' + what if what else ''}. {said}\n"
 
 
-def _short(signature: str) -> str:
-    return re.sub(r"(truearm|numpy|pathlib|collections\.abc|typing)(\.\w+)*\.(?=\w)", "", signature).replace("'", "")
+def _signature(thing: Any) -> str:
+    """Return the names and defaults of the arguments; the docstring has their types."""
+    try:
+        signature = inspect.signature(thing)
+    except ValueError:
+        return ""
+    arguments = [one.replace(annotation=one.empty) for one in signature.parameters.values()]
+    text = str(signature.replace(parameters=arguments, return_annotation=signature.empty))
+    return re.sub(r"<[\w.]+: ('\w+')>", r"\1", text).replace("<factory>", "…")
 
 
 # notebooks

@@ -472,7 +472,8 @@ class Estimate:
     ``sigma`` is NaN where the observations do not determine a parameter or it was not free. ``covariance`` is (p, p),
     with zero rows for parameters that were not free. ``identifiable`` is False where a parameter takes part in a null
     direction. ``distance`` is standardised: for a clean row it has the χ distribution with the row's number of
-    residuals; it is NaN where a row was held out.
+    residuals; it is NaN where a row was held out. Fields that result.json has too
+    (docs/reference/result-format.md) mean the same, in SI units.
 
     Examples
     --------

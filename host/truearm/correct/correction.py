@@ -45,7 +45,11 @@ SEARCHED = Configuration()
 
 
 class Correction(NamedTuple):
-    """n corrected targets; a row with a ``problem`` must not be used.
+    """n corrected targets.
+
+    ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
+    correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
+    end in m and rad. ``problem`` says why a row must not be used, "" where nothing is wrong.
 
     Examples
     --------
@@ -58,12 +62,12 @@ class Correction(NamedTuple):
     ((1, 6), ('',))
     """
 
-    q_nominal: Floats  # (n, j) what the controller would have used
-    q: Floats  # (n, j) what it should use
-    commanded: Floats  # (n, 4, 4) the pose to command
-    before: Floats  # (n, 2) m, rad: error of the end without the correction
-    after: Floats  # (n, 2)
-    problem: tuple[str, ...]  # n, "" where there is none
+    q_nominal: Floats
+    q: Floats
+    commanded: Floats
+    before: Floats
+    after: Floats
+    problem: tuple[str, ...]
 
 
 def correct(

@@ -36,7 +36,12 @@ STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distingu
 
 
 class ErrorMap(NamedTuple):
-    """Cells (v, u) of a section; cells that no joint vector reaches are NaN.
+    """The cells of a section: l rows along v, k columns along u. Cells that no joint vector reaches are NaN.
+
+    ``u`` (k,) and ``v`` (l,) are the middles of the cells [m], along ``axes[0]`` and ``axes[1]``, unit vectors in the base
+    frame. ``q`` (l, k, j) are the joint readings and ``point`` (l, k, 3) the place of the nominal end [m]. ``error`` (l, k)
+    is its distance from the identified end [m], and ``sigma`` (l, k) the standard deviation of that end's position [m],
+    NaN if undetermined. ``outside`` (l, k) is True where a joint is outside the fitted readings, None if these are unknown.
 
     Examples
     --------
@@ -47,14 +52,14 @@ class ErrorMap(NamedTuple):
     ((2, 3), True)
     """
 
-    u: Floats  # (k,) m, middles along ``axes[0]``
-    v: Floats  # (l,) m, middles along ``axes[1]``
-    axes: Floats  # (2, 3) unit vectors in the base frame
-    q: Floats  # (l, k, j)
-    point: Floats  # (l, k, 3) m, the nominal end
-    error: Floats  # (l, k) m
-    sigma: Floats  # (l, k) m, standard deviation of the identified end's position
-    outside: NDArray[np.bool_] | None = None  # (l, k) a joint is outside the fitted readings; None: unknown
+    u: Floats
+    v: Floats
+    axes: Floats
+    q: Floats
+    point: Floats
+    error: Floats
+    sigma: Floats
+    outside: NDArray[np.bool_] | None = None
 
 
 class BestRectangle(NamedTuple):

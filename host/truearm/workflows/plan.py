@@ -103,16 +103,16 @@ class BallBarOptions(Checked):
     bars : tuple of str
         Use only these bars of the rig. Default: all.
     reserve : float, optional
-        Travel of the bar [m] that is reserved for errors of the model. Default: 22 mm with the design, 3 mm with a
-        result.
+        Travel of the bar [m] that is reserved for errors of the model. Default: 22 mm with the nominal robot, 3 mm with
+        a result.
     spread : float
-        Varies the bar's length [m] about mid-travel.
+        The bar's length varies by up to this [m] to either side of mid-travel, which determines its gain.
     dwell : float
         Duration of the rest at each pose [s], 1.5 to 600.
     seed : int
         Random seed; 0 or more.
     visits : int
-        Visits to every mount, 1 to 10, each with a share of the poses, to reveal drifts and slips.
+        How often each pairing is mounted, 1 to 10, each time for a share of its poses, to reveal drifts and slips.
     check_poses : int
         Poses of the first mount that are visited again in the middle and at the end, 0 to 100. None with several visits;
         at most one in 36 poses, and none for fewer than 108 poses.
