@@ -37,7 +37,7 @@ def validate(
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
-    """Judge a calibration by other measurements: errors with and without it, by region, and a verdict.
+    """Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.
 
     The robot's parameters stay as identified. The unknowns of the rig are estimated from the new rows, with and without the
     calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool are estimated

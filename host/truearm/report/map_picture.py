@@ -1,4 +1,4 @@
-"""An error map as a picture: one coloured square per cell, a scale, and the best region for a task."""
+"""An error map as a picture: one coloured square per cell, a scale, and the best place for a task."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def map_picture(
         parts.append(label(plot.width - 128.0, 18, "pale: not calibrated"))
     if task_mm is not None:
         (x0, x1), (y1, y0) = plot.px(task_mm[:2]), plot.py(task_mm[2:])
-        parts.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best region for the task"))
+        parts.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best place for the task"))
     parts += _scale(plot, low, high)
     picture = drawing(plot.width, plot.height, parts, title)
     return picture.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
