@@ -208,13 +208,14 @@ class Rig(Checked):
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
     points that lines and trackers measure and that touch planes) are given in the end frame of the chain. ``seat_sigma``
-    [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base frame) holds the
-    sockets with prior information; all others are placed by their own seats.
+    [m] is the standard deviation of each coordinate of a ball seated in a socket. ``sockets`` (base frame), by place
+    and name, holds the sockets with prior information; all others are placed by their own seats.
 
     If ``lines`` is empty, rows may name any line, with noise ``line_sigma`` [m] along the device's x, y, z (Renders
-    1991, III-C); otherwise ``lines`` must contain every line that rows name. ``line_placement`` is how a line without
-    a pose is initially placed. ``line_travel`` [m] is the full range of the device's transverse sensors, which read
-    ±line_travel/2; None means any reading is used.
+    1991, III-C); otherwise ``lines`` must contain every line that rows name. ``line_placement``
+    is how a line without a pose is initially placed, "least_squares" or "two_point" (by its first two points).
+    ``line_travel`` [m] is the full range of the device's transverse sensors, which read ±line_travel/2; None means any
+    reading is used.
 
     ``time_offset`` τ [s] means that the joints were truly at q(t) = q_reading(t + τ); only rows with velocities depend
     on it. ``time_offset_sigma`` works like the ``sigma`` of a Device. ``joint_cov`` S_q [rad², m²] is the covariance
@@ -288,20 +289,22 @@ _NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of 
 class ObservationTable:
     """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 
-    - ``kind``: one of ``kinds.registry.NAMES``.
-    - ``value`` [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row
+    - ``q`` (n, j) [rad, m]: joint readings.
+    - ``kind`` (n,): "ball_bar", "seat", "line", "position", "pose" or "plane".
+    - ``value`` (n,) [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row
       (NaN means 0, a touch). NaN for other kinds.
-    - ``xyz`` [m]: the measured point of a line, position or pose row, in the device's axes.
-    - ``rotation`` [rad]: the measured rotation vector of a pose row.
-    - ``q_rate``: joint velocities, NaN where the robot was at rest or they were not measured.
-    - ``side``: direction in which each joint last moved before the robot stopped, −1 or 1, NaN where unknown.
-    - ``sigma`` [m or rad]: standard deviation of each residual in the (first) unit of the row's kind, NaN to use the
-      figure from the rig.
-    - ``xyz_sigma`` [m]: standard deviation of this point's own noise along the device's axes, in addition to that
-      figure. NaN for none.
-    - ``time`` [s]: time of the measurement on any clock. ``temperature`` [°C]: temperature of the box at that time. NaN
-      where unknown.
-    - Identifier columns hold "" where a row has no such identifier. ``rig`` is the rig that a row belongs to.
+    - ``xyz`` (n, 3) [m]: the measured point of a line, position or pose row, in the device's axes.
+    - ``rotation`` (n, 3) [rad]: the measured rotation vector of a pose row.
+    - ``q_rate`` (n, j): joint velocities, NaN where the robot was at rest or they were not measured.
+    - ``side`` (n, j): direction in which each joint last moved before the robot stopped, −1 or 1, NaN where unknown.
+    - ``sigma`` (n,) [m or rad]: standard deviation of each residual in the (first) unit of the row's kind, NaN to use
+      that of the rig.
+    - ``xyz_sigma`` (n, 3) [m]: standard deviation of this point's own noise along the device's axes, in addition to that
+      of the rig. NaN for none.
+    - ``time`` (n,) [s]: time of the measurement on any clock. ``temperature`` (n,) [°C]: temperature of the box at that
+      time. NaN where unknown.
+    - ``bar``, ``chuck`` and the other columns of names (n,) hold "" where a row has no such part. ``rig`` is the name of
+      the rig that a row belongs to.
     - ``source``: where a row comes from, for messages ("poses.csv row 17"; by default "table[16]").
     - ``more``: columns that only other kinds have, (n,) or (n, c), by the name that the kind declares.
 
