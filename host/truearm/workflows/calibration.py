@@ -64,8 +64,8 @@ class Calibration:
     ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified ones, 0
     for fixed ones. ``unseen`` (p, d) holds the null space: the directions that the observations did not determine,
     including those fixed as a choice of frame. The largest weight of each direction is 1. ``parameters`` maps the name of
-    each parameter, the rig's too, to a ``ParameterEstimate``. ``carrying(mass, centre)`` returns the calibration of the
-    robot with a payload [kg, m].
+    each parameter, the rig's too, to a ``ParameterEstimate``. ``document`` is the content of
+    result.json. ``carrying(mass, centre)`` returns the calibration of the robot with a payload [kg, m].
 
     Examples
     --------
