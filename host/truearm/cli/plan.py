@@ -148,7 +148,7 @@ def ballbar(
         typer.Option(
             "--spread-mm",
             metavar="MM",
-            help="Vary the bar's length about mid-travel, to determine its gain.",
+            help="Vary the bar's length by up to this to either side of mid-travel, to determine its gain.",
             **bounded(TRAVEL, MM),
         ),
     ] = MM.of(option_defaults.SPREAD),
