@@ -309,7 +309,7 @@ class ObservationTable:
     - ``more``: columns that only other kinds have, (n,) or (n, c), by the name that the kind declares.
 
     Columns that are not given are filled with NaN or "". Raises TypeError or InputError for a column of the wrong type
-    or shape.
+    or shape. ``select(rows)`` returns the rows of a mask or of indices, ``joined(tables)`` one table of several.
 
     Examples
     --------

@@ -35,6 +35,8 @@ DEFAULT = RobotChoice()
 class ParameterEstimate(NamedTuple):
     """A parameter in its SI unit; ``sigma`` is None if it was held fixed or the observations do not determine it.
 
+    ``of`` is "robot" or "rig". ``seen`` is False if ``sigma`` is None.
+
     Examples
     --------
     >>> import truearm
@@ -49,7 +51,7 @@ class ParameterEstimate(NamedTuple):
     value: float
     sigma: float | None
     free: bool
-    of: str  # "robot" | "rig"
+    of: str
 
     @property
     def seen(self) -> bool:

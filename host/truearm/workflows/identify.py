@@ -135,6 +135,8 @@ DEFAULTS = IdentifyOptions()
 class Identification(Calibration):
     """A calibration with its observations and the complete estimate.
 
+    ``predicted`` is the predicted error of the measured point (``predicted_error`` of result.json), None if unknown.
+
     Examples
     --------
     >>> import truearm
