@@ -13,7 +13,7 @@ from truearm.cli.reproduce import lines
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.reproduce_page import (
-    NOT_COMPARABLE,
+    IN_KIND,
     NOT_JUDGED,
     NOT_REPRODUCED,
     REPRODUCED,
@@ -78,8 +78,8 @@ def test_goswami_numbers(made):
     assert far["verdict"] == NOT_REPRODUCED
     # The gears' size was chosen to give the paper's figure: to agree is not a success.
     assert [named(numbers, s)["verdict"] for s in ("the same with gear", "its residual on")] == [
-        NOT_COMPARABLE,
-        NOT_COMPARABLE,
+        IN_KIND,
+        IN_KIND,
     ]
     assert named(numbers, "amplification at R_b")["ours"] == pytest.approx(4.0, rel=0.02)
     nees, chi2 = named(numbers, "normalised"), named(numbers, "χ²")
@@ -111,7 +111,7 @@ def test_every_sigma_that_renders_prints_has_its_line(made):
     for case, printed, smallest in (("III-E", 5, 0.0005), ("III-F", 9, 0.0002)):
         lines = [c for c in claims(made["renders"][0], case) if c["what"].startswith("σ of")]
         assert len(lines) == printed
-        assert {c["verdict"] for c in lines} == {NOT_COMPARABLE}
+        assert {c["verdict"] for c in lines} == {IN_KIND}
         assert min(c["paper"] for c in lines if c["unit"] == "rad") == smallest
         for line in lines:
             once = float(re.search(r"once and gives ([\d.]+(?:·10⁻\d)?) ", line["why"])[1].replace("·10⁻", "e-"))
@@ -129,7 +129,7 @@ def test_lengths_improve_what_offsets_leave(made):
     )
     assert 0.5 < sure["ours"] < 1.0
     assert abs(none["ours"]) < 0.2
-    assert sure["verdict"] == none["verdict"] == NOT_COMPARABLE
+    assert sure["verdict"] == none["verdict"] == IN_KIND
 
 
 def test_two_experiments_do_not_judge_figure_four(made):
@@ -189,7 +189,7 @@ def test_bad_input(tmp_path, capsys):
     [
         (1.0, 1.1, 0.2, REPRODUCED),
         (1.0, 1.3, 0.2, NOT_REPRODUCED),
-        (1.0, 9.0, None, NOT_COMPARABLE),
+        (1.0, 9.0, None, IN_KIND),
         (None, 1.0, 0.0, TRUEARM_ONLY),
     ],
 )
@@ -205,7 +205,7 @@ def test_the_terminal_lists_what_is_not_reproduced():
         Claim("d", "1", 1, 1),
     )
     head, *listed = lines(ReproducePage("t", "s", (Chapter("c", "", claims),)))
-    assert head.strip() == "1 reproduced, 0 not comparable, 3 not reproduced, 0 not in the paper"
+    assert head.strip() == "1 reproduced, 0 in kind, 3 not reproduced, 0 not in the paper"
     assert listed == [
         "  a: paper 1 mm, truearm 2 mm. W.",
         "  b: paper 4, truearm 7.",

@@ -2,7 +2,7 @@
 
 A claim has a number from the paper (or none, if only truearm has one), truearm's number, and the theoretical
 expectation. Its verdict follows from the numbers: reproduced if they agree within the tolerance, which must be given
-with its reason; not comparable if the paper does not give what is needed to compute its number; not judged if there are
+with its reason; in kind if the paper does not give what is needed to compute its number; not judged if there are
 so few experiments that the result depends on chance.
 """
 
@@ -18,10 +18,10 @@ from truearm.report.page_parts import command_block, html_page, picture, picture
 from truearm.report.page_tables import step_table
 from truearm.report.page_text import ABSENT, escape, figures
 
-REPRODUCED, NOT_REPRODUCED, NOT_COMPARABLE, TRUEARM_ONLY = (
+REPRODUCED, NOT_REPRODUCED, IN_KIND, TRUEARM_ONLY = (
     "reproduced",
     "not reproduced",
-    "not comparable",
+    "in kind",
     "not in the paper",
 )
 NOT_JUDGED = "not judged"
@@ -45,7 +45,7 @@ class Claim:
         if self.paper is None:
             return TRUEARM_ONLY
         if self.tolerance is None:
-            return NOT_COMPARABLE
+            return IN_KIND
         if not self.judged:
             return NOT_JUDGED
         return REPRODUCED if abs(self.ours - self.paper) <= self.tolerance else NOT_REPRODUCED
@@ -92,7 +92,7 @@ def left_out(rows: tuple[tuple[str, str], ...]) -> Chapter:
 def counts(page: ReproducePage) -> dict[str, int]:
     """Return the number of claims per verdict; "not judged" only if there are any."""
     every = [claim.verdict for chapter in page.chapters for claim in chapter.claims]
-    verdicts = (REPRODUCED, NOT_COMPARABLE, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), TRUEARM_ONLY)
+    verdicts = (REPRODUCED, IN_KIND, NOT_REPRODUCED, *[NOT_JUDGED] * (NOT_JUDGED in every), TRUEARM_ONLY)
     return {verdict: every.count(verdict) for verdict in verdicts}
 
 
@@ -128,7 +128,7 @@ def render(page: ReproducePage) -> str:
 def _summary(page: ReproducePage) -> str:
     notes = {
         REPRODUCED: ("fit", "within the tolerance explained in the remark"),
-        NOT_COMPARABLE: ("old", "the paper does not give everything that the number depends on"),
+        IN_KIND: ("old", "compared by eye: the paper does not give everything that its number depends on"),
         NOT_REPRODUCED: ("val", "the remark says why"),
         NOT_JUDGED: ("old", "too few experiments: a quick run"),
         TRUEARM_ONLY: ("old", "the paper does not give this number"),
