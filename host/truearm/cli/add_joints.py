@@ -48,7 +48,7 @@ def add_joints(
         float | None,
         typer.Option(
             metavar="S",
-            help="Time of the session at which the controller's time was 0 [s]. Default: the controller's time is UTC.",
+            help="When the controller's time was 0, in seconds after the first message of the session. Default: the controller's time is UTC.",
         ),
     ] = None,
     replace: Annotated[

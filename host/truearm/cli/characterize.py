@@ -49,7 +49,7 @@ def characterize(
     as_json: JsonOption = False,
     allow_damaged: AllowDamagedOption = False,
 ) -> None:
-    """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, with their intervals.
+    """Measure how well a robot repeats: spread, backlash, settling time, noise of joints and sensor, each with its 95 % interval.
 
     The session is a recording of a plan of truearm plan characterize; files that continue it (truearm record
     --resume) are read with it. The nominal robot is sufficient. Give --plan if the session contains no plan.

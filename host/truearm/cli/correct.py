@@ -57,7 +57,7 @@ def correct(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Frame of the targets in the calibration's base frame [mm; rotation vector in deg]; for a program, the controller's base (RAPID: its world frame) in it. NAME=…: a work object that the "
+            help="Frame of the targets in the calibration's base frame [mm; rotation vector in deg]; for a program, the pose of the controller's base (RAPID: its world frame) in the calibration's base frame. NAME=…: a work object that the "
             "program does not declare. Repeatable.",
         ),
     ] = None,
@@ -65,7 +65,7 @@ def correct(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]X,Y,Z,RX,RY,RZ",
-            help="Pose of the tool in the end frame [mm; rotation vector in deg]; for a URScript the tool in use before it sets one. NAME=…: a tool that a RAPID "
+            help="Pose of the tool in the end frame [mm; rotation vector in deg]; for a URScript, the tool that is in use until it sets one. NAME=…: a tool that a RAPID "
             "program does not declare. Repeatable.",
         ),
     ] = None,

@@ -127,7 +127,7 @@ def init(
         )
         branch = ask(
             branch,
-            "Joint bounds of the arm configuration to stay in [deg], LOW:HIGH,… from the base on",
+            "Bounds of every joint [deg], within which the arm keeps one configuration, LOW:HIGH,… from the base on",
             _branch_of(model, base, tip) if asking else str,
         )
     project = Project(

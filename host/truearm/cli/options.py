@@ -100,7 +100,7 @@ BranchOption = Annotated[
     str | None,
     typer.Option(
         metavar="LOW:HIGH,…",
-        help="Joint bounds of the arm configuration to stay in [deg]. Default: the robot file's [branch], "
+        help="Bounds of every joint [deg], within which the arm keeps one configuration. Default: the robot file's [branch], "
         f"which {', '.join(names_with_branch())} have.",
     ),
 ]

@@ -168,7 +168,7 @@ def ballbar(
         typer.Option(
             metavar="N",
             help="Poses of the first mount to measure again half-way and at the end: at most one per 36 poses, none below "
-            "108 poses or with --visits 2.",
+            "108 poses or with --visits 2 or more.",
             **bounded(CHECK_POSES),
         ),
     ] = option_defaults.CHECK_POSES,
@@ -241,7 +241,10 @@ def line(
         option_defaults.LINE_LENGTH
     ),
     transverse_mm: Annotated[
-        float, typer.Option(min=1.0, max=500.0, metavar="MM", help="Measuring range of the transverse sensors.")
+        float,
+        typer.Option(
+            min=1.0, max=500.0, metavar="MM", help="Measuring range of the transverse sensors, from end to end."
+        ),
     ] = MM.of(option_defaults.TRANSVERSE_RANGE),
     speed_mm_s: Annotated[
         float, typer.Option(min=1.0, max=1000.0, metavar="MM/S", help="Speed on the lines.")

@@ -47,7 +47,7 @@ def relabel(
 
     The session itself is not changed: the labels are written beside it, to NAME.labels.json, and all later commands use them. A
     dwell is a rest of the robot at one pose. With --trust evidence it is labelled if one pairing of bar, chuck and sphere has a
-    probability of 99.8 %, otherwise it is left out. Without --trust you are asked about each series of neighbouring
+    probability of at least 99.8 %, otherwise it is left out. Without --trust you are asked about each series of neighbouring
     doubtful dwells.
 
     \b

@@ -122,7 +122,7 @@ def simulate(
             metavar="K",
             min=-20.0,
             max=20.0,
-            help="Warm up the laboratory, with bar and sensor, by K; both have thermometers.",
+            help="Warm up the laboratory, with bar and sensor, by this many kelvin; both have thermometers.",
         ),
     ] = None,
     worn: WornOption = False,
@@ -151,8 +151,9 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="SECONDS:KIND",
-            help="Fault to simulate, such as 20:reboot (repeatable). KIND: flip, lose, double, text, short-write, stall, crash, "
-            "reboot, hang, bad-crc, converter-reset or no-stop.",
+            help="Fault to simulate, such as 20:reboot (repeatable). KIND: short-write (of a frame), flip (a bit), lose or double (a "
+            "data frame), text (between frames), stall (for 0.2 s), crash, reboot (power lost), hang (until the watchdog acts), bad-crc or "
+            "converter-reset (of the converter), no-stop (no pulses of the magnetostrictive head).",
         ),
     ] = None,
 ) -> None:

@@ -66,7 +66,10 @@ TruthOutOption = Annotated[
 ]
 TruthForceOption = Annotated[
     bool,
-    typer.Option("--force", help="Overwrite the file of --truth-out if truearm wrote it. Does not apply to --out."),
+    typer.Option(
+        "--force",
+        help="Overwrite the file of --truth-out if truearm wrote it. Files of the same command in the folder of --out are overwritten in any case.",
+    ),
 ]
 TruthSeedOption = Annotated[
     int | None,

@@ -33,11 +33,13 @@ def entry(method: Method) -> MethodEntry:
         case Method.NEWTON:
             return MethodEntry("full inverse of the identified robot")
         case Method.FALSE_TARGET:
-            return MethodEntry("shift the target by the opposite of the error, Renders 1991 (32)", steps=True)
+            return MethodEntry(
+                "shift the target by the opposite of the error, equation (32) of Renders 1991", steps=True
+            )
         case Method.JOINTS:
-            return MethodEntry("convert the error to joint shifts by the nominal Jacobian, (34)", steps=True)
+            return MethodEntry("convert the error to joint shifts by the nominal Jacobian, equation (34)", steps=True)
         case Method.OFFSETS:
-            summary = "correct the joint law alone (offsets, gains and its other terms), (35)"
+            summary = "correct the joint law alone (offsets, gains and its other terms), equation (35)"
             return MethodEntry(summary, links=False)
         case _:
             assert_never(method)
