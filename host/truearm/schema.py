@@ -461,7 +461,8 @@ class Table(Generic[T]):
         values = {field: spellings[spelled].parse(table[spelled], spelled) for field, spelled in given.items()}
         for key in self.keys:
             if not key.optional and key.called not in given:
-                first, *others = [s for s, other in spellings.items() if other.called == key.called]
+                mine = [s for s, other in spellings.items() if other.called == key.called]
+                first, *others = sorted(mine, key=len)  # a plain sigma before a covariance
                 raise SchemaError(f"needs {first}" + (f" (or {', '.join(others)})" if others else ""))
         return values | {e.field: e.parse(table[e.name]) for e in self.entries if e.name in table}
 
@@ -504,7 +505,9 @@ def hint(name: str, known: Sequence[str]) -> str:
     """Return which of the known names was probably meant, otherwise a list of them."""
     close = difflib.get_close_matches(name[:MAX_SHOWN], known, n=1)
     if close:
-        return f"did you mean {close[0]}?"
+        of, _, suffix = close[0].rpartition("_")
+        both = [one for one in known if suffix in SUFFIXES and one in {f"{of}_{unit}" for unit in SUFFIXES}]
+        return f"did you mean {' or '.join(both or close)}?"
     listed = ", ".join(known)
     return f"known are {listed if len(listed) <= MOST_LISTED else listed[:MOST_LISTED].rpartition(',')[0] + ', …'}"
 

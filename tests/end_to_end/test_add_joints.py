@@ -152,7 +152,7 @@ class TestWhatIsWrong:
 
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
         table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
-        assert "give the session's time at which it was 0 with --zero" in self.fails(capsys, out, recorded.bare, table)
+        assert "at which the controller's time was 0 with --zero" in self.fails(capsys, out, recorded.bare, table)
         assert "is --zero right?" in self.fails(capsys, out, recorded.bare, table, "--zero", "1e8")
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):

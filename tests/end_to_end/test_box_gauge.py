@@ -362,7 +362,10 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
         assert box(*command) == 2
         said = capsys.readouterr()
-        assert "places measured: 4, some of them more than once (5 readings); a calibration needs 5 or more" in said.err
+        assert (
+            "places measured: 4 (5 readings; those of the same sensor value count once); a calibration needs 5 or more"
+            in said.err
+        )
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, ["n", (40, False), *((mm, True) for mm in places), ""]))
         assert box(*command) == 0
         said = capsys.readouterr().out

@@ -288,7 +288,7 @@ BAD_PROGRAMS = {
     "e.script": (b"[" * 100_000, "nested more than"),
     "f.mod": (b" " * (64 * 2**20 + 1), "larger than 64 MiB"),
     "g.script": (b"", "nothing to correct"),
-    "h.script": (b"movej([0,0,0,0,0,0])", "say whether to keep or correct them with --joint-moves"),
+    "h.script": (b"movej([0,0,0,0,0,0])", "to keep or to correct these, give --joint-moves keep or correct"),
 }
 
 

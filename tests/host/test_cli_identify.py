@@ -138,7 +138,7 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
     assert named == {f"t.csv row {i + 2}" for i in range(20)}
     assert (result["usable"], result["unusable_because"]) == (False, "wrong inputs")
     (found,) = result["explanations"]
-    assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1, fit sphere s0"
+    assert found["text"] == "20 rows from t.csv row 2 to t.csv row 21 name sphere s1 but fit sphere s0"
     lines = text.splitlines()
     assert lines[0].startswith("This fit is not usable. Its inputs are probably wrong. Residuals of ")
     assert " ".join(map(str.strip, lines[1:3])).startswith(

@@ -199,7 +199,7 @@ def tracker(**fields):
             Rig(time_offset_sigma=None),
             "line",
             {"line": "l", "q_rate": np.array([[1.0] * 6, [1.0] * 5 + [np.nan]]), **POINT},
-            "line 2: needs the velocities of all joints",
+            "line 2: has velocities of only some joints",
         ),
         (unchecked(Rig(), time_offset=np.nan), "line", {"line": "l", **POINT}, "time_offset is nan"),
         (Rig(), "plane", {"plane": "p"}, "plane 1: plane 'p' is not in the rig"),

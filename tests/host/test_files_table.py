@@ -174,7 +174,7 @@ WRONG = {
     "length of a seat": ("kind,q1_rad,length_m,place,socket\nseat,0,1,a,0\n", "has no length"),
     "line without its name": (LINE.replace("left", ""), "a line row needs a line"),
     "line without a point": ("kind,q1_rad,line\nline,0,left\n", "a line row needs x_mm, y_mm, z_mm"),
-    "half a point": (LINE.replace("250.5", ""), "row 2: needs x, y and z or none of them"),
+    "half a point": (LINE.replace("250.5", ""), "row 2: has only some of x, y and z; give all of them or none"),
     "point of a seat": (
         SEAT.replace("socket", "socket,x_m,y_m,z_m").replace("front,0", "front,0,1,1,1"),
         "has no x_mm",

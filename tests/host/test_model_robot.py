@@ -334,7 +334,11 @@ ARM = builtin_text("irb120")
         ("lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, -500.0", "bounds of joint 2 must lie within its limits"),
         ("lower_deg = [-155.0, -80.0", "lower_deg = [-155.0, 101.0", "bounds of joint 2 .* lower below upper"),
         ("clearance_mm = 150.0", "clearance = 150.0", "branch: unknown key 'clearance'; did you mean clearance_m"),
-        ("clearance_mm = 150.0", "clear_mm = 150.0", "branch: unknown key 'clear_mm'; did you mean clearance_mm"),
+        (
+            "clearance_mm = 150.0",
+            "clear_mm = 150.0",
+            "branch: unknown key 'clear_mm'; did you mean clearance_m or clearance",
+        ),
         ("[branch]", "[[branch]]", "branch: must be a table, is a list"),
         ("joint = 0", "joint = 7", "capsule: item 1: joint: must be a whole number from 0 .fixed. to 6"),
         ("joint = 0", "joint = 0.5", "capsule: item 1: joint: 0.5 is not a whole number"),

@@ -296,9 +296,9 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     recorded(project / "sessions" / "2026-01-01.mcap")
     code, _, err = run("inspect")
     assert code == 0
-    assert err.splitlines()[0] == "truearm.toml: ../sessions/2026-01-01.mcap"
+    assert err.splitlines()[0] == "from truearm.toml: ../sessions/2026-01-01.mcap"
     err = run("identify").err
-    assert err.startswith("truearm.toml: ../sessions/2026-01-01.mcap --model puma560 --out ../results/")
+    assert err.startswith("from truearm.toml: ../sessions/2026-01-01.mcap --model puma560 --out ../results/")
     measured = ["identify", files / "poses.csv", "--rig", files / "rig.toml"]
     assert run(*measured).code == 0
     *_, result = every = sorted((project / "results").glob("*.json"))
@@ -306,7 +306,7 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     assert run(*measured, "--out", below / "own.json").code == 0
     assert sorted((project / "results").glob("*.json")) == every  # what is typed comes first
     assert run("export", "--format", "dh", "--out", below / "robot.csv").err.startswith(
-        f"truearm.toml: ../results/{result.name} --model"
+        f"from truearm.toml: ../results/{result.name} --model"
     )
 
 
@@ -321,7 +321,7 @@ def test_record_takes_address_and_rig(project, run):
     (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
     code, _, err = run("record", "--duration", 1)
     assert code in (1, 2)
-    assert err.startswith("truearm.toml: --box /dev/none --out sessions/")
+    assert err.startswith("from truearm.toml: --box /dev/none --out sessions/")
     assert "--address nonsense://x --rig rig.toml" in err
 
 
@@ -336,7 +336,7 @@ def test_commands_for_the_box_take_its_port(project, run, words):
 def test_a_recording_that_is_resumed_takes_no_plan_or_file_from_the_project(project, run):
     (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
     err = run("record", "--resume", project / "gone.mcap").err
-    assert err.splitlines()[0] == "truearm.toml: --box /dev/none"
+    assert err.splitlines()[0] == "from truearm.toml: --box /dev/none"
 
 
 def test_a_rehearsal_needs_no_options(project, run):
@@ -344,7 +344,7 @@ def test_a_rehearsal_needs_no_options(project, run):
     assert run("plan", "ballbar", "--poses", 27, "--candidates", 400).code == 0
     code, _, err = run("simulate", "--fast", "--out", project / "rehearsal", "--rate", 254)
     assert code == 0, err
-    assert err.startswith("truearm.toml: --model puma560 --plan plan.csv --rig rig.toml")
+    assert err.startswith("from truearm.toml: --model puma560 --plan plan.csv --rig rig.toml")
 
 
 @pytest.mark.parametrize("options", [["--poses", 9], ["--lines", 2], []])
@@ -353,7 +353,7 @@ def test_a_rehearsal_without_the_plan_does_not_take_its_rig(project, run, option
     if options:
         (project / "plan.csv").write_text("not read")
     err = run("simulate", "--fast", "--rate", 1e9, "--out", project / "rehearsal", *options).err
-    assert err.splitlines()[0] == "truearm.toml: --model puma560"
+    assert err.splitlines()[0] == "from truearm.toml: --model puma560"
 
 
 def test_without_a_project_status_says_how_to_make_one(tmp_path, run, monkeypatch):

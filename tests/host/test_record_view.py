@@ -83,7 +83,7 @@ class TestTravel:
         session.run(3.1, speed=0.01)
         assert session.row("lvdt").alarm
         assert session.row("lvdt").text.endswith("near its end")
-        assert [text[:20] for text in session.said] == ["warning: lvdt is at "]
+        assert [text[:22] for text in session.said] == ["warning: lvdt is near "]
         session.run(0.8, speed=0.01)
         assert session.row("lvdt").text.endswith("BEYOND ITS TRAVEL")
         assert len(session.said) == 1  # once
@@ -96,7 +96,7 @@ class TestTravel:
         assert not session.row("transverse_a").alarm
         session.run(0.7, speed=0.01)  # to 7 mm of 7.5
         assert session.row("transverse_a").alarm
-        assert [text[:28] for text in session.said] == ["warning: transverse_a is at "]
+        assert [text[:30] for text in session.said] == ["warning: transverse_a is near "]
         assert session.said[0].endswith("mm of ±7.5 mm")
 
     def test_the_rail(self):

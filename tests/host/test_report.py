@@ -250,7 +250,7 @@ def test_solver_loss_and_prior_are_facts():
     page = make_page(20, prior="weak")
     text = render(replace(page, estimate=replace(page.estimate, solver="map", loss="huber")))
     assert "<dt>loss</dt><dd>huber: rows far from all others count less</dd>" in text
-    assert "<dt>prior of the robot</dt><dd>weak: nominal to 1 mm, 5 mrad, 0.001 of a gain</dd>" in text
+    assert "<dt>prior of the robot</dt><dd>weak: nominal ± 1 mm, 5 mrad, 0.001 of a gain</dd>" in text
 
 
 def test_a_page_is_known_by_its_head():

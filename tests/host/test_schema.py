@@ -140,13 +140,13 @@ def test_bounds_are_the_units(si: str) -> None:
 
 GOOD = '[[thing]]\nname = "a"\nlength_m = 1\n'
 WRONG = {
-    "unknown key": ("tmie_s = 1\n", "d.toml: unknown key 'tmie_s'; did you mean time_s?"),
+    "unknown key": ("tmie_s = 1\n", "d.toml: unknown key 'tmie_s'; did you mean time_s or time_ms?"),
     "unlike any key": ("zzz = 1\n", "d.toml: unknown key 'zzz'; known are time_s, time_ms, thing, pair"),
-    "unknown suffix": ("time_us = 1\n", "d.toml: unknown key 'time_us'; did you mean time_s?"),
-    "no suffix": ("time = 1\n", "d.toml: unknown key 'time'; did you mean time_s?"),
+    "unknown suffix": ("time_us = 1\n", "d.toml: unknown key 'time_us'; did you mean time_s or time_ms?"),
+    "no suffix": ("time = 1\n", "d.toml: unknown key 'time'; did you mean time_s or time_ms?"),
     "unknown key in an entry": (
         GOOD + "lenght_mm = 1\n",
-        "[[thing]] 1: unknown key 'lenght_mm'; did you mean length_mm?",
+        "[[thing]] 1: unknown key 'lenght_mm'; did you mean length_m or length_mm?",
     ),
     "an odd key": ('"a\\nb" = 1\n', "d.toml: unknown key 'a\\nb'"),
     "a long key": ("x" * 5000 + " = 1\n", "unknown key '" + "x" * 40 + "'"),

@@ -226,7 +226,7 @@ def test_a_wrong_number_in_the_rig_is_named_and_once_allowed_the_fit_is_usable(w
     assert (first.what, first.allow, first.apply) == (WrongInput.CONSTANT, name, "")
     sentence = usability_sentences(given.document, lambda argument: f"--{argument}")[1]
     assert f"{name} differs from the rig by " in sentence
-    assert sentence.endswith(f"; --allow {name}.")
+    assert sentence.endswith(f"; correct this, or give --allow {name}.")
     allowed = truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(allow=(name,)))
     assert allowed.estimate.unusable is None
     assert allowed.estimate.systematic is None

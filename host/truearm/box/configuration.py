@@ -186,6 +186,8 @@ def with_assignment(config: Mapping[str, Any], text: str) -> Values:
         if not value.strip() and not key.needed:
             target.pop(key.called, None)
             return new
+        if not value.strip() and not isinstance(key.value, UnquotedText):
+            raise ConfigError(f"{path.strip()}: needs a value; it cannot be removed")
         with at(path.strip()):
             raw = _value(value.strip(), isinstance(key.value, UnquotedText))
             target[key.called] = key.value.parse(raw, key.spellings[name])

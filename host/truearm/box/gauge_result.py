@@ -81,7 +81,11 @@ def too_few(places: Sequence[Place]) -> str:
 
     if (distinct := distinct_places(_readings(places))) >= FEWEST_PLACES:
         return ""
-    again = f", some of them more than once ({counted(len(places), 'reading')})" if len(places) > distinct else ""
+    again = (
+        f" ({counted(len(places), 'reading')}; those of the same sensor value count once)"
+        if len(places) > distinct
+        else ""
+    )
     return f"places measured: {distinct}{again}; a calibration needs {FEWEST_PLACES} or more, over the whole travel"
 
 

@@ -275,7 +275,7 @@ def _typed(run: GaugeRun, unit: str, stroke: float, operator: GaugeOperator) -> 
     asked_again = False
     while len(run.places) < MAX_REFERENCES:
         line = operator.ask(f"reference [{unit}] (empty line: done; undo: drop the last place): ")
-        if line is None or (not line and (asked_again or _are_enough(run.places, "empty", operator))):
+        if line is None or (not line and (asked_again or _are_enough(run.places, "an empty line", operator))):
             return
         asked_again = not line
         if not line:

@@ -41,13 +41,13 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
                 f"95th percentile {_range(band['share_95_s'], S)}; {counted(band['visits'], 'visit')}"
             )
     if any(band["visits"] for band in settling["bands"]):
-        yield "  a visit counts for a distance if the bar's length was at least four times that far from its final value on the way, and its noise is below a sixth of the distance"
+        yield "  a visit counts for one of these distances if the bar's length was, on the way, at least four times this distance from its final value, and if the noise of the length is below a sixth of this distance"
     own = settling["dwells_begin_s"]
     yield f"dwells begin {own['median']:.2f} s (median) after the joints stop, {own['largest']:.2f} s at most"
     yield from _noise(document)
     yield ""
     declared = MM.of(noise["declared_bar_sigma_m"])
-    yield f"truearm identify --noise uses: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, in place of the rig's {declared:.3f} mm; sigmas of the joints as in the last column; for dwells of sessions, a correction for the backlash in place of the half of it that the last column includes"
+    yield f"truearm identify --noise uses: sigma of bar {document['bar']} {_range(noise['bar_sigma_m'], MM)}, in place of the rig's {declared:.3f} mm; sigmas of the joints as in the last column, which include half the backlash. For dwells of sessions, it corrects the backlash instead of including this half"
 
 
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:
@@ -68,7 +68,7 @@ def _noise(document: Mapping[str, Any]) -> Iterator[str]:
         "the resolution"
     )
     yield (
-        f"sensor: a sample {_range(sensor['sample_m'], UM)} every {MS.text(sensor['period_s'], '.3g')}; samples that are "
+        f"sensor: noise of a sample {_range(sensor['sample_m'], UM)}, a sample every {MS.text(sensor['period_s'], '.3g')}; samples that are "
         f"{_range(sensor['independent_after_s'], MS)} apart are independent"
     )
     if sensor["floor"] is not None:

@@ -84,6 +84,10 @@ def show_result(document: Document, files: ResultFiles) -> None:
         console.print(_error_table(document, suffix))
         if steps := law_steps(document, suffix):
             console.print(_law_table(steps, SUFFIXES[suffix].symbol))
+    if _says_nothing(document):
+        console.print(
+            '"-": with so few degrees of freedom, the fit follows the noise too: its residuals show no error.'
+        )
     if hardly_matters(document):
         for line in systematic_sentences(document, _option):
             console.print(line)
@@ -122,7 +126,7 @@ def not_converged(document: Document) -> list[str]:
 def little_freedom(document: Document) -> list[str]:
     """Return a warning if the residuals have fewer degrees of freedom than parameters were fitted."""
     none = document["unusable_because"] == Unusable.NO_FREEDOM  # which has its own sentence
-    if none or not few_freedom(document["chi2_freedom"], document["rank"]):
+    if none or not _says_nothing(document):
         return []
     unknowns = any(one["of"] == "rig" and one["free"] for one in document["parameters"])
     few = freedom_words(document["chi2_freedom"], document["rank"], unknowns)
@@ -181,7 +185,7 @@ def _prior(document: Document) -> str:
             return "without a prior"
         case Prior.WHERE_NEEDED:
             believed = document["defaults"]["believed"]
-            return f"with a weak prior on {_names(believed)}, weakly identifiable here (off: --prior none)"
+            return f"with a weak prior on {_names(believed)}, weakly identifiable here (--prior none turns it off)"
         case Prior.WEAK | Prior.WIDE as name:
             return f"with a {name} prior on the robot's parameters"
         case never:
@@ -280,7 +284,7 @@ def _error_table(document: Document, suffix: str) -> Table:
     for column in ("before", "after", "rows"):
         table.add_column(column, justify="right")
     entries = [entry for entry in document["observations"] if entry[after] is not None]
-    says_nothing = few_freedom(document["chi2_freedom"], document["rank"])
+    says_nothing = _says_nothing(document)
     if entries:
         rows = str(sum(entry["fitted"] for entry in entries))
         fitted = _cell(None if says_nothing else document[after], decimals)
@@ -295,6 +299,10 @@ def _error_table(document: Document, suffix: str) -> Table:
             numbers = (_cell(of.get(f"{figure}_{suffix}"), decimals) for of in (held_out_before, held_out))
             table.add_row(f"held out, {words}", *numbers, str(held_out[f"n_{suffix}"]))
     return table
+
+
+def _says_nothing(document: Document) -> bool:
+    return few_freedom(document["chi2_freedom"], document["rank"])
 
 
 def _of(entry: Mapping[str, Any]) -> str:
@@ -392,7 +400,7 @@ def chi2_notes(document: Document) -> list[str]:
         both = [document[f"rms_{name}_{unit.suffix}"] for name in ("declared", "unexplained")]
         if None not in both:
             parts[unit.si] = ResidualParts(*(from_shown(value, unit.si) for value in both))
-    if not few_freedom(document["chi2_freedom"], document["rank"]):
+    if not _says_nothing(document):
         lines += filter(None, [parts_words(parts, by_chance, document["loss"])])
     shared = document["pose_error"]
     if shared is not None:

@@ -135,7 +135,7 @@ def _console(document: Mapping[str, Any]) -> Iterator[str]:
         return
     yield (
         f"not frames: {counted(losses['console_runs'], 'run')}, {counted(losses['console_bytes'], 'byte')}; "
-        f"{losses['console_text_runs']} of them text"
+        f"runs of text: {losses['console_text_runs']}"
     )
     for run in document["console"]:
         for line in run.splitlines():

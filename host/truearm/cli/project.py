@@ -56,7 +56,7 @@ class ProjectCommand(TyperCommand):
             for word in _words(one, ctx.params[one.name or ""])
         ]
         if taken:
-            typer.echo(f"truearm.toml: {shlex.join(taken)}", err=True)
+            typer.echo(f"from truearm.toml: {shlex.join(taken)}", err=True)
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(taken)
         return super().invoke(ctx)

@@ -38,7 +38,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
     where = os.path.relpath(state.home)
     yield f"project   {project.name or state.home.name}, {'this folder' if where == os.curdir else where}"
     yield f"robot     {project.model}{f', serial {project.serial}' * bool(project.serial)}, {project.address or 'no address'}"
-    yield f"rig       {os.path.relpath(state.rig) if state.rig else 'none'}"
+    yield f"rig       {os.path.relpath(state.rig) if state.rig else f'none ({project.rig} is missing)'}"
     plan = f"{os.path.relpath(state.plan)}, {counted(state.poses, 'pose')}" if state.plan else "none"
     yield f"plan      {plan}"
     yield f"sessions  {len(state.sessions) or 'none'}"

@@ -137,9 +137,12 @@ def _at(
 
     refuse(
         ~nominal.reached,
-        "no joint values within the limits were found at which the nominal robot reaches it; move the target or the base",
+        "no joint values within the limits were found at which the nominal robot reaches the target; move the target or the base",
     )
-    refuse(singular < margin, f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g})")
+    refuse(
+        singular < margin,
+        f"too near a singularity (smallest singular value {{:.3f}}, the margin is {margin:g}); move the target, or lower the margin",
+    )
     refuse(grew, "the correction does not converge")
     refuse(np.abs(q - q_nominal).max(axis=-1) > MOST_TURN, "the correction leads to another configuration of the arm")
     refuse(~within(pair.chain, q), "the corrected joints are outside the joint limits")

@@ -271,7 +271,8 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
     out = np.zeros(n, dtype=bool)
     for first, last in spans:
         if not 0 <= first < last <= n:
-            raise ProblemError(f"rows {first + 1} to {last} cannot be left out: the table has rows 1 to {n}")
+            rows = f"row {last}" if last == first + 1 else f"rows {first + 1} to {last}"
+            raise ProblemError(f"{rows} cannot be left out: the table has rows 1 to {n}")
         out[first:last] = True
     return out
 

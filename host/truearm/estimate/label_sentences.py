@@ -17,7 +17,7 @@ def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> li
     rows: dict[str, list[int]] = {}
     for one in found:
         pairs = [of for of in zip(one.columns, one.was, one.fits, strict=True) if of[1] != of[2]]
-        change = "name {}, fit {}".format(*(" and ".join(f"{of[0]} {of[k]}" for of in pairs) for k in (1, 2)))
+        change = "name {} but fit {}".format(*(" and ".join(f"{of[0]} {of[k]}" for of in pairs) for k in (1, 2)))
         rows.setdefault(change, []).extend(one.rows)
     sentences = []
     for change, mine in rows.items():

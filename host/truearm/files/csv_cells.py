@@ -137,10 +137,10 @@ def numbers(
     for i in np.flatnonzero(~in_range).tolist():
         cell, where = cells[i], f"{name} row {rows[i].number} column {column.name}"
         value = math.nan if not cell and not required else scale * number(cell, where)
-        if abs(value) > largest:
-            raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
         if positive and value <= 0.0:
             raise TableError(f"{where}: {quoted(cell)} must be greater than 0")
+        if abs(value) > largest:
+            raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
         if positive and value < SMALLEST:
             raise TableError(f"{where}: {quoted(cell)} is too small; is the column in another unit?")
     return out
@@ -152,7 +152,7 @@ def together(columns: list[Floats], rows: list[Row], what: str, name: str) -> Fl
     missing = np.isnan(out)
     bad = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
     if bad.size:
-        raise TableError(f"{name} row {rows[bad[0]].number}: needs {what} or none of them")
+        raise TableError(f"{name} row {rows[bad[0]].number}: has only some of {what}; give all of them or none")
     return out
 
 

@@ -10,9 +10,11 @@ from typing import NamedTuple
 from truearm.errors import TableError
 from truearm.kinds import registry
 from truearm.schema import quoted
-from truearm.text import counted
+from truearm.text import counted, page
 from truearm.units import SUFFIXES, named, suffixes
 
+COLUMNS = page("Observations, rigs and robots as files")
+LIKE = 0.65  # similarity of a title and a known one, from 0 to 1, for which the known one was probably meant
 JOINTS = {
     "q": (*suffixes("rad"), *suffixes("m")),
     "qd": (*suffixes("rad/s"), *suffixes("m/s")),
@@ -97,8 +99,10 @@ def _suggestion(title: str) -> str:
     joints = [f"{quantity}{i}_{units[0]}" for quantity, units in JOINTS.items() for i in range(1, 8)]
     numbers = [named(quantity, unit) for quantity, units in number_units().items() for unit in units]
     known = ["kind", *registry.identifiers(), *numbers, *joints]
-    close = difflib.get_close_matches(title[:40].lower(), known, n=2)
-    return f"did you mean {' or '.join(close)}?" if close else "begin its name with x_ if it is to be ignored"
+    close = difflib.get_close_matches(title[:40].lower(), known, n=2, cutoff=LIKE)
+    ignored = "begin its name with x_ if it is to be ignored"
+    meant = f"did you mean {' or '.join(close)}? Otherwise " if close else f"for the columns, {COLUMNS}; "
+    return meant + ignored
 
 
 def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None, name: str) -> list[Column]:
@@ -138,7 +142,9 @@ def _numbered(columns: dict[str, Column], letter: str, name: str) -> list[Column
     numbers = sorted(int(q[len(letter) :]) for q in columns if q.startswith(letter) and q[len(letter) :].isdecimal())
     missing = set(range(1, max(numbers, default=0) + 1)) - set(numbers)
     if missing:
-        raise TableError(f"{name}: has columns up to {letter}{numbers[-1]} but none for {letter}{min(missing)}")
+        raise TableError(
+            f"{name}: has columns up to {letter}{numbers[-1]} but none for {letter}{min(missing)}; number the joints from 1 without a gap"
+        )
     return [columns[f"{letter}{number}"] for number in numbers]
 
 

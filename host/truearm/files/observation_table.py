@@ -30,16 +30,15 @@ from truearm.units import SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
+RIG = ".toml"
 AT_ONCE = 2.0  # usual times between rows: a time so close to the first one begins another session
 
 
 def check_is_observations(path: Path) -> None:
     """Raise TableError if the name of a file is that of another kind of file that commands read."""
     if path.suffix.lower() in OTHERS:
-        raise TableError(
-            f"{path}: is by its name no table of observations (.csv) and no session (.mcap); give a rig as ",
-            Argument("rig"),
-        )
+        rig = ("; a rig is given as ", Argument("rig")) if path.suffix.lower() == RIG else ()
+        raise TableError(f"{path}: by its name, is neither a table of observations (.csv) nor a session (.mcap)", *rig)
 
 
 def read_table(path: Path, joint_units: Sequence[str] | None = None) -> ObservationTable:

@@ -160,7 +160,7 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
             if identifier not in known and (identifier or chosen):
                 names = ", ".join(sorted(known)) or "none"
                 raise PlanError(
-                    f"{name} pose {pose} column {column}: {str(identifier)!r} is not in the rig (it has {names})"
+                    f"{name} pose {pose} column {column}: {str(identifier)!r} is not in the rig (it has {names}); give the rig of this plan"
                 )
 
 

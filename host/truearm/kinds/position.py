@@ -239,7 +239,9 @@ def _moving(scope: Scope) -> bool:
     finite = np.isfinite(scope.table.q_rate)
     bad = np.flatnonzero(~(finite.all(axis=1) | np.isnan(scope.table.q_rate).all(axis=1)))
     if bad.size:
-        raise ProblemError(f"{scope.table.source[bad[0]]}: needs the velocities of all joints, finite, or none")
+        raise ProblemError(
+            f"{scope.table.source[bad[0]]}: has velocities of only some joints, or values that are not finite; give finite velocities of all joints, or none"
+        )
     return bool(finite.any())
 
 

@@ -142,7 +142,12 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
     ball = next(iter(rig.spheres.values()), ORIGIN[""])
     q = about_one_point(here, table.q[len(table) // 2], np.array(ball.xyz), rng, reach=0.0)
     if len(q):
-        yield Proposal("place", "seat the ball at a new place", rig, trial_rows(q, "seat", sphere=ball.name, place=NEW))
+        yield Proposal(
+            "place",
+            "seat a ball of the end in sockets at a new place",
+            rig,
+            trial_rows(q, "seat", sphere=ball.name, place=NEW),
+        )
 
 
 class Socket(NamedTuple):

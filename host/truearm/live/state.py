@@ -278,7 +278,9 @@ class LiveState:
                 continue
             near.add(name)
             if name not in self._near_end:
-                self.said.append(f"warning: {name} is at {MM.text(position, '+.2f')} of ±{MM.text(half, '.1f')}")
+                self.said.append(
+                    f"warning: {name} is near the end of its travel: {MM.text(position, '+.2f')} of ±{MM.text(half, '.1f')}"
+                )
         self._near_end = near
 
     # --- display
@@ -304,7 +306,7 @@ class LiveState:
         if change is not None:
             rows.append(ViewLine("change", f"{MOUNT_NEXT} {words_of(change)}; then press Enter", True))
         if self.contradictions:
-            text = f"{self.contradictions} of the dwells: name what is mounted, or correct them with truearm relabel"
+            text = f"at {counted(self.contradictions, 'dwell')}, something else was confirmed than the plan needs: name what is mounted, or correct them with truearm relabel"
             rows.append(ViewLine(CONTRADICTION, text, True))
         rows.append(ViewLine("last", self.last or "nothing yet"))
         return rows

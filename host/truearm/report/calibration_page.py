@@ -250,9 +250,9 @@ def _prior(name: str) -> str:
         case Prior.NONE:
             return "none"
         case Prior.WHERE_NEEDED:
-            return f"where needed: nominal to {', '.join(tolerances('weak'))} where the observations determine less"
+            return f"where needed: nominal ± {', '.join(tolerances('weak'))}, for what the observations determine less accurately"
         case Prior.WEAK | Prior.WIDE as of_all:
-            return f"{of_all}: nominal to {', '.join(tolerances(of_all))}"
+            return f"{of_all}: nominal ± {', '.join(tolerances(of_all))}"
         case never:
             assert_never(never)
 

@@ -84,7 +84,7 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
             *([(f"{of}stops for mounting", str(one.mountings))] if one.mountings else []),
             *([(f"{of}passes along lines", str(one.passes))] if one.passes else []),
             (f"{of}samples", f"{one.samples:,} received, {one.samples_lost:,} lost; {one.frames_lost:,} frames lost"),
-            (f"{of}bound of the box's clock", "not known" if one.bound is None else US.text(one.bound, ".0f")),
+            (f"{of}error of the box's clock, at most", "not known" if one.bound is None else US.text(one.bound, ".0f")),
             *((f"{of}temperature of the {name}", _between(*degc)) for name, *degc in one.temperatures),
         ]
     return tuple(facts)
@@ -136,7 +136,7 @@ def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
         *([("dwells", f"{dwells}, of these rejected: {rejected}")] if dwells or not passes else []),
         *([("passes along lines", str(passes))] if passes else []),
         ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
-        ("bound of the box's clock", "not known" if worst is None else US.text(worst, ".0f")),
+        ("error of the box's clock, at most", "not known" if worst is None else US.text(worst, ".0f")),
         *(
             (f"temperature of the {name}", _between(min(low for low, _ in of), max(high for _, high in of)))
             for name, of in read.items()

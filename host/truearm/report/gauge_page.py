@@ -102,7 +102,14 @@ def _orders(page: GaugePage) -> Figure:
 
 
 def _table(page: GaugePage) -> str:
-    titles = ("", "reference [mm]", f"reading [{page.unit}]", "its noise", "residual [µm]", "left out [µm]")
+    titles = (
+        "",
+        "reference [mm]",
+        f"reading [{page.unit}]",
+        "its noise",
+        "residual [µm]",
+        "residual to a fit of the others [µm]",
+    )
     columns = (page.reference, page.reading, page.noise, page.residual, page.left_out)
     rows = []
     for place, (y, x, noise, residual, left_out) in enumerate(zip(*columns, strict=True), 1):

@@ -51,7 +51,7 @@ def law_sentences(document: Document) -> list[str]:
 
 
 def _kept(law: Mapping[str, Any]) -> str:
-    start = f"{one_line(law['joint'])} {law['term']}: {law['rms_mrad']:.2g} mrad RMS, {law['nats']:.0f} nats"
+    start = f"{one_line(law['joint'])} {law['term']}: {law['rms_mrad']:.2g} mrad RMS, evidence {law['nats']:.0f} nats"
     if law["term"] != "curve":
         return f"{start}."
     periods = ", ".join(f"{one['cycles']:.0f} ({one['amplitude_mrad']:.2g} mrad)" for one in law["periods"])

@@ -161,7 +161,7 @@ def parts_words(parts: Mapping[str, ResidualParts], by_chance: bool, loss: str =
         weighted = "" if loss == Loss.LINEAR else f" or lie in rows that the {loss} loss weights down"
         rest = f"may be chance{weighted}" if by_chance else "is unexplained"
         said.append(
-            f"Declared noise explains {declared} of the RMS after; the rest, {left}, {rest} (the squares add up)."
+            f"Declared noise explains {declared} of the RMS after; the rest, {left}, {rest} (their squares add up to that of the RMS)."
         )
     return " ".join(said)
 
@@ -261,6 +261,6 @@ def displacement_sentences(document: Mapping[str, Any]) -> list[str]:
     )
     return [
         f"The fit places {text}. This is normal if nobody measured {place}: the rig then defines where {they_are}. If {they_were} "
-        "measured, positions in the rig are wrong by as much, and so is the tool. No residual shows this: check the positions "
+        "measured, positions in the rig are wrong by as much, and so are the tool positions that the calibration gives. No residual shows this: check the positions "
         "in the rig."
     ]

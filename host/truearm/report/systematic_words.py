@@ -177,8 +177,9 @@ def _size(entry: Mapping[str, Any]) -> str:
     unit = UNITS[entry["unit"]]
     if entry["size"] is None or entry["sigma"] is None:
         return "an amount that cannot be determined"
-    if any(hardly_determined(of) for of in entry.get("off_by", ())):
-        return ", ".join(_number(of) for of in entry.get("off_by", ()))
+    off_by = entry.get("off_by", ())
+    if any(map(hardly_determined, off_by)):
+        return ", ".join(_number(of, named=len(off_by) > 1) for of in off_by)
     return f"{unit.scale.text(entry['size'], '.3g')} (σ {unit.scale.text(entry['sigma'], '.1g')})"
 
 
@@ -187,15 +188,17 @@ def hardly_determined(off_by: Mapping[str, Any]) -> bool:
     return off_by["sigma"] is None or bool(off_by["sigma"] > UNITS[off_by["unit"]].weak_sigma)
 
 
-def _number(off_by: Mapping[str, Any]) -> str:
+def _number(off_by: Mapping[str, Any], named: bool) -> str:
     """Return the name, size and σ of a number that is off; a size within its large σ would say nothing."""
-    name, value, sigma = one_line(off_by["name"]).rpartition(".")[2], off_by["value"], off_by["sigma"]
+    name = f"{one_line(off_by['name']).rpartition('.')[2]} " if named else ""
+    value, sigma = off_by["value"], off_by["sigma"]
+    unknown = f"{name}not determined" if named else "an amount that is not determined"
     scale = UNITS[off_by["unit"]].scale
     if value is None or sigma is None:
-        return f"{name} not determined"
+        return unknown
     if hardly_determined(off_by) and abs(value) < 2.0 * sigma:
-        return f"{name} not determined (σ {scale.text(sigma, '.2g')})"
-    return f"{name} {scale.text(value, '.3g')} (σ {scale.text(sigma, '.1g')})"
+        return f"{unknown} (σ {scale.text(sigma, '.2g')})"
+    return f"{name}{scale.text(value, '.3g')} (σ {scale.text(sigma, '.1g')})"
 
 
 def _undetermined(found: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -63,7 +63,7 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
         if now == given:
             fits = f"RMS {now} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change"
         apply = "".join(
-            f"; {argument(name)} {one_line(value)}{NUMBERED if name == 'leave_out' else ''}"
+            f"; correct this, or give {argument(name)} {one_line(value)}{NUMBERED if name == 'leave_out' else ''}"
             for name, value in (one["apply"] or {}).items()
         )
         lines.append(f"{lead}: {text} ({fits}){apply}.")

@@ -11,6 +11,7 @@ from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
 
 FEW_ROWS = 10  # fewer say nothing about other poses
+BY_PLACE = "radius "  # begins the name of a region of the space
 
 
 def verdict(document: Mapping[str, Any]) -> str:
@@ -36,7 +37,10 @@ def verdict(document: Mapping[str, Any]) -> str:
             "plausible arm: check that these measurements are of this robot, with this rig, and in these units."
         )
     elif not helped:
-        words = "The calibration does not help here: identify again, from measurements of this place and tool."
+        words = (
+            "The calibration does not help here: check that these measurements are of the robot of the result, or identify again, from "
+            "measurements of this place and tool."
+        )
     elif document["consistent"] is None or not told:
         words = "The calibration helps, but these rows cannot show how accurate it is."
     else:
@@ -102,6 +106,10 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
             "the end is not used here; give the rig of these measurements."
         )
     lines += [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
+    if any(region["region"].startswith(BY_PLACE) for region in document["regions"]):
+        lines.append(
+            '"Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.'
+        )
     lines.append('"Expected" is the error that declared noise and the calibration\'s uncertainty explain.')
     if document["placed"]:
         units = [SUFFIXES[suffix] for suffix in document["residual_units"]]

@@ -142,8 +142,9 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
     if at_joints and options.joint_moves is None:
         lines = sorted({program.source.line(at) for at in at_joints})
         raise ProgramError(
-            f"{path} line {lines[0]}: the program moves to joint readings, in {counted(len(lines), 'line')}; say whether to keep or correct them with ",
+            f"{path} line {lines[0]}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
             Argument("joint_moves"),
+            " keep or correct",
         )
     targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
     literals = literal_poses(targets.poses)
@@ -182,7 +183,7 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
     changes = changes_of(program, [poses[i] for i in kept], told, new)
     changes += joint_changes([readings[i] for i in moved], joints.q[moved])
     if not changes:
-        raise ProgramError(f"{path}: holds no target that can be corrected, so nothing was written")
+        raise ProgramRefused((f"{path}: holds no target that can be corrected, so nothing was written",), refused)
     del literals, new  # 26 MB for 100,000 targets
     changes += marks_of(program, refused) if options.mark else []
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]

@@ -29,8 +29,11 @@ class HoldOutProposal(NamedTuple):
     combinations: int
 
 
-def proposed_hold_out(table: ObservationTable) -> HoldOutProposal | None:
-    """Return the first share of the rows that leaves enough of everything to fit; None if there are too few poses."""
+def proposed_hold_out(table: ObservationTable, unused: Mask | None = None) -> HoldOutProposal | None:
+    """Return the first share of the rows that leaves enough of everything to fit; None if there are too few poses.
+
+    ``unused`` (n,) are rows that are not judged, such as copies.
+    """
     of_row = _combinations(table)
     size, n_poses = np.bincount(of_row), np.unique(poses(table)).size
     for fraction in FRACTIONS:
@@ -39,7 +42,9 @@ def proposed_hold_out(table: ObservationTable) -> HoldOutProposal | None:
         for seed in range(SEEDS):
             held = held_out_rows(table, [str(fraction)], seed)
             if held is not None and np.all(np.bincount(of_row[~held], minlength=size.size) >= LEFT * size):
-                return HoldOutProposal(fraction, seed, int(held.sum()), size.size)
+                return HoldOutProposal(
+                    fraction, seed, int((held if unused is None else held & ~unused).sum()), size.size
+                )
     return None
 
 

@@ -221,9 +221,9 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     return found
 
 
-def _held_out_facts(table: ObservationTable, held: Mask | None) -> dict[str, Any]:
+def _held_out_facts(table: ObservationTable, held: Mask | None, copied: Mask) -> dict[str, Any]:
     """Return the names without any row left in the fit, and a share that could be held out."""
-    proposed = proposed_hold_out(table)
+    proposed = proposed_hold_out(table, copied)
     return {
         "all_held_out": [] if held is None else all_held_out(table, held),
         "hold_out_proposal": None if proposed is None else proposed._asdict(),
@@ -346,7 +346,7 @@ def identified(
         )
     predicted = None
     if estimate.status == "converged" and not estimate.unusable:
-        predicted = predicted_point_error(chain, rig, table, estimate, any_base=bool(chosen.base))
+        predicted = predicted_point_error(chain, rig, table.select(copied < 0), estimate, any_base=bool(chosen.base))
         exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
         if exceeded or tool_undetermined(estimate.systematic):
             predicted = None
@@ -355,6 +355,6 @@ def identified(
     made_with = {"hold_out": list(selection.hold_out), **vars(options)}
     document |= {"sessions": [count._asdict() for count in counts], "copies": copies_of(copied, table)}
     document |= {"made_with": made_with, "displaced": _displaced(displaced_mounts(chain, estimate))}
-    document = with_checksum({**document, **_held_out_facts(table, selection.held_out)})
+    document = with_checksum({**document, **_held_out_facts(table, selection.held_out, copied >= 0)})
     of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

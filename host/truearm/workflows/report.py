@@ -99,7 +99,9 @@ def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, 
     """Return the options recorded in the result. Raises InputError."""
     made = document.get("made_with")
     if not isinstance(made, Mapping):
-        raise InputError(f"{path}: does not say how it was made (an earlier truearm wrote it); identify again")
+        raise InputError(
+            f"{path}: does not say how it was made (truearm demo or an earlier truearm wrote it); identify again with truearm identify"
+        )
     names = {one.name for one in fields(IdentifyOptions)}
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in made.items() if key in names

@@ -32,7 +32,7 @@ from truearm.files.systematic_document import systematic_entries
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.progress import step
-from truearm.report.validation_words import validation_lines, verdict
+from truearm.report.validation_words import BY_PLACE, validation_lines, verdict
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
@@ -392,7 +392,7 @@ def _parts(calibration: Calibration, table: ObservationTable) -> list[tuple[str,
     split = MM.text(np.median(reach), ".0f"), MM.text(np.median(p[:, 2]), ".0f")
     return [
         (
-            f"radius {'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}",
+            f"{BY_PLACE}{'>' if is_far else '≤'} {split[0]}, z {'>' if is_high else '≤'} {split[1]}",
             (far == is_far) & (high == is_high),
         )
         for is_far in (False, True)

@@ -106,7 +106,10 @@ def _outside(t: float | None, zero_s: float | None) -> InputError:
     which = "no reading lies" if t is None else f"the reading at {t:g} s does not lie"
     zero = Argument("zero")
     how = (
-        ("if the controller's time is not UTC, give the session's time at which it was 0 with ", zero)
+        (
+            "if the controller's time is not UTC, give the time of the session at which the controller's time was 0 with ",
+            zero,
+        )
         if zero_s is None
         else ("is ", zero, " right?")
     )
