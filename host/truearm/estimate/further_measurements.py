@@ -43,9 +43,8 @@ def additions(
     if taken.all() or len(table) == 0:
         return ()
     here = _at(chain, known)
-    one, prefix = _first_rig(rig, table)
     found = []
-    for proposal in _proposals(here, one, table):
+    for proposal, prefix in _proposals(here, rig, table):
         wide, n_robot = _with(here, proposal, prefix, names, root, known, taken.size)
         more = (
             suggested_free(wide, n_robot, taken, taken)
@@ -55,7 +54,8 @@ def additions(
         gained = np.flatnonzero(more & ~taken).tolist()
         if gained:
             told = tuple(names[i] for i in gained)
-            found.append(Addition(proposal.kind, proposal.names, int(more.sum()), told, proposal.text))
+            text = f"with the rig {prefix[:-1]}, {proposal.text}" if prefix else proposal.text
+            found.append(Addition(proposal.kind, proposal.names, int(more.sum()), told, text))
     return tuple(sorted(found, key=lambda a: -a.rank))
 
 
@@ -85,21 +85,17 @@ def _with(
     return fold(padded, wide), n_robot
 
 
-def _proposals(here: Chain, rig: Rig, table: ObservationTable) -> Iterator[Proposal]:
-    """Return what each kind proposes at the estimate."""
-    for kind in kinds().values():
-        if kind.proposals is not None:
-            yield from kind.proposals(here, rig, table, np.random.default_rng(0))
+def _proposals(here: Chain, rigs: Rigs, table: ObservationTable) -> Iterator[tuple[Proposal, str]]:
+    """Return what each kind proposes at the estimate for each rig and its rows, and the prefix of the rig's unknowns' names."""
+    for name in dict.fromkeys(table.rig.tolist()):
+        rig = rigs if isinstance(rigs, Rig) else rigs[name]
+        for kind in kinds().values():
+            if kind.proposals is not None:
+                rows = table.select(table.rig == name)
+                for proposal in kind.proposals(here, rig, rows, np.random.default_rng(0)):
+                    yield proposal, f"{name}." if name and rig is not rigs else ""
 
 
 def _at(chain: Chain, known: Mapping[str, float]) -> Chain:
     """Return the chain with the estimate as its nominal values, so that new items are placed according to the estimate."""
     return replace(chain, parameters=tuple(replace(p, nominal=known[p.name]) for p in chain.parameters))
-
-
-def _first_rig(rig: Rigs, table: ObservationTable) -> tuple[Rig, str]:
-    """Return the rig of the first row, which the proposals extend, and the prefix of its unknowns' names."""
-    if isinstance(rig, Rig):
-        return rig, ""
-    name = str(table.rig[0])
-    return rig[name], f"{name}." if name else ""
