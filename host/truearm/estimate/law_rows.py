@@ -55,7 +55,8 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         root = noise_root(poses.declared)
         without = _in_units(root, (cov @ weighed[..., None]).reshape(-1, width))
         with_all = _in_units(root, residual.reshape(-1, width))
-        own = np.maximum(1.0 - spread[:, range(w), range(w)], 0.0).reshape(-1, width)
+        followed = np.linalg.solve(cov, spread)  # the fit's share of each residual, by the noise that it assumes
+        own = np.maximum(1.0 - followed[:, range(w), range(w)], 0.0).reshape(-1, width)
         for unit, components in unit_columns(group.COMPONENTS).items():
             left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
             declared = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
