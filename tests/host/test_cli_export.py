@@ -131,7 +131,7 @@ def test_ill_conditioned_tables_are_refused(result, tmp_path, run):
     for form in ("dh", "mdh"):
         code, _, err = run("export", result, "--format", form, "--out", tmp_path / "t.toml")
         assert code == 2
-        assert "from parallel: d would be" in err
+        assert "from parallel: the offset d between them would be" in err
         assert err.count("\n") == 1
         assert not (tmp_path / "t.toml").exists()
 

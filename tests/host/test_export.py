@@ -72,7 +72,10 @@ def test_tables_are_robot_files_that_predict_the_same(name, form):
     nominal, calibrated = disturbed(chain, gains=1e-3)
     robot, described = link_frames(chain, nominal, calibrated), link_frames(chain, nominal, nominal)
     if form in ("dh", "mdh") and parallel(described):
-        with pytest.raises(RobotError, match=r"joints 2 and 3 are 0\.\d+° from parallel: d would be -?\d+\.\d+ m"):
+        with pytest.raises(
+            RobotError,
+            match=r"joints 2 and 3 are 0\.\d+° from parallel: the offset d between them would be -?\d+\.\d+ m",
+        ):
             tables(robot, described)[form]()
         return
     again = parse_robot(tables(robot, described)[form]()).chain

@@ -37,6 +37,15 @@ BOX_WORDS = {  # of the box's counters; others are called by their names
     "missing_stops": "magnetostrictive interrogations without a stop pulse",
     "thermometer_errors": "failed readings of a thermometer",
 }
+MEANINGS = {  # of reasons of a rejected dwell; the others say it themselves
+    "clock": "the error of the box's clock is not known well enough",
+    "drift": "the bar's length still changed",
+    "gap": "samples are missing",
+    "no clock": "the box answered no clock request",
+    "noisy": "five times the noise of the other dwells",
+    "rail": "the sensor was saturated, or the converter had a fault",
+    "ringing": "the bar's length still oscillated",
+}
 EDGE_WORDS = (  # of trigger edges that are not used
     ("unseen", "not visible in any reading"),
     ("unclear", "with several possible matches"),
@@ -314,6 +323,8 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
 def _explained(reason: str, planned: bool) -> str:
     if reason in NEED_DECISION:
         return " (decide what was mounted with truearm relabel)"
+    if reason in MEANINGS:
+        return f" ({MEANINGS[reason]})"
     if reason != "no plan match":
         return ""
     if planned:

@@ -78,6 +78,8 @@ _PLAINER = (
     (r"Input should be a valid integer.*", "is not a whole number"),
     (r"Input should be a valid number.*", "is not a number"),
     (r"Got unexpected extra argument(?:\(s\)|s)? \((.*)\)", r"Too many arguments: \1"),
+    (r"is not a valid int(?:eger)?(?: range)?", "is not a whole number"),
+    (r"is not a valid float(?: range)?", "is not a number"),
     (r"requires an argument", "needs a value"),
     (r"\.$", ""),
 )

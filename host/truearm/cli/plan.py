@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 app = command_group(
     "plan",
     "Plan what to measure, and predict what the measurements will determine.",
-    "Example: truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
+    "\b\nExample:\n  truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv",
 )
 
 MinutesOption = Annotated[

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
-from truearm.errors import RobotError
+from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.types import Floats, rms
 
@@ -159,7 +159,8 @@ def _plane(pair: ModelPair, q: Floats, joints: tuple[int, int]) -> Floats:
     normals = [frames[i][:3, "xyz".index(motion[1])] for i, motion in zip(joints, motions, strict=True)]
     if not turning or joints[0] >= joints[1] or np.linalg.norm(np.cross(*normals)) > 1e-6:
         raise RobotError(
-            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes; choose two that do"
+            f"joints {joints[0] + 1} and {joints[1] + 1} do not turn about parallel axes; choose two that do with ",
+            Argument("joints"),
         )
     normal = normals[0]
     up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.0, 1.0, 0.0])

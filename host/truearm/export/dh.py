@@ -125,7 +125,7 @@ def _row(i: int, frame: Floats, axis: Floats, way: Floats, hayati: bool) -> tupl
     if near and not hayati:
         d = float(z @ (foot - frame[:3, 3]))
         raise RobotError(
-            f"the axes of joints {i + 1} and {i + 2} are {DEG.of(math.asin(sine)):.4f}° from parallel: d would be "
+            f"the axes of joints {i + 1} and {i + 2} are {DEG.of(math.asin(sine)):.4f}° from parallel: the offset d between them would be "
             f"{d:.3f} m, which has no meaning; use dh-hayati or another format"
         )
     if near:

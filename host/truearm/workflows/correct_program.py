@@ -285,7 +285,7 @@ def _straight_moves(
 
 
 def _joints_kept(n: int) -> list[str]:
-    return [f"{counted(n, 'move')} to joint readings kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
+    return [f"{counted(n, 'move')} to joint values kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
 
 
 def _last_axis(pair: ModelPair) -> Floats:

@@ -156,9 +156,13 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)
-    result = observations(
-        session.batches, rig, ident=recorded_ident(session), name=path.name, line_rules=rules, labels=labels_of(path)
-    )
+    ident, labels = recorded_ident(session), labels_of(path)
+    try:
+        result = observations(session.batches, rig, ident=ident, name=path.name, line_rules=rules, labels=labels)
+    except (RigError, SessionError) as exc:
+        if str(exc).startswith(str(path)):
+            raise
+        raise type(exc)(f"{path}: ", *exc.args) from exc
     if not len(result.table) and not options.may_be_empty:
         raise SessionError(nothing_observed(path, rejected_of(result)))
     if warning := temperature_warning(result, rig):

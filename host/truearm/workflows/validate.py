@@ -149,7 +149,7 @@ def validated(
     n_settled, n_kept = int(after.settled.sum()), len(after.identified) - len(calibration.nominal)
     if keep_rig and n_settled and not n_kept:
         names = [name for name, settled in zip(after.problem.names, after.settled, strict=True) if settled]
-        text = f": the result identified no unknown of this rig, as {names[0]}; use the names of its rig"
+        text = f": the result identified no unknown of this rig, such as {names[0]}; use the names of the rig that it was identified with"
         raise InputError(Argument("keep_rig"), text)
     before = _placed(calibration, rig, table, raw, kept, allowed)
     judging = before.judging & after.judging

@@ -92,8 +92,9 @@ def read_names(said: dict[str, Any], names: Names | None = None) -> Names:
     """Return ``names`` extended by a declaration: ``names``, ``unit``, ``t_unit``. Raises InputError."""
     names = names or Names()
     of = said.get("names", {})
-    if not isinstance(of, dict) or not set(of) <= set(QUANTITIES):
-        raise InputError(f"names apply to {', '.join(QUANTITIES)}, not to {quoted(str(of))}")
+    wrong = [str(of)] if not isinstance(of, dict) else [name for name in of if name not in QUANTITIES]
+    if wrong:
+        raise InputError(f"{quoted(wrong[0])} is not a quantity that can be named; these are {', '.join(QUANTITIES)}")
     units = str(said.get("unit", "")).split(",")
     if said.get("unit") is not None:
         if not set(units) <= {"rad", "deg", "m", "mm"} or len(units) > MAX_JOINTS:
