@@ -195,7 +195,7 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
 @pytest.mark.parametrize(
     ("name", "says", "key"),
     [
-        ("line", "line.mcap: 2 of 2 lines used\n", ("lines", "lines_used")),
+        ("line", "line.mcap: 2 of 2 lines used (points are named PASS.POINT)\n", ("lines", "lines_used")),
         (
             "ball-bar",
             "ball-bar.mcap: 3 of 3 dwells used (numbered 1 to 6 with 3 stops for mounting)\n",

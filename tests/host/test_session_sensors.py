@@ -134,8 +134,8 @@ class TestIdent:
     )
     def test_the_last_error_of_its_firmware(self, text, shown):
         (fault,) = parse_ident({**ident_document(), "last_error": text}).faults
-        assert fault.startswith("its firmware stopped with an error earlier: " + shown)
-        assert len(fault) < 110
+        assert fault.startswith("the box's firmware stopped with an error earlier: " + shown)
+        assert len(fault) < 120
 
     def test_a_stream_of_flight_times(self):
         """What a box says of its magnetostrictive head: 8 ns a count, metres by its calibration; it has no oversampling."""

@@ -45,6 +45,8 @@ def lines(found: CorrectedFile) -> list[str]:
     text += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
     before, after = map(rms_of_columns, (done.before, done.after))
     text.append(f"{'RMS':<10}{_cells(before, after)}")
+    if after[0] > before[0]:
+        text.append("The corrected targets are farther off than the uncorrected ones: give another --method.")
     text.append("These errors are computed with the identified robot; its uncertainty is not included.")
     return [*text, *found.warnings, *found.notes, f"Written: {one_line(str(found.out))}"]
 

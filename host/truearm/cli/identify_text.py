@@ -141,7 +141,7 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
     """Return a line per session: how its dwells and lines were used; a command names the session as it was given."""
     lines, given = [], {path.name: str(path) for path in inputs}
     for count in document.get("sessions", ()):
-        passes = f"{count['lines_used']} of {counted(count['lines'], 'line')} used{_rejected(count['lines_rejected'])}"
+        passes = f"{count['lines_used']} of {counted(count['lines'], 'line')} used{_rejected(count['lines_rejected'])} (points are named PASS.POINT)"
         if count["lines"] and not count["with_bar"]:
             lines.append(f"{one_line(count['session'])}: {passes}")
             continue

@@ -55,7 +55,7 @@ def _over_cycles(curve: SampledCurve) -> Figure | None:
     strongest = cycles[int(np.argmax(amplitude))]
     caption = (
         f"Amplitude of each sine alone over the covered readings; the strongest has {strongest:.0f} cycles per turn. "
-        f"The covered range resolves {figures(resolution, 2)} cycles per turn and shows no fewer than {cycles[0]:.0f}."
+        f"The covered range resolves {figures(resolution, 2)} cycles per turn; sines of fewer than {cycles[0]:.0f} cycles per turn cannot be seen."
     )
     return drawn(plot, f"Spectrum of {curve.joint}", caption, parts)
 

@@ -182,7 +182,7 @@ def _ident(table: dict[Any, Any]) -> Ident:
     firmware = table.get("firmware")
     faults = [f"channel {_shown(c.name)} of stream {s.name}: {c.fault}" for s in streams for c in s.channels if c.fault]
     if "last_error" in table:
-        faults.insert(0, f"its firmware stopped with an error earlier: {_last_line(table['last_error'])}")
+        faults.insert(0, f"the box's firmware stopped with an error earlier: {_last_line(table['last_error'])}")
     if "fault" in table:
         faults.insert(0, f"the box says {_shown(table['fault'])}")
     if not isinstance(firmware, str):

@@ -173,7 +173,7 @@ def measured(dwell: Dwell, taken: DwellSamples, bar: BallBar, sensing: Sensing) 
         return replace(dwell, reason="clock", detail=f"±{MS.text(NS.to_si(taken.bound_ns), '.0f')}")
     period_s = 1e-9 * taken.period_ns
     if counts.size < LEAST_SAMPLES or period_s * (counts.size + 1) < rules.shortest_s:
-        return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s without a gap")
+        return replace(dwell, reason="gap", detail=f"{period_s * counts.size:.2f} s at most without a gap")
     if taken.fault:
         return replace(dwell, reason="rail", detail="the converter's fault")
     stretched = extension(counts, taken.channel)
