@@ -180,6 +180,8 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
                 "does not follow from the parameters: see the error on held-out rows",
             )
         )
+    if e.unusable and e.status == "converged":
+        return [*pairs, ("fit", f"NOT USABLE: {e.unusable}")]
     pairs.append(("fit", "converged" if e.status == "converged" else f"NOT USABLE: {outcome(e.status)}"))
     return pairs
 
