@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from truearm.box.configuration import (
     channel_names,
+    check_ratios,
     differences,
     format_config,
     with_assignment,
@@ -108,6 +109,13 @@ def test_a_calibration_is_replaced_as_a_whole_or_removed():
     new = with_file(config, head + '[channel.calibration]\nunit = "mm"\npoly = [0, 38]\nserial = ""\ndate = ""\n', "x")
     assert new["channels"][0]["calibration"] == {"unit": "mm", "poly": [[0, 0], [38, 0]], "serial": "", "date": ""}
     assert "calibration" not in with_file(config, head + "calibration = {}\n", "x")["channels"][0]
+
+
+@pytest.mark.parametrize("over", ["lvdt", "nosuch"])
+def test_a_channel_is_divided_by_another_one_of_the_box(over):
+    check_ratios(with_assignment(default(), "channel.lvdt.over=excitation"))
+    with pytest.raises(ConfigError, match=f"channel lvdt: over is '{over}'; it can be one of transverse_a, "):
+        check_ratios(with_assignment(default(), f"channel.lvdt.over={over}"))
 
 
 def test_a_value_that_may_be_missing_is_removed():

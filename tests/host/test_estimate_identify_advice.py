@@ -161,6 +161,15 @@ def test_a_chuck_known_with_sigma_helps_as_one_known_exactly(shells):
     assert {a.names: a.rank for a in by_kind(e)["pairing"]} == {(c, s): 35 for c in ("c1", "c2") for s in SPHERES}
 
 
+def test_each_rig_is_extended_according_to_its_own_rows(shells):
+    """The rows of one rig name chucks that the other lacks."""
+    here, there = shells.select(shells.chuck == "c0"), shells.select(shells.chuck == "c1")
+    rigs = {name: replace(RIG, chucks={chuck: CHUCKS[chuck]}) for name, chuck in (("here", "c0"), ("there", "c1"))}
+    both = [replace(rows, rig=np.full(len(rows), name)) for rows, name in ((here, "here"), (there, "there"))]
+    e = identify(CHAIN, rigs, type(shells).joined(both), free=FREE)
+    assert {a.text.split(",")[0] for a in e.additions} >= {"with the rig here", "with the rig there"}
+
+
 @pytest.mark.parametrize(("sigma", "more"), [(None, 9), (0.1, 3)])
 def test_lines_alone_want_a_ball_bar(sigma, more):
     """A point on the tool tells nothing of its orientation (3); devices that stand anywhere cannot place the base (6)."""

@@ -183,7 +183,7 @@ def test_the_devices_that_init_offers_are_a_valid_rig(project):
     used = [line[2:] for line in others.splitlines() if re.match(r"# (\[\[|\w+ = )", line)]
     (project / "all.toml").write_text("\n".join([head, *used]))
     rig = read_rig(project / "all.toml")
-    assert (list(rig.lines), list(rig.sockets)) == (["l1"], [("", "0")])
+    assert (list(rig.lines), list(rig.sockets)) == (["l1"], [("p1", "0")])
     assert not read_rig(project / "rig.toml").lines
 
 
@@ -330,7 +330,7 @@ def test_commands_for_the_box_take_its_port(project, run, words):
     (project / FILE).write_text(format_project(Project("puma560", box="/dev/none")))
     code, _, err = run("box", *words)
     assert code != 0
-    assert err.splitlines()[0] == "truearm.toml: --box /dev/none"
+    assert err.splitlines()[0] == "from truearm.toml: --box /dev/none"
 
 
 def test_a_recording_that_is_resumed_takes_no_plan_or_file_from_the_project(project, run):

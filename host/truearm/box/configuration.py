@@ -152,6 +152,16 @@ def with_file(config: Mapping[str, Any], text: str, name: str) -> Values:
     return check(new)
 
 
+def check_ratios(config: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a channel that is divided by a channel that the box does not have, or by itself."""
+    for channel in config["channels"]:
+        others = [name for name in channel_names(config) if name != channel["name"]]
+        if channel.get("over", others[0]) not in others:
+            raise ConfigError(
+                f"channel {channel['name']}: over is {channel['over']!r:.60}; it can be one of {', '.join(others)}"
+            )
+
+
 def _places(config: Mapping[str, Any], channels: Sequence[Mapping[str, Any]], name: str) -> list[int]:
     """Return which of the box's channels each channel in the file is."""
     known = channel_names(config)

@@ -108,9 +108,10 @@ def _read(changes: list[str]) -> list[tuple[str, str | None]]:
 
 
 def _changed(config: dict[str, Any], texts: list[tuple[str, str | None]]) -> dict[str, Any]:
-    from truearm.box.configuration import with_assignment, with_file
+    from truearm.box.configuration import check_ratios, with_assignment, with_file
     from truearm.box.configuration_schema import check
 
     for name, text in texts:
         config = with_assignment(config, name) if text is None else with_file(config, text, name)
-    return check(config)
+    check_ratios(check(config))
+    return config

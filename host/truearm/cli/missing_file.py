@@ -56,7 +56,7 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
         read = [path for path in sessions if path.parent != home / project.sessions and _was_read(path, of)]
         read = read or (used if parameter != "result" else [])
         used = [*([] if typed else results[-1:]), *read]
-    others = ", ".join(shown(path) for path in found[:-1][-MOST:])
+    others = ", ".join(shown(path) for path in [path for path in found if path not in used][-MOST:])
     proposed = shlex.join(["truearm", *arguments, *map(shown, used)])
     return f"{why} yet; to read another one, type: {proposed}{f' (there is also {others})' * bool(others)}"
 

@@ -85,7 +85,7 @@ InputOption = Annotated[
     typer.Option(
         min=0,
         metavar="N",
-        help="Digital input of another device that acknowledges --output-line: the program waits up to 5 s for it. The box does not acknowledge. Default: no waiting.",
+        help="Digital input of the controller on which another device acknowledges --output-line: the program waits up to 5 s for this input. The box does not acknowledge. Default: no waiting.",
     ),
 ]
 OutputOption = Annotated[

@@ -49,7 +49,8 @@ class Correction(NamedTuple):
 
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
-    end in m and rad. ``problem`` says why a row must not be used, "" where nothing is wrong.
+    end in m and rad. ``problem`` says why a row must not be used; ``truearm.correct_poses`` raises TargetError instead,
+    so all of its are "".
 
     Examples
     --------

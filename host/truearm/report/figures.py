@@ -78,7 +78,7 @@ def histogram(rows: ResidualRows) -> Figure:
     for k, text in enumerate(note):
         parts.append(svg.label(plot.width - plot.right - 6, plot.top + 17 + 18 * k, text, "end note"))
     parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
-    caption = f"{counted(r.size, 'fitted row')} and the {what} fitted to them: {', '.join(note)}."
+    caption = f"{counted(r.size, 'row')} not held out, and the {what} fitted to them: {', '.join(note)}."
     if not rows.signed:
         caption += " Norms of 3-vectors have no sign; σ is the mean over the three coordinates."
     return drawn(plot, "Residuals after calibration", caption, parts)

@@ -143,7 +143,8 @@ def _rows(entry: Mapping[str, Any]) -> str:
     ]
     if max(off) > last - first:
         of = f"rows {entry['first_within'][0]} to {entry['last_within'][1]}"
-        return f"some of {of} (it cannot be located; rows {first} to {last} fit best)"
+        best = f"rows {first} to {last}"
+        return f"some of {of}" if best == of else f"some of {of} ({best} fit best, but others fit nearly as well)"
     places = one_line(entry["from"]) if first == last else f"{one_line(entry['from'])} to {one_line(entry['to'])}"
     begins, ends = (f"{row}±{by}" if by else str(row) for row, by in zip((first, last), off, strict=True))
     return f"rows {begins} to {ends} (in the files: {places})"

@@ -55,6 +55,7 @@ OTHERS = """\
 #
 # Sockets on the table, in which a ball on the robot's end is seated.
 # [[socket]]
+# place = "p1"
 # name = "0"
 # xyz_mm = [500, 100, 50]
 # sigma_mm = 0.05

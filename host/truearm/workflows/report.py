@@ -87,11 +87,13 @@ def report_files(files: ReportFiles) -> Identification:
 def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:
     e = found.estimate
     by, n = found.document.get("held_out_by", ()), sum(kind["held_out"] for kind in found.document["observations"])
+    used = int(e.used.sum())
+    outliers = f"{e.n_observations - used} left out as outliers, " if used < e.n_observations else ""
     held_out = f"{n} held out ({', '.join(by)})" if by else "none held out"
     return (
         ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
         ("parameters", f"{found.document['n_free']} free, {e.rank} independent combinations identified"),
-        ("observations", f"{e.n_observations} fitted, {held_out}"),
+        ("observations", f"{used} fitted, {outliers}{held_out}"),
     )
 
 
