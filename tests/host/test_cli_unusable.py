@@ -4,8 +4,12 @@ import json
 from dataclasses import replace
 
 import correct_bench
+import numpy as np
 import pytest
+from puma_bench import RIG, SIGMA, shell_table
 
+from truearm.files.observation_table import write_table
+from truearm.files.rig_file import write_rig
 from truearm.results import Unusable
 
 COMMANDS = {
@@ -35,6 +39,17 @@ def test_a_fit_that_is_not_usable_is_refused(command, folder, run):
     code, _, err = run(command, bad, *COMMANDS[command], "--allow-unusable")
     assert code == 0, err
     assert (folder / COMMANDS[command][-1]).exists()
+
+
+def test_judging_a_fit_that_is_not_usable_says_so(folder, run):
+    estimate = replace(correct_bench.identified(), status="max_iterations", unusable=Unusable.NOT_CONVERGED)
+    bad = correct_bench.write(folder / "bad.json", estimate)
+    write_table(folder / "friday.csv", shell_table(60, 0.46, np.random.default_rng(3), SIGMA), ("rad",) * 6)
+    write_rig(folder / "rig.toml", RIG)
+    code, said, err = run("validate", bad, "friday.csv", "--rig", "rig.toml")
+    assert code == 0, err
+    assert "bad.json: the fit is not usable (not converged); correct its inputs" in err
+    assert "Expected" in said
 
 
 def test_results_of_earlier_versions_say_only_whether_they_converged(folder, run):

@@ -235,14 +235,19 @@ def read_usable(result: Path, choice: RobotChoice = DEFAULT, allow_unusable: boo
     Raises InputError if the fit is not usable, unless that is allowed; see also ``read_calibration``.
     """
     calibration = read_calibration(result, choice)
-    status, because = calibration.stored.status, calibration.document.get("unusable_because")
-    because = because or (None if status == "converged" else "not converged")  # older results give only the status
+    because = unusable_because(calibration)
     if because and not allow_unusable:
         raise InputError(
             f"{result}: the fit is not usable ({because}); correct its inputs and identify again (truearm report says why), or give ",
             Argument("allow_unusable"),
         )
     return calibration
+
+
+def unusable_because(calibration: Calibration) -> str | None:
+    """Return why the fit is not usable, None if it is; results of earlier versions give only the status."""
+    because = calibration.document.get("unusable_because")
+    return because or (None if calibration.stored.status == "converged" else "not converged")
 
 
 def frames_of(robot: str, base: str | None, tip: str | None, stored: StoredResult) -> tuple[str | None, str | None]:

@@ -36,7 +36,7 @@ from truearm.report.validation_words import BY_PLACE, validation_lines, verdict
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
-from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of
+from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
 from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import parse_effect
 from truearm.workflows.session_parts import with_parts
@@ -126,6 +126,8 @@ def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig:
     calibration = read_calibration(result, robot)
     sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
     check_files(sources, robot)
+    if because := unusable_because(calibration):
+        sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
     rig, table = observed(sources, calibration.joint_units)
     return validated(calibration, rig, table, hashed_inputs(sources, robot), keep_rig)
 
