@@ -289,6 +289,19 @@ def test_status_of_a_recording_that_was_cut_off(project, run):
     assert [Path(one["file"]).name for one in state["sessions"]] == ["2026-01-01-recovered.mcap"]
 
 
+@pytest.mark.parametrize(
+    ("words", "second"), [("validate", "measurements"), ("validate run.mcap", "measurements"), ("correct", "targets")]
+)
+def test_commands_with_two_files_take_none_from_the_project(project, files, run, words, second):
+    (project / "results").mkdir(exist_ok=True)
+    result = project / "results" / "2026-01-01.json"
+    assert run("identify", files / "poses.csv", "--rig", files / "rig.toml", "--out", result).code == 0
+    code, _, err = run(*words.split())
+    assert code == 2
+    assert f"name the result and the {second}" in err
+    assert f"truearm {words.split()[0]} results/2026-01-01.json FILE" in err
+
+
 def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     below = project / "notes"
     below.mkdir()

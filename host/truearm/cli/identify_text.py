@@ -474,7 +474,7 @@ def _proposal(document: Document) -> str:
         return " of other poses: these are too few to hold any out"
     seed = f" --seed {proposed['seed']}" * (proposed["seed"] > 0)
     n = proposed["combinations"]
-    every = "" if n == 1 else f" and leaves at least half of each of the {n} pairings in the fit"
+    every = "" if n == 1 else f" and leaves at least half the rows of each of the {n} combinations of names in the fit"
     return f": --hold-out {proposed['fraction']:g}{seed} holds out {counted(proposed['rows'], 'row')}{every}"
 
 

@@ -11,6 +11,8 @@ from typing import Any
 
 from truearm.files.project_folder import find_project
 
+# Commands that take two files from the command line, and what the second one is; neither is taken from the project.
+TWO_FILES = {"validate": "the measurements that judge it", "correct": "the targets or the program"}
 MOST = 3  # files that are named in addition to the proposed one
 
 
@@ -35,6 +37,9 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
     def shown(path: Path) -> str:
         return os.path.relpath(path, folder)
 
+    if second := TWO_FILES.get(arguments[0]):
+        newest = shown(results[-1]) if results else "result.json"
+        return f"name the result and {second}, such as: truearm {arguments[0]} {shlex.quote(newest)} FILE"
     if parameter == "result":
         found, why, first = (
             results,

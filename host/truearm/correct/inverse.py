@@ -87,8 +87,10 @@ def _inverse(chain: Chain, params: Floats, targets: Floats, q_start: Floats, ori
         at = np.flatnonzero((size > TOLERANCE) & (damping < DAMPING_MOST))
         if not at.size:
             break
-        ahead = _next_within if bounded else _next
-        there = ahead(chain, q[at], jac[at], error[at], damping[at])
+        if bounded:
+            there = _within_limits(chain, q[at], jac[at], error[at], damping[at])
+        else:
+            there = q[at] + _step(jac[at], error[at], damping[at])
         new, new_jac = _error_and_jacobian(chain, params, targets[at], there, oriented)
         new_size = np.linalg.norm(new, axis=-1)
         better = new_size < size[at]
@@ -125,20 +127,16 @@ def scaled(error: Floats, oriented: bool = True) -> Floats:
     return error if oriented else error[..., :3]
 
 
-def _next(_: Chain, q: Floats, jac: Floats, error: Floats, damping: Floats) -> Floats:
-    return q + _step(jac, error, damping)
-
-
-def _next_within(chain: Chain, q: Floats, jac: Floats, error: Floats, damping: Floats) -> Floats:
+def _within_limits(chain: Chain, q: Floats, jac: Floats, error: Floats, damping: Floats) -> Floats:
     """Return the joints (n, j) after a step in which a joint stops at its limit; from there the others move alone."""
     lower, upper = chain.limits
-    there = _next(chain, q, jac, error, damping)
+    there = q + _step(jac, error, damping)
     for _ in range(q.shape[1]):
         stopped = ((there < lower) & (q <= lower)) | ((there > upper) & (q >= upper))
         if not stopped.any():
             break
         jac = np.where(stopped[:, None], 0.0, jac)
-        there = _next(chain, q, jac, error, damping)
+        there = q + _step(jac, error, damping)
     return np.clip(there, lower, upper)
 
 

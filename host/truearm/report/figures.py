@@ -293,7 +293,7 @@ def quantiles(rows: ResidualRows) -> Figure | None:
     parts.append(svg.dots(plot, expected[at], r[at], "fit"))
     parts.append(svg.legend(plot, [("fit", "fitted rows"), ("law line", what)]))
     beyond = int(np.sum(np.abs(r - law.mean) > 3.0 * law.sigma)) if law.width == 1 else None
-    caption = "Points on the line follow the normal distribution. If the ends bend away from it, those rows have unexpectedly large residuals."
+    caption = f"Points on the line follow the {what}. If the ends bend away from it, those rows have unexpectedly large residuals."
     if beyond is not None:
         caption += (
             f" Beyond 3σ: {counted(beyond, 'row')}; a normal distribution would have {figures(0.0027 * r.size, 2)}."

@@ -2,8 +2,8 @@
 
 A claim has a number from the paper (or none, if only truearm has one), truearm's number, and the theoretical
 expectation. Its verdict follows from the numbers: reproduced if they agree within the tolerance, which must be given
-with its reason; in kind if the paper does not give what is needed to compute its number; not judged if there are
-so few experiments that the result depends on chance.
+with its reason; in kind if the paper does not give what is needed to compute its number; not judged if there are so few
+experiments that the result depends on chance.
 """
 
 from __future__ import annotations
@@ -18,12 +18,7 @@ from truearm.report.page_parts import command_block, html_page, picture, picture
 from truearm.report.page_tables import step_table
 from truearm.report.page_text import ABSENT, escape, figures
 
-REPRODUCED, NOT_REPRODUCED, IN_KIND, TRUEARM_ONLY = (
-    "reproduced",
-    "not reproduced",
-    "in kind",
-    "not in the paper",
-)
+REPRODUCED, NOT_REPRODUCED, IN_KIND, TRUEARM_ONLY = "reproduced", "not reproduced", "in kind", "not in the paper"
 NOT_JUDGED = "not judged"
 
 
