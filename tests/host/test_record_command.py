@@ -115,7 +115,7 @@ def test_a_pseudo_terminal(tmp_path):
 
 
 @posix
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_completes_the_file(tmp_path, number):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):

@@ -109,11 +109,12 @@ def record(
     print_result(document(recorded), lines(recorded), as_json)
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
-    if recorded.summary.reason == "interrupted":
-        if not recorded.kept:
-            typer.echo("interrupted before the box had started; nothing was recorded", err=True)
-        raise typer.Exit(ExitCode.INTERRUPTED)
-    if recorded.missing:
+    interrupted = recorded.summary.reason == "interrupted"
+    if interrupted and not recorded.kept:
+        typer.echo("interrupted before the box had started; nothing was recorded", err=True)
+    elif recorded.missing:
         where = f"; the received data are in {recorded.out}" if recorded.kept else "; nothing was recorded"
         named = recorded.kept and str(recorded.out) in recorded.missing
         raise IncompleteError(recorded.missing if named else f"{recorded.missing}{where}")
+    if interrupted:
+        raise typer.Exit(ExitCode.INTERRUPTED)

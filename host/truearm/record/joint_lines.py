@@ -96,13 +96,26 @@ class RobotIntake:
 
     def watch(self, now_ns: int) -> None:
         """Note in the file when the robot sends nothing though its link is intact, and when it sends again."""
-        waits_for_us = self.waiting > 0  # data received meanwhile waits to be stored
-        late = (self.age_s(now_ns) or 0.0) > SILENCE_S and not waits_for_us
-        silent = self.end is None and self.lost_ns is None and late
+        silent = self.end is None and self.lost_ns is None and self._late(now_ns)
         if silent != self._silent:
             self._silent = silent
             if self.lost_ns is None and self.end is None:
                 self._writer.event("robot-silent" if silent else "robot-heard", now_ns, heard_ns=self.heard_ns)
+
+    def _late(self, now_ns: int) -> bool:
+        """Return whether the next reading is overdue; not while received data waits to be stored."""
+        return (self.age_s(now_ns) or 0.0) > SILENCE_S and not self.waiting
+
+    def absence(self, now_ns: int) -> str:
+        """Return that the robot does not send, though it has not ended its stream; "" otherwise.
+
+        Datagrams have no end: a program that has finished and one that was lost are both just silent.
+        """
+        lost = self.end or (None if self.lost_ns is None else self.lost)
+        if isinstance(lost, LinkClosed) or (lost is None and (backlog_of(self._link).drops or not self._late(now_ns))):
+            return ""
+        why = "its connection is open" if lost is None else str(lost)
+        return f"the robot sent nothing in the last {self.age_s(now_ns) or 0.0:.1f} s ({why})"
 
     def age_s(self, now_ns: int) -> float | None:
         """Return the age of the last reading [s]."""

@@ -142,7 +142,7 @@ class _Recorder:
         self._to_ask = False  # whether to check that the box is still the same
         self._started_ns: int | None = None
         self._silent = False
-        self._box_gone = ""
+        self._box_gone = self._robot_gone = ""
         self._behind: Arrivals = []  # of the robot, read but not stored yet
         self._file_losses = 0  # reported in an event so far
         self._next_chores_ns = self._next_probe_ns = self._next_progress_ns = now_ns
@@ -176,6 +176,7 @@ class _Recorder:
             tuple(self._writer.losses),
             self._box_gone,
             self._heard_s(),
+            self._robot_gone,
         )
 
     def _write_head(
@@ -311,6 +312,7 @@ class _Recorder:
             self._box.flush()
             if self._robot is not None:
                 self._robot.flush(now_ns)
+                self._robot_gone = self._robot.absence(now_ns)
                 waiting = len(self._behind) + self._robot.waiting
                 self._counters.robot_unstored = waiting if waiting > USUAL_WAITING else 0
             self._exchanges.expire(now_ns, 0)

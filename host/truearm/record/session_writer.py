@@ -323,8 +323,9 @@ class SessionWriter:
                 assert_never(loss)
 
     def _check_content(self) -> None:
-        """Read the completed file back: bytes that were overwritten in place change neither its name nor its size."""
-        if content_crc(self._out.file, self._size) not in (self._out.crc, None):
+        """Read the completed file back: bytes that were overwritten in place, or appended, do not change its name."""
+        longer = os.fstat(self._out.file.fileno()).st_size > self._size
+        if longer or content_crc(self._out.file, self._size) not in (self._out.crc, None):
             self.losses.append(
                 f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
                 f"{self.path} shows what is left"

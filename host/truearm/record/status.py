@@ -58,7 +58,7 @@ class RecordSummary:
     ``reason`` is "duration", "operator", "robot closed", "robot lost", "no readings", "interrupted", "until" or "link
     lost"; ``text`` explains what was lost or closed. ``duration_s`` counts from the start of the stream. ``faults`` and
     ``file_losses`` are as in ``Status``. ``box_gone``: why the box could not be stopped, "" if it was stopped.
-    ``heard_s``: how long the box was heard.
+    ``heard_s``: how long the box was heard. ``robot_gone``: that the robot was lost or silent at the end, "" if not.
     """
 
     reason: str
@@ -70,3 +70,4 @@ class RecordSummary:
     file_losses: tuple[str, ...] = ()
     box_gone: str = ""
     heard_s: float = 0.0
+    robot_gone: str = ""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from truearm.errors import LinkError
+from truearm.errors import IncompleteError, LinkError
 from truearm.files.robot_file import RobotChoice
 from truearm.progress import step
 from truearm.text import counted
@@ -207,6 +207,8 @@ def record_virtually(
                 operator=Confirming(lab),
             ),
         )
+    if summary.file_losses:
+        raise IncompleteError("; ".join(summary.file_losses))
     if interrupted():  # also while the file was being completed, when the recorder no longer asks
         raise KeyboardInterrupt
     if summary.reason != "robot closed":

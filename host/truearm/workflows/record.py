@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from truearm.record.links import Clock
-    from truearm.record.session_writer import SessionWriter
     from truearm.record.status import RecordSummary
     from truearm.types import Plan, Rig
 
@@ -94,16 +93,9 @@ def record_request(request: Request, output: TextIO, say: Callable[[str], None])
         say(damaged_part(part))
     device = choose_box(request.device, output)
     try:
-        summary, writer, view = _record(device, work, request, output)
+        return _record(device, work, request, output)
     except WriteError as exc:  # data received until then is in the file
         raise IncompleteError(*exc.args) from exc
-    dwells = None
-    if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
-        dwells = recorded_dwells(writer.path)
-    missing = "; ".join(
-        filter(None, [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)])
-    )
-    return Recorded(writer.path, summary, writer.kept, view.trouble, missing, dwells)
 
 
 def damaged_part(part: Path) -> str:
@@ -136,6 +128,8 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     elif with_robot and not summary.counters.robot_lines:
         closed = "the robot closed its stream without" if summary.reason == "robot closed" else "there is not"
         reasons.append(f"{closed} a joint reading")
+    elif summary.robot_gone:
+        reasons.append(summary.robot_gone)
     if summary.counters.robot_missing:
         number = counted(summary.counters.robot_missing, "reading is", "readings are")
         reasons.append(f"the robot sent more than could be stored: {number} missing; let it send fewer per second")
@@ -150,13 +144,13 @@ def what_is_missing(summary: RecordSummary, with_robot: bool) -> str:
     if summary.box_gone and summary.reason != "link lost":
         lost_s = summary.duration_s - summary.heard_s
         reasons.append(f"the box was gone at the end, and silent for the last {lost_s:.1f} s ({summary.box_gone})")
+    elif not summary.counters.samples:
+        reasons.append("the box sent no sample")
     return "; ".join([*reasons, *summary.file_losses])
 
 
-def _record(
-    device: str, work: RecordingWork, request: Request, output: TextIO
-) -> tuple[RecordSummary, SessionWriter, View]:
-    """Return the summary, the closed file, and the view."""
+def _record(device: str, work: RecordingWork, request: Request, output: TextIO) -> Recorded:
+    """Record, and find out what is missing; a signal ends the recording, but not that question."""
     from truearm.record.links import HostClock
     from truearm.record.ports import BoxPort
     from truearm.record.recorder import Hooks, RecordOptions
@@ -173,32 +167,38 @@ def _record(
     with (
         closing(Reopening(BoxPort(device, clock))) as link,
         _robot_link(work.robot, clock) as robot_link,
-        SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
         asked_to_stop() as interrupted,
-        showing(view, request.plain, output),
     ):
-        try:
-            summary = record_session(
-                link,
-                writer,
-                clock,
-                robot=robot_link,
-                options=RecordOptions(
-                    plan=work.rows,
-                    rig_toml=work.rig_toml,
-                    mounted=work.mounted,
-                    osr=work.osr,
-                    duration_s=request.duration_s,
-                    patience_s=request.patience_s,
-                    head=[(SETUP, work.setup)],
-                ),
-                hooks=Hooks(interrupted=interrupted, operator=view),
-            )
-        except TruearmError as exc:
-            if writer.kept:
-                raise IncompleteError(*exc.args, f"; everything received until then is in {writer.path}") from exc
-            raise
-    return summary, writer, view
+        with (
+            SessionWriter(work.out, clock, overwrite=request.force, hold=True) as writer,
+            showing(view, request.plain, output),
+        ):
+            try:
+                summary = record_session(
+                    link,
+                    writer,
+                    clock,
+                    robot=robot_link,
+                    options=RecordOptions(
+                        plan=work.rows,
+                        rig_toml=work.rig_toml,
+                        mounted=work.mounted,
+                        osr=work.osr,
+                        duration_s=request.duration_s,
+                        patience_s=request.patience_s,
+                        head=[(SETUP, work.setup)],
+                    ),
+                    hooks=Hooks(interrupted=interrupted, operator=view),
+                )
+            except TruearmError as exc:
+                if writer.kept:
+                    raise IncompleteError(*exc.args, f"; everything received until then is in {writer.path}") from exc
+                raise
+        dwells = None
+        if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
+            dwells = recorded_dwells(writer.path)
+        reasons = [what_is_missing(summary, work.robot is not None), unsettled(dwells, writer.path)]
+        return Recorded(writer.path, summary, writer.kept, view.trouble, "; ".join(filter(None, reasons)), dwells)
 
 
 def _robot_link(url: str | None, clock: Clock) -> AbstractContextManager[Any]:
