@@ -198,7 +198,7 @@ def test_identify_says_what_is_lost(stream, tmp_path):
     options = SessionOptions(allow_damaged=True, say=said.append)
     assert len(observations_of_session(path, options=options).table) >= 4
     (line,) = said
-    assert re.search(r"^.*s\.mcap: damaged at byte \d+: [0-9.]+ of [0-9.]+ s lost$", line)
+    assert re.search(r"^.*s\.mcap: damaged at byte \d+: [0-9.]+ of [0-9.]+ s lost, from [0-9.]+ s on$", line)
 
 
 def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):

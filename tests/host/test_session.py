@@ -91,7 +91,7 @@ class TestRoundTrip:
             summary = reader.get_summary()
             sequences = [m.sequence for _, c, m in reader.iter_messages(["/box/adc"])]
         assert summary.statistics.message_count == len(messages)
-        assert summary.statistics.attachment_count == 1
+        assert summary.statistics.attachment_count == 2  # the rig and its copy at the end
         encodings = {c.topic: c.message_encoding for c in summary.channels.values()}
         assert encodings == {"/box/adc": "cbor", "/sync": "json", "/box/console": "application/octet-stream"}
         (schema,) = (schema for schema in summary.schemas.values() if schema.name == "truearm/sync")

@@ -60,7 +60,7 @@ EXTREME_WORDS = {
 
 def lines(document: Mapping[str, Any]) -> Iterator[str]:
     """The lines to print. Names from the file have their control characters made visible; console text has so already."""
-    state = ", incomplete: its recorder was killed or is still running" if document["truncated"] else ""
+    state = ", incomplete: what followed is lost, or its recorder is still running" if document["truncated"] else ""
     yield f"{one_line(document['file'])}: {document['duration_s']:.1f} s{state}"
     yield from _damage(document["damage"])
     yield from _session(document)
@@ -78,9 +78,9 @@ def _damage(damage: list[Mapping[str, Any]]) -> Iterator[str]:
     from truearm.session.session_file import words_of
 
     for piece in damage:
-        yield "  " + words_of(piece["at"], piece["lost_s"], piece["of_s"])
+        yield "  " + words_of(**piece)
     if damage:
-        yield "  the losses below include these, although no link lost them"
+        yield "  the losses below include these, although no link lost them; not those before the first message that is left"
 
 
 def _session(document: Mapping[str, Any]) -> Iterator[str]:

@@ -46,7 +46,8 @@ def recover(
         typer.echo(f"{one_line(str(session))}: is intact; there is nothing to recover, and nothing was written")
     else:
         print_lines(lines(found))
-        typer.echo(f"{one_line(str(out))}: written, with all data that are intact; every command reads it")
+        reading = "every command reads it" if found.samples else "but no sample in it can be used"
+        typer.echo(f"{one_line(str(out))}: written, with all data that are intact; {reading}")
     if found is not None:
         warn_of_further_parts(session, f"later commands do not find them from {one_line(out.name)}; name each file")
 
@@ -57,19 +58,25 @@ def lines(found: Recovered) -> list[str]:
 
     messages = sum(account.saved for account in found.topics.values())
     text = [
-        f"saved  {counted(messages, 'message')} over {found.seconds:.1f} s, {_named(found.attachments, 'attachment')}"
+        f"saved  {counted(messages, 'message')} over {found.seconds:.1f} s, {counted(found.samples, 'sample')}, "
+        f"{_named(found.attachments, 'attachment')}"
     ]
     width = max((len(topic) for topic in found.topics), default=0)
     for topic, account in found.topics.items():
         lost = f", {account.lost} lost" if account.lost else ""
         text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
     for damage in found.damage[:SHOWN]:
-        words = words_of(damage.at, damage.lost_s, damage.of_s)
-        text.append(f"lost   {words}" + ("" if damage.at is None else f", from {damage.from_s:.1f} s on"))
+        text.append(f"lost   {words_of(**vars(damage))}")
     if len(found.damage) > SHOWN:
         text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
+    if found.undescribed:
+        lost = counted(found.undescribed, "block of samples", "blocks of samples")
+        text.append(f"lost   what {lost} mean: the box's description of its channels was in a damaged place")
     if found.cut_off:
-        text.append("lost   the end of the file: its length is unknown (at most a second if the recorder was killed)")
+        text.append(
+            f"lost   the end of the file, after {found.seconds:.1f} s: its length is unknown (at most a second if the "
+            "recorder was killed)"
+        )
     text.append(f"       {counted(found.unread_bytes, 'byte is', 'bytes are')} outside intact records")
     return text
 

@@ -10,12 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from truearm.errors import SessionError
 from truearm.record.session_writer import SessionWriter, media_type
+from truearm.session.box_ident import Ident, recorded_ident
+from truearm.session.box_reader import BoxReader
 from truearm.session.message_columns import CHANNELS
 from truearm.session.session_file import Damage, Session
+from truearm.types import Ints
 from truearm.units import NS
 
-_CIRCLE = 2**32
 _WRITERS_OWN = ("session-end", CHANNELS)  # metadata written by the writer itself
 
 
@@ -28,22 +33,21 @@ class TopicAccount:
 
     saved: int = 0
     lost: int = 0
-    _next: int | None = None
+    _end: int = 0
 
-    def take(self, sequence: int) -> None:
-        """Count a recovered message with this number. Numbers that do not ascend (other writers may use 0) are ignored."""
-        self.saved += 1
-        skipped = (sequence - (self._next or 0)) % _CIRCLE
-        if skipped < _CIRCLE // 2:
-            self.lost += skipped
-        self._next = (sequence + 1) % _CIRCLE
+    def take(self, sequence: Ints) -> None:
+        """Count recovered messages with these numbers from 0 on, in any order. Other writers may number all of them 0."""
+        self.saved += len(sequence)
+        self._end = max(self._end, int(sequence.max()) + 1)
+        self.lost = max(0, self._end - self.saved)
 
 
 @dataclass(frozen=True)
 class Recovered:
     """Result of a recovery. ``seconds`` is the time from the first to the last recovered message.
 
-    ``unread_bytes`` are not in any complete record. ``cut_off``: the end of the file is missing.
+    ``unread_bytes`` are not in any complete record. ``cut_off``: the end of the file is missing. ``samples`` of the
+    streams can be evaluated; ``undescribed`` frames of samples cannot, because the box's ident is lost.
     """
 
     topics: dict[str, TopicAccount]
@@ -52,6 +56,8 @@ class Recovered:
     unread_bytes: int
     seconds: float
     attachments: tuple[str, ...] = ()
+    samples: int = 0
+    undescribed: int = 0
 
 
 def is_whole(session: Session) -> bool:
@@ -66,17 +72,26 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     it cannot be written, SessionError if the damaged file changes while it is read.
     """
     topics: dict[str, TopicAccount] = {}
-    first_ns, last_ns = 2**64, 0
+    first_ns, last_ns = 2**63 - 1, 0
+    box = BoxReader(_ident(session), keep_exchanges=False)
     with SessionWriter(out, None) as writer:
         for name, entries in session.metadata.items():
             if name not in _WRITERS_OWN:
                 writer.metadata(name, entries)
         for name, data in session.attachments.items():
             writer.attach(name, media_type(name), data)
-        for sequence, message in session.numbered():
-            topics.setdefault(message.topic, TopicAccount()).take(sequence)
-            first_ns, last_ns = min(first_ns, message.t_host_ns), max(last_ns, message.t_host_ns)
-            writer.add(*message, sequence)
+        for messages in session.batches():
+            for topic in messages.topics:
+                if len(rows := messages.rows(topic.__eq__)):
+                    topics.setdefault(topic, TopicAccount()).take(messages.sequence[rows])
+            first_ns = int(messages.t_host_ns.min(initial=first_ns))
+            last_ns = int(messages.t_host_ns.max(initial=last_ns))
+            for sequence, message in zip(
+                messages.sequence.tolist(), messages.of(np.arange(len(messages))), strict=True
+            ):
+                writer.add(*message, sequence)
+            box.feed(messages)
+        box.finish()
         for topic, count in session.counted.items():
             account = topics.setdefault(topic, TopicAccount())
             account.lost = max(account.lost, count - account.saved)
@@ -87,10 +102,19 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
             unread_bytes=session.unread_bytes,
             seconds=NS.to_si(max(0, last_ns - first_ns)),
             attachments=tuple(session.attachments),
+            samples=box.losses().samples,
+            undescribed=box.losses().blocks_without_ident,
         )
         writer.metadata("recovered", {**note, **_entries(found)})
         writer.close(session.metadata.get("session-end"))
     return found
+
+
+def _ident(session: Session) -> Ident | None:
+    try:
+        return recorded_ident(session)
+    except SessionError:
+        return None
 
 
 def _entries(found: Recovered) -> dict[str, str]:

@@ -11,6 +11,10 @@ file relative to their own.
 The robot's lines are accompanied by their numbers as columns, for readers. Columns are written once per chunk, and
 before an event, after which other numbers may apply.
 
+What every message needs is repeated, so that one damaged place cannot take it away: the metadata (the box's ident, the
+clock's anchor, the channels) once a minute, the attachments (the rig, and a copy of the plan and of what was mounted)
+every ten minutes, all of them at the end.
+
 A completed file ends with a CRC of everything before it, so a flipped bit anywhere cannot pass for a measurement.
 
 Before each write, and twice a second, the writer checks that its file is still there and has the expected length
@@ -46,10 +50,12 @@ from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, fil
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
-from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, metadata_crc
+from truearm.session.message_columns import CHANNELS, CRC, LATEST_NS, PLAN_COPY, metadata_crc
 
 CHUNK_NS = 800_000_000  # with the recorder's interval of 50 ms no message waits longer than 1 s
 _CHUNK_BYTES = 1 << 20
+_COPY_NS = 60_000_000_000  # between copies of the metadata
+_ATTACHED_EVERY = 10  # copies
 _COLUMN_LINES = 1024  # maximum; a reader holds this many in memory
 _FSYNC_EVERY_S = 0.9
 _WATCH_EVERY_S = 0.5
@@ -111,7 +117,11 @@ class SessionWriter:
         self._head_waiting: list[_Message] = []  # of the current chunk
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, tuple[str, bytes]] = {}
-        self._writer = self._begun()
+        self._copies = 0
+        self._copied_ns: int | None = None
+        self._copied_bytes = 0  # size of the last copy, and of the file after it
+        self._copied_to = 0
+        self._writer = _begun(self._out)
         if clock is not None:
             self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
 
@@ -166,14 +176,14 @@ class SessionWriter:
             self._add_columns()
         if self._chunk_since_ns is None:
             self._chunk_since_ns = t_host_ns
-        elif t_host_ns - self._chunk_since_ns >= CHUNK_NS or self._chunk_bytes >= _CHUNK_BYTES:
+        elif abs(t_host_ns - self._chunk_since_ns) >= CHUNK_NS or self._chunk_bytes >= _CHUNK_BYTES:
             self._finish_chunk()
 
     def _add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             encodings = self._encodings[topic] = encodings_of(topic, data)
-            channel = self._channels[topic] = [self._register(topic, encodings), 0]
+            channel = self._channels[topic] = [_register(self._writer, topic, encodings), 0]
             # MCAP has this only once, in the current chunk; if that chunk is lost, the others need it to be readable.
             self.metadata(CHANNELS, {str(number): name for name, (number, _) in self._channels.items()})
         if sequence is not None:
@@ -216,10 +226,9 @@ class SessionWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
-        now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
         try:
             self._watch()
-            self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
+            self._add_attachment(name, media_type, data)
             self._attachments[name] = media_type, data
             self._flushed()
         except OSError as exc:
@@ -249,10 +258,11 @@ class SessionWriter:
         try:
             self._watch()
             self._add_columns()
+            self._write_chunk()
+            self._copy_head(attached=True)
             said = {**({} if self._clock is None else _anchor(self._clock)), **(end or {})}
             if said:
                 self._add_metadata("session-end", said)
-            self._write_chunk()
             self._writer.finish()
             self._flushed()
             os.fsync(self._out.file.fileno())
@@ -273,20 +283,6 @@ class SessionWriter:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
         hold(file)
         return file
-
-    def _begun(self) -> Writer:
-        writer = Writer(
-            self._out,  # type: ignore[arg-type]
-            chunk_size=sys.maxsize,  # ``_write_chunk`` alone ends chunks
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        writer.start(profile="truearm", library=f"truearm {__version__}")
-        return writer
-
-    def _register(self, topic: str, encodings: Encodings) -> int:
-        schema = self._writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
-        return self._writer.register_channel(topic, encodings.message, schema)
 
     def _flushed(self) -> None:
         self._out.flush()
@@ -344,15 +340,48 @@ class SessionWriter:
         path, new = new_file_beside(self.path)
         self._out.file.close()
         self.path, self._out, self._renamed = path, _Output(new), False
-        self._writer = self._begun()
+        self._writer = self._head_into(self._out)
+        self._copy_head(attached=True)
+        self._flushed()
+
+    def _head_into(self, out: _Output | io.BytesIO) -> Writer:
+        """Begin a file with all channels, the plan and what was mounted."""
+        writer = _begun(out)
         for topic, encodings in self._encodings.items():
-            self._register(topic, encodings)  # the numbers are the same because they are sequential
-        self._pack(self._head)
+            _register(writer, topic, encodings)  # the numbers are the same because they are sequential
+        _pack(writer, self._head)
+        return writer
+
+    def _copy_head(self, attached: bool) -> None:
+        """Repeat all metadata, and the attachments with a copy of the plan and of what was mounted."""
+        begin = self._out.tell()
         for name, entries in self._metadata.items():
             self._writer.add_metadata(name, entries)
-        for name, (media_type, data) in self._attachments.items():
-            self._writer.add_attachment(0, 0, name, media_type, data)
-        self._flushed()
+        if attached:
+            for name, (kind, data) in self._attachments.items():
+                self._add_attachment(name, kind, data)
+            if self._head:
+                copy = io.BytesIO()
+                self._head_into(copy).finish()
+                self._add_attachment(PLAN_COPY, media_type(PLAN_COPY), copy.getvalue())
+        self._copied_to = self._out.tell()
+        self._copied_bytes = self._copied_to - begin
+
+    def _copy_head_if_due(self) -> None:
+        """Repeat the head once a minute, but never more of it than of messages: a damaged file may jump in time."""
+        if self._copied_ns is None:
+            self._copied_ns = self._latest_ns
+        elif (
+            abs(self._latest_ns - self._copied_ns) >= _COPY_NS
+            and self._out.tell() - self._copied_to >= self._copied_bytes
+        ):
+            self._copied_ns = self._latest_ns
+            self._copies += 1
+            self._copy_head(attached=self._copies % _ATTACHED_EVERY == 0)
+
+    def _add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        now_ns = 0 if self._clock is None else self._clock.now_ns() + self._utc_offset_ns
+        self._writer.add_attachment(now_ns, now_ns, name, media_type, data)
 
     def _add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         self._metadata[name] = {**entries, CRC: metadata_crc(name, entries)}
@@ -363,6 +392,7 @@ class SessionWriter:
         try:
             self._watch()
             self._write_chunk()
+            self._copy_head_if_due()
             self._flushed()
             if self._held:
                 self._check_held()
@@ -382,15 +412,7 @@ class SessionWriter:
         self._head_waiting = []
         self._chunk_since_ns = None
         self._chunk_bytes = 0
-        self._pack(messages)
-
-    def _pack(self, messages: Iterable[_Message]) -> None:
-        """Write messages as a chunk."""
-        for message in messages:
-            self._writer.add_message(
-                message.channel, message.log_ns, message.data, message.publish_ns, message.sequence
-            )
-        self._writer.flush()
+        _pack(self._writer, messages)
 
     def _check_held(self) -> None:
         if self._out.tell() > MAX_HELD_BYTES:
@@ -408,6 +430,29 @@ class SessionWriter:
 def media_type(name: str) -> str:
     """Return the media type of an attachment by its name; a session does not store it elsewhere."""
     return "application/toml" if name.endswith(".toml") else "application/octet-stream"
+
+
+def _begun(out: _Output | io.BytesIO) -> Writer:
+    writer = Writer(
+        out,  # type: ignore[arg-type]
+        chunk_size=sys.maxsize,  # ``_pack`` alone ends chunks
+        compression=CompressionType.ZSTD,
+        enable_data_crcs=True,
+    )
+    writer.start(profile="truearm", library=f"truearm {__version__}")
+    return writer
+
+
+def _register(writer: Writer, topic: str, encodings: Encodings) -> int:
+    schema = writer.register_schema(encodings.name, encodings.schema, encodings.data.encode())
+    return writer.register_channel(topic, encodings.message, schema)
+
+
+def _pack(writer: Writer, messages: Iterable[_Message]) -> None:
+    """Write messages as a chunk."""
+    for message in messages:
+        writer.add_message(message.channel, message.log_ns, message.data, message.publish_ns, message.sequence)
+    writer.flush()
 
 
 class _Output:

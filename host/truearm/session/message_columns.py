@@ -37,6 +37,7 @@ MAX_CHANNELS = 1000
 
 CRC = "crc32"  # a key of every metadata record of ours
 CHANNELS = "channels"  # the metadata record that repeats the mapping of channels to topics
+PLAN_COPY = "plan.mcap"  # the attachment that repeats the plan and what was mounted
 
 RECORD = struct.Struct("<BQ")
 LATEST_NS = 1 << 62  # 146 years; differences of later times would not fit int64
@@ -119,14 +120,16 @@ def parse_metadata(path: Path, body: bytes, at: int) -> tuple[str, dict[str, str
     return record.name, entries, crc is not None
 
 
-def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes]:
+def parse_attachment(path: Path, body: bytes, at: int) -> tuple[str, bytes, bool]:
+    """Return name, data and whether a CRC proves them; a CRC that does not match is damage."""
     try:
         record = Attachment.read(ReadDataStream(io.BytesIO(body)))
     except UNREADABLE:
         damaged(path, at)
-    if len(body) < 4 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little") != 0:
+    crc = int.from_bytes(body[-4:], "little")
+    if len(body) < 4 or zlib.crc32(body[:-4]) != crc != 0:
         damaged(path, at)
-    return record.name, record.data
+    return record.name, record.data, crc != 0
 
 
 def chunk_records(path: Path, file: BinaryIO, at: int, length: int, zstd: zstandard.ZstdDecompressor) -> bytes:
@@ -230,7 +233,10 @@ class Messages:
 
     def without(self, wanted: Callable[[str], bool]) -> Messages:
         """Return the messages except those of some topics."""
-        rows = self.rows(lambda topic: not wanted(topic))
+        return self.take(self.rows(lambda topic: not wanted(topic)))
+
+    def take(self, rows: NDArray[np.intp]) -> Messages:
+        """Return a selection of the messages as columns."""
         columns = ("topic", "t_host_ns", "begin", "end", "sequence", "log_ns")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 

@@ -20,10 +20,11 @@ Legs are assigned to lines in the same way, by the plan or by what was said to b
 from __future__ import annotations
 
 import json
-from bisect import bisect_right
+from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,7 +81,7 @@ class Marks:
             if isinstance(kind, str) and (kind in self.kinds or len(self.kinds) < 100):
                 self.kinds[kind] = self.kinds.get(kind, 0) + 1
             if kind == "mounted":
-                self.mountings.append((t_host_ns, _fittings(document)))
+                insort(self.mountings, (t_host_ns, _fittings(document)), key=itemgetter(0))
 
     def _plan(self, document: Mapping[str, Any]) -> None:
         q = document.get("q")

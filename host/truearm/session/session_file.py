@@ -14,6 +14,9 @@ content. The file is read once. The search is abandoned if an untrusted file con
 Metadata (the clock's anchors, the box's ident) have a CRC among their entries. Records without one (headers, metadata
 of other programs) are accepted as they are. If a complete file does not match its CRC and the damaged place is not
 found, this is reported.
+
+The writer repeats metadata and attachments, of which any intact copy is as good as the first. The copy of the plan and
+of what was mounted replaces those of its messages that are lost.
 """
 
 from __future__ import annotations
@@ -23,10 +26,11 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -44,6 +48,7 @@ from truearm.session.message_columns import (
     MAX_CHANNELS,
     MAX_CHUNK_BYTES,
     MAX_METADATA_BYTES,
+    PLAN_COPY,
     RECORD,
     UNREADABLE,
     Messages,
@@ -60,6 +65,7 @@ from truearm.session.message_columns import (
 from truearm.types import Message
 
 _CRC_BLOCK = 1 << 20
+REPEATED = ("/plan", "/events")  # topics of which the writer repeats messages
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,7 @@ class Session:
     damage: tuple[Damage, ...] = ()
     unread_bytes: int = 0  # of a damaged file: bytes that are not in a complete record
     counted: dict[str, int] = field(default_factory=dict)  # messages by topic according to the end of a damaged file
+    restored: Messages | None = None  # of a damaged file: lost messages, from the copy of the plan
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield messages of ``topics`` (all if None) in the order of writing.
@@ -93,14 +100,13 @@ class Session:
     def batches(self) -> Iterator[Messages]:
         """Yield all messages as columns, some megabytes at a time, in the order of writing.
 
-        Raises SessionError if the file is damaged.
+        Raises SessionError if the file is damaged. Restored messages come first.
         """
-        return batches(self.path, self.packed(), dict(self.channels))
-
-    def numbered(self) -> Iterator[tuple[int, Message]]:
-        """Yield all messages, each with the number that its writer gave it within its topic."""
-        for messages in self.batches():
-            yield from zip(messages.sequence.tolist(), messages.of(np.arange(len(messages))), strict=True)
+        read = batches(self.path, self.packed(), dict(self.channels))
+        if self.restored is None:
+            return read
+        has_plan = len(self.restored.rows("/plan".__eq__)) > 0
+        return chain([self.restored], (m.without(lambda topic: has_plan and topic == "/plan") for m in read))
 
     def packed(self) -> Iterator[bytes]:
         """Yield the records of one chunk after the other."""
@@ -127,7 +133,11 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
     path = Path(path)
     with open_file(path) as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise SessionError(f"{path}: is not an MCAP file; give a session recorded by truearm record")
+            if not has_footer(file, os.fstat(file.fileno()).st_size):
+                raise SessionError(f"{path}: is not an MCAP file; give a session recorded by truearm record")
+            if not allow_damaged:
+                damaged(path, 0)
+            return _salvaged(path, file, known_damaged=True)
         try:
             session, proven = _scan(path, file)
         except SessionError:
@@ -149,8 +159,33 @@ def _salvaged(path: Path, file: BinaryIO, known_damaged: bool) -> Session:
     damage = whole.damage
     if known_damaged and complete and not damage:
         damage = (Damage(None, 0.0, 0.0),)
+    copy = whole.attachments.pop(PLAN_COPY, None)
+    restored = None if copy is None else _restored(path, copy, whole.numbers)
     found = whole.metadata, whole.attachments, not complete, tuple(whole.spans), whole.channels
-    return Session(path, *found, damage, whole.unread_bytes, whole.counted)
+    return Session(path, *found, damage, whole.unread_bytes, whole.counted, restored)
+
+
+def _restored(path: Path, copy: bytes, intact: Mapping[str, set[int]]) -> Messages | None:
+    """Return the lost messages that a copy of the plan holds, None if there are none.
+
+    ``intact``: the numbers of the messages that are left, by topic. If any row of the plan is lost, all are returned.
+    """
+    file = io.BytesIO(copy)
+    places = [(at, length) for opcode, at, length in records(file, len(copy)) if opcode == Opcode.CHUNK]
+    try:
+        chunks = [chunk_records(path, file, at, length, ZstdDecompressor()) for at, length in places]
+        messages = next(batches(path, chunks, {}), None)
+    except SessionError:
+        return None
+    if messages is None:
+        return None
+    plan, events = (messages.rows(topic.__eq__) for topic in REPEATED)
+    plan_lost, events_lost = (
+        np.isin(messages.sequence[rows], list(intact[topic]), invert=True)
+        for topic, rows in zip(REPEATED, (plan, events), strict=True)
+    )
+    rows = np.concatenate([plan if plan_lost.any() else plan[:0], events[events_lost]])
+    return messages.take(rows) if len(rows) else None
 
 
 def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
@@ -174,8 +209,9 @@ def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
             name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
             metadata[name] = entries
         elif opcode == Opcode.ATTACHMENT:
-            name, data = parse_attachment(path, body_of(path, file, at, length, MAX_ATTACHMENT_BYTES), at)
-            attachments[name] = data
+            name, data, _ = parse_attachment(path, body_of(path, file, at, length, MAX_ATTACHMENT_BYTES), at)
+            if name != PLAN_COPY:
+                attachments[name] = data
         if len(metadata) > MAX_ITEMS or len(attachments) > MAX_ITEMS:
             raise SessionError(f"{path}: holds more than {MAX_ITEMS} attachments or metadata records")
         end = at + length
@@ -263,7 +299,9 @@ class IntactParts:
     counted: dict[str, int] = field(default_factory=dict)  # messages by topic, according to the end of the file
     first_ns: int | None = None
     last_ns: int | None = None  # of the messages, by MCAP's log time
+    numbers: dict[str, set[int]] = field(default_factory=lambda: {topic: set() for topic in REPEATED})
     _gaps: list[tuple[int, int | None, int | None]] = field(default_factory=list)  # at byte, times before and after
+    _proven: set[str] = field(default_factory=set)  # metadata and attachments with a CRC
 
     def bad(self, at: int) -> None:
         """Note that the record at ``at`` is invalid or incomplete; consecutive ones count as one."""
@@ -275,6 +313,13 @@ class IntactParts:
         if self.spans and self.spans[-1][1] == start:
             start = self.spans.pop()[0]
         self.spans.append((start, end))
+
+    def add(self, records: dict[str, Any], name: str, content: Any, proven: bool) -> None:
+        """Note metadata or an attachment. Without a CRC it may consist of zeros, and never replaces one with a CRC."""
+        if proven or (name and name not in self._proven):
+            records[name] = content
+        if proven:
+            self._proven.add(name)
 
     def declare(self, entries: dict[str, str]) -> None:
         """Note the channels that the writer declares outside of the chunks, if it does."""
@@ -305,11 +350,11 @@ class IntactParts:
             self._gaps[-1] = (*self._gaps[-1][:2], now_ns)
 
 
-def words_of(at: int | None, lost_s: float, of_s: float) -> str:
+def words_of(at: int | None, lost_s: float, of_s: float, from_s: float) -> str:
     """Describe a damaged place in words."""
     if at is None:
         return "damaged: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong"
-    return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost"
+    return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on"
 
 
 def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
@@ -320,6 +365,10 @@ def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
     whole = IntactParts(channels, counted={channels[k]: n for k, n in counted.items() if k in channels})
     at: int | None = len(MCAP0_MAGIC)
     n_bad = 0
+    file.seek(0)
+    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+        whole.bad(0)
+        whole.unread_bytes += len(MCAP0_MAGIC)
     while at is not None and at + RECORD.size <= size:
         file.seek(at)
         opcode, length = RECORD.unpack(file.read(RECORD.size))
@@ -356,12 +405,12 @@ def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, who
             )
         elif opcode == Opcode.METADATA:
             name, entries, proven = parse_metadata(path, body_of(path, file, body, length, MAX_METADATA_BYTES), body)
-            whole.metadata[name] = entries
+            whole.add(whole.metadata, name, entries, proven)
             if name == CHANNELS and proven:  # wrong names would turn intact messages into others
                 whole.declare(entries)
         elif opcode == Opcode.ATTACHMENT:
-            name, data = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)
-            whole.attachments[name] = data
+            name, data, proven = parse_attachment(path, body_of(path, file, body, length, MAX_ATTACHMENT_BYTES), body)
+            whole.add(whole.attachments, name, data, proven)
         elif opcode == Opcode.MESSAGE_INDEX:
             head = body_of(path, file, body, min(length, 6), 6)
             return length >= 6 and int.from_bytes(head[2:], "little") == length - 6 and length % 16 == 6
@@ -378,6 +427,8 @@ def _take_messages(path: Path, data: bytes, whole: IntactParts) -> None:
     channels = dict(whole.channels)
     (messages,) = batches(path, [data], channels)
     whole.channels.update(channels)
+    for topic, numbers in whole.numbers.items():
+        numbers.update(messages.sequence[messages.rows(topic.__eq__)].tolist())
     if len(messages):
         whole.saw(int(messages.log_ns.min()), int(messages.log_ns.max()))
 

@@ -151,7 +151,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
 
     path = session.path
     if session.damage:
-        said = ", ".join(words_of(damage.at, damage.lost_s, damage.of_s) for damage in session.damage[:SAID])
+        said = ", ".join(words_of(**vars(damage)) for damage in session.damage[:SAID])
         more = f" and in {counted(len(session.damage) - SAID, 'place')} more" if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)

@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +107,7 @@ def earlier(path: Path) -> Earlier:
     driven: list[int | None] = []
     for number, session in enumerate(sessions):
         setup |= session.metadata.get(SETUP, {})
-        for message in session.messages(["/plan", "/events"]):
+        for message in sorted(session.messages(["/plan", "/events"]), key=attrgetter("t_host_ns")):
             row = _table(message.data)
             if message.topic == "/plan":
                 rows += [_planned(row, rows, session.path)] * (number == 0)

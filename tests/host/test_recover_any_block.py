@@ -1,0 +1,159 @@
+"""A session of four minutes with any one 64 kB block zeroed loses the seconds that stood in it, and nothing else."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from mcap.reader import SeekingReader
+from record_box import Box, Lab, N
+from record_files import run
+
+from truearm.cli.main import main
+from truearm.record.recorder import RecordOptions
+from truearm.record.recover import recover
+from truearm.record.session_writer import SessionWriter
+from truearm.session.message_columns import batches
+from truearm.session.session_file import open_session
+from truearm.workflows.inspect import describe
+
+BLOCK_BYTES = 65_536
+TOUCHED_S = 2.0  # of the chunks that begin before the block or end after it
+PLAN = [{"pose": k, "bar": "b46", "chuck": "c1", "sphere": "s1", "q": [0.1 * k, 0.2, 0.3]} for k in range(40)]
+MOUNTED = {"bar": "b46", "chuck": "c1", "sphere": "s1"}
+RIG = b"[[chuck]]\n"
+
+
+def recorded(path, seconds):
+    """Return the bytes of a recording, its metadata and its chunks: bytes, times [ns] and messages of each."""
+    lab = Lab()
+    run(lab, Box(lab), path, seconds, RecordOptions(plan=PLAN, rig_toml=RIG, mounted=MOUNTED))
+    session = open_session(path)
+    channels = {}
+    columns = [next(batches(path, [records], channels)) for records in session.packed()]
+    with path.open("rb") as file:
+        chunks = SeekingReader(file).get_summary().chunk_indexes
+    return SimpleNamespace(
+        whole=path.read_bytes(),
+        metadata=session.metadata,
+        holds=[list(messages.of(np.arange(len(messages)))) for messages in columns],
+        bytes=np.array([(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in chunks]),
+        log_ns=np.array([(c.message_start_time, c.message_end_time) for c in chunks]),
+    )
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("recording") / "session.mcap", 240.0)
+
+
+def zeroed(recording, begin, n_bytes, path):
+    damaged = bytearray(recording.whole)
+    damaged[begin : begin + n_bytes] = bytes(len(damaged[begin : begin + n_bytes]))
+    path.write_bytes(damaged)
+
+
+def is_of_head(message):
+    return message.topic == "/plan" or b'"mounted"' in message.data
+
+
+def check_block(recording, begin, path):
+    end = begin + BLOCK_BYTES
+    zeroed(recording, begin, BLOCK_BYTES, path)
+    out = path.with_name("recovered.mcap")
+    out.unlink(missing_ok=True)
+    session = open_session(path, allow_damaged=True)
+    found = recover(session, out, {})
+
+    touched = (recording.bytes[:, 0] < end) & (recording.bytes[:, 1] > begin)
+    expected = [
+        message
+        for messages, lost in zip(recording.holds, touched, strict=True)
+        for message in messages
+        if not lost or is_of_head(message)
+    ]
+    mended = open_session(out)
+    assert sorted(m for m in mended.messages() if m.topic != "/robot/columns") == sorted(expected)
+    assert found.samples == N * sum(message.topic == "/box/adc" for message in expected)
+    assert mended.attachments == {"rig.toml": RIG}
+    assert mended.metadata["box"] == recording.metadata["box"]
+    assert mended.metadata["session"] == recording.metadata["session"]
+
+    inside = (recording.bytes[:, 0] >= begin) & (recording.bytes[:, 1] <= end)
+    first_ns, last_ns = recording.log_ns.min(), recording.log_ns.max()
+    inside_s = 1e-9 * np.ptp(recording.log_ns[inside]) if inside.any() else 0.0
+    spans = [(damage.from_s, damage.from_s + damage.lost_s) for damage in found.damage]
+    if found.cut_off:
+        spans.append((found.seconds, 1e-9 * (last_ns - first_ns)))
+    assert sum(stop - start for start, stop in spans) <= inside_s + TOUCHED_S
+    for start_ns, stop_ns in recording.log_ns[touched]:
+        assert any(
+            start <= 1e-9 * (start_ns - first_ns) + 1e-3 and 1e-9 * (stop_ns - first_ns) <= stop + 1e-3
+            for start, stop in spans
+        )
+
+    document = describe(session)
+    assert document["losses"]["samples"] == found.samples
+    assert [(place["from_s"], place["lost_s"]) for place in document["damage"]] == [
+        (damage.from_s, damage.lost_s) for damage in found.damage
+    ]
+    assert document["plan_poses"] == len(PLAN)
+    assert document["events"]["mounted"] == 1
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_one_block(recording, tmp_path, share):
+    check_block(recording, round(share * (len(recording.whole) - BLOCK_BYTES)), tmp_path / "session.mcap")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("shift", [0, 1000])
+def test_every_block(recording, tmp_path, shift):
+    for begin in range(shift, len(recording.whole), BLOCK_BYTES):
+        check_block(recording, begin, tmp_path / "session.mcap")
+
+
+def test_head_of_4_kb(recording, tmp_path, capsys):
+    path = tmp_path / "session.mcap"
+    zeroed(recording, 0, 4096, path)
+    assert main(["inspect", str(path)]) == 2
+    assert "damaged at byte 0" in capsys.readouterr().err
+    assert main(["recover", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "every command reads it" in text
+    assert re.search(r"0\.\d of 240\.\d s lost, from 0\.0 s on", text)
+    assert main(["inspect", str(path), "--allow-damaged"]) == 0
+    assert re.search(r"0\.\d of 240\.\d s lost, from 0\.0 s on", capsys.readouterr().out)
+
+
+def test_copies_are_not_restarts(recording, tmp_path):
+    path = tmp_path / "session.mcap"
+    path.write_bytes(recording.whole)
+    document = describe(open_session(path))
+    assert document["attachments"] == ["rig.toml"]
+    assert document["plan_poses"] == len(PLAN)
+    assert document["losses"]["restarts"] == 0
+    assert document["events"] == {"mounted": 1, "start": 1, "stop": 1}
+
+
+def test_a_session_without_copies(tmp_path, capsys, monkeypatch):
+    """Sessions of earlier versions have none: the messages are saved, but nothing says what their samples mean."""
+    monkeypatch.setattr(SessionWriter, "_copy_head", lambda self, attached: None)
+    path = tmp_path / "session.mcap"
+    zeroed(recorded(path, 5.0), 8, 4096, path)
+    monkeypatch.undo()
+    assert main(["recover", str(path), "--json"]) == 0
+    assert '"samples": 0' in capsys.readouterr().out
+    assert main(["recover", str(path), "--force"]) == 0
+    text = capsys.readouterr().out
+    assert "every command reads it" not in text
+    assert "no sample in it can be used" in text
+
+
+def test_times_that_jump_do_not_multiply_copies(tmp_path):
+    path = tmp_path / "session.mcap"
+    with SessionWriter(path, None) as writer:
+        writer.attach("large.bin", "application/octet-stream", np.random.default_rng(1).bytes(300_000))
+        for hour in range(100):
+            writer.add_json("/events", hour * 3600 * 10**9, {"kind": "note"})
+    assert path.stat().st_size < 3 * 300_000 + 100_000
