@@ -1,13 +1,18 @@
 """Lines of CSV and JSON over TCP and UDP, and tables of joint readings: names, units, and what is not a reading."""
 
+import itertools
 import json
 import math
 import socket
 import threading
-from contextlib import suppress
+import time
+from contextlib import contextmanager, suppress
 
 import pytest
+from record_files import events, topics
+from record_real import box_on_a_socket
 
+from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
@@ -16,6 +21,7 @@ from truearm.record.robots.joint_table import readings
 from truearm.record.robots.sources import FileOptions, open_source
 from truearm.record.robots.text_lines import LineDialect, LinesLink, open_lines
 from truearm.session.joint_format import parse_reading
+from truearm.session.session_file import open_session
 
 PATIENCE_S = 5.0  # only a broken link waits so long
 DEG = math.pi / 180.0
@@ -252,6 +258,35 @@ class TestTcp:
         assert "'q1_degrees' is not known" in str(end)
 
 
+@contextmanager
+def sender(address):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        try:
+            opened.bind((address, 0))
+        except OSError:
+            pytest.skip(f"this machine has no address {address}")
+        yield opened
+
+
+def arrivals_of(link, count):
+    """Return that many arrivals, fewer if they do not come."""
+    deadline = time.monotonic() + PATIENCE_S
+    arrivals = []
+    while len(arrivals) < count and time.monotonic() < deadline:
+        arrivals += link.read(0.1)
+    return arrivals
+
+
+class SetClock:
+    """A clock that stands until it is set."""
+
+    kind = "virtual"
+    t_s = 100.0
+
+    def now_ns(self):
+        return round(1e9 * self.t_s)
+
+
 class TestUdp:
     @pytest.fixture
     def free(self):
@@ -262,10 +297,7 @@ class TestUdp:
     def test_datagrams(self, free):
         clock = HostClock()
         link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", clock)
-        with (
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
-            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-        ):
+        with sender("127.0.0.1") as robot, sender("127.0.0.2") as other:
             before = clock.now_ns()
             robot.sendto(b"1,0.5", ("127.0.0.1", free))
             arrivals = []
@@ -283,6 +315,80 @@ class TestUdp:
         stamps = [t for t, _ in arrivals]
         assert before <= stamps[0]
         assert stamps == sorted(stamps)
+
+    def test_a_restarted_program_sends_from_another_port(self, free):
+        """Its 200 readings were once dropped without a word."""
+        link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", HostClock())
+        arrivals = []
+        for start in (0, 200):
+            with sender("127.0.0.1") as robot:
+                for k in range(start, start + 200):
+                    robot.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
+                arrivals += arrivals_of(link, 200)
+        assert link.backlog.foreign == 0
+        link.close()
+        assert [parse_reading(line).t for _, line in arrivals] == list(range(400))
+
+    def test_another_address_takes_over_after_three_seconds_of_silence(self, free):
+        """A stranger that speaks first, and then is silent, does not lock the robot out."""
+        clock = SetClock()
+        link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", clock)
+        with sender("127.0.0.1") as stranger, sender("127.0.0.2") as robot:
+            stranger.sendto(b"who is there", ("127.0.0.1", free))
+            assert arrivals_of(link, 1)
+            clock.t_s += 2.9
+            for k in range(5):
+                robot.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
+            while link.backlog.foreign < 5:
+                assert not link.read(0.01)
+            clock.t_s += 0.2
+            robot.sendto(b"5,0.5", ("127.0.0.1", free))
+            with pytest.raises(
+                LinkError, match=r"127\.0\.0\.1 has been silent for 3 s, and 127\.0\.0\.2 sends instead"
+            ):
+                arrivals_of(link, 1)
+            while not link.reopen(0.1):
+                pass
+            robot.sendto(b"6,0.5", ("127.0.0.1", free))
+            assert parse_reading(arrivals_of(link, 1)[0][1]).t == 6.0
+        assert link.backlog.foreign == 5  # of the first link
+        link.close()
+
+    def test_a_recording_counts_other_senders_and_notes_the_change(self, free, tmp_path, monkeypatch, capsys):
+        monkeypatch.setattr("truearm.record.robots.udp.SILENCE_S", 0.2)
+        stop = threading.Event()
+
+        def play():
+            with sender("127.0.0.1") as first, sender("127.0.0.2") as second:
+                for k in itertools.count():
+                    if k < 40:
+                        first.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
+                    second.sendto(b"%d,0.7" % (1000 + k), ("127.0.0.1", free))
+                    if stop.wait(0.01):
+                        return
+
+        out = tmp_path / "s.mcap"
+        with sender("127.0.0.2"), box_on_a_socket() as (_, device):
+            thread = threading.Thread(target=play)
+            thread.start()
+            address = f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad"
+            code = main(["record", "--box", device, "--address", address, "--duration", "1.5", "--out", str(out)])
+            stop.set()
+            thread.join()
+        assert code == 0
+        assert "datagrams from other addresses not stored" in capsys.readouterr().out
+        assert [kind for kind in events(out) if kind.startswith("robot")] == [
+            "robot-foreign",
+            "robot-lost",
+            "robot-back",
+        ]
+        q = [json.loads(m.data)["q"] for m in topics(out)["/robot/joints"]]
+        assert [0.5] in q
+        assert q[-1] == [0.7]
+        foreign = open_session(out).metadata["session-end"]["robot_foreign"]
+        assert int(foreign) >= 20
+        assert main(["inspect", str(out)]) == 0
+        assert f"from other addresses than the robot's, not stored: {foreign}" in capsys.readouterr().out
 
     def test_a_port_that_is_taken(self, free):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:

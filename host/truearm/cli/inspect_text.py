@@ -71,6 +71,9 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _temperature(document["temperature_degc"])
     yield from _clock(document["clock"])
     yield from _robot(document["robot"], document["metadata"]["joints-added"])
+    foreign = document["metadata"]["session-end"].get("robot_foreign", "0")
+    if foreign != "0":
+        yield one_line(f"  datagrams from other addresses than the robot's, not stored: {foreign}")
     yield from _dwells(document)
 
 

@@ -33,6 +33,8 @@ def _totals(summary: RecordSummary) -> str:
         parts.append(counted(counters.robot_lines, "robot message"))
     if counters.robot_other_joints:
         parts.append(f"{counters.robot_other_joints} malformed (another number of joints than the first)")
+    if counters.robot_foreign:
+        parts.append(f"{counted(counters.robot_foreign, 'datagram')} from other addresses not stored")
     if counters.restarts:
         parts.append(counted(counters.restarts, "box restart"))
     if counters.link_losses:

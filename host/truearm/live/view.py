@@ -186,7 +186,7 @@ class _Watch:
         self._box_ok = True
         self._link_losses = 0
         self._robot_ok: bool | None = None
-        self._robot_silent = self._robot_floods = self._robot_junk = False
+        self._robot_silent = self._robot_floods = self._robot_junk = self._robot_foreign = False
         self._lost = 0
 
     def events(self, status: Status) -> list[str]:
@@ -221,6 +221,9 @@ class _Watch:
             messages.append(
                 "warning: the robot sends much data other than joint readings; only joint readings are stored from here on"
             )
+        if status.counters.robot_foreign and not self._robot_foreign:
+            self._robot_foreign = True
+            messages.append("warning: another address sends datagrams to the robot's port; they are not stored")
         lost = status.counters.lost_frames + status.counters.overruns_in_box
         if lost > self._lost:
             messages.append(

@@ -95,7 +95,13 @@ class RobotIntake:
         return []
 
     def watch(self, now_ns: int) -> None:
-        """Note in the file when the robot sends nothing though its link is intact, and when it sends again."""
+        """Note in the file when the robot sends nothing though its link is intact, and when it sends again; and that
+        somebody else sends to its port.
+        """
+        foreign = backlog_of(self._link).foreign
+        if foreign and not self._counters.robot_foreign:
+            self._writer.event("robot-foreign", now_ns, text="datagrams from other addresses are counted, not stored")
+        self._counters.robot_foreign = foreign
         silent = self.end is None and self.lost_ns is None and self._late(now_ns)
         if silent != self._silent:
             self._silent = silent

@@ -82,11 +82,13 @@ class Backlog(NamedTuple):
     """Backlog between a link's reader and the recorder: pieces waiting, and how often the reader had to stop for them.
 
     ``drops``: what the reader does not fetch in time is lost. Otherwise the sender waits, and only sends late.
+    ``foreign``: datagrams of other senders than the robot, which are dropped.
     """
 
     waiting: int = 0
     held_up: int = 0
     drops: bool = False
+    foreign: int = 0
 
 
 def backlog_of(link: Link) -> Backlog:

@@ -20,7 +20,7 @@ class Reopening:
         self._open = open_link
         self._link: Link | None = open_link()
         self._opener: _Opener | None = None
-        self._held_up = 0  # of the previous links
+        self._held_up = self._foreign = 0  # of the previous links
         self.name = self._link.name
 
     def read(self, timeout_s: float) -> Arrivals:
@@ -46,14 +46,15 @@ class Reopening:
             self._opener = None
         if self._link is not None:
             link, self._link = self._link, None
-            self._held_up += backlog_of(link).held_up
+            before = backlog_of(link)
+            self._held_up, self._foreign = self._held_up + before.held_up, self._foreign + before.foreign
             link.close()
 
     @property
     def backlog(self) -> Backlog:
-        """Return the backlog of the open link, and how often the readers of all links had to wait."""
+        """Return the backlog of the open link, with the counts of all links."""
         now = Backlog() if self._link is None else backlog_of(self._link)
-        return now._replace(held_up=now.held_up + self._held_up)
+        return now._replace(held_up=now.held_up + self._held_up, foreign=now.foreign + self._foreign)
 
     def _opened(self) -> Link:
         if self._link is None:

@@ -30,6 +30,7 @@ class Counters:
     robot_held_up: int = 0  # how often the robot's reader had to: the robot sends more than can be stored
     robot_missing: int = 0  # readings, by the gaps in their numbers since the reader first had to wait
     robot_dropped: int = 0  # 1 if readings without numbers may be lost: the link drops what cannot be stored
+    robot_foreign: int = 0  # datagrams from other addresses than the robot's, not stored
     robot_late_s: float = 0.0  # longest delay of a reading, by the robot's clock, relative to the shortest
     dropped_in_box: int = 0  # trigger edges, by the heartbeats since the first
     overruns_in_box: int = 0  # samples, by the heartbeats since the first
