@@ -13,8 +13,11 @@ import tracemalloc
 from contextlib import suppress
 
 import pytest
+from record_files import events, topics
+from record_real import box_on_a_socket
 
-from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
+from truearm.cli.main import main
+from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import HostClock
 from truearm.record.robots import rtde_packages as rtde
 from truearm.record.robots.rtde import RtdeLink
@@ -139,13 +142,13 @@ class TestBytes:
 class Controller:
     """A controller that expects requests byte by byte and answers each as the script has it; then ``last`` is done."""
 
-    def __init__(self, script, last=lambda peer: None):
+    def __init__(self, script, last=lambda peer: None, connections=1):
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"rtde://127.0.0.1:{self.listener.getsockname()[1]}"
         self.wrong = []
         self.after = b""
         self._script, self._last = script, last
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread = threading.Thread(target=lambda: [self._run() for _ in range(connections)], daemon=True)
         self._thread.start()
 
     def _run(self):
@@ -243,7 +246,7 @@ class TestClient:
 
         controller = Controller([], talk)
         tracemalloc.start()
-        with pytest.raises(ProtocolError, match="sends data that are not RTDE"):
+        with pytest.raises(LinkError, match="sends data that are not RTDE"):
             RtdeLink(controller.url, HostClock())
         assert tracemalloc.get_traced_memory()[1] < 64 << 20
         tracemalloc.stop()
@@ -339,6 +342,25 @@ class TestClient:
             lines_of(link, 3)
         link.close()
         controller.finish()
+
+
+def test_a_package_of_an_impossible_size_costs_a_connection_and_not_the_recording(tmp_path):
+    times = iter([(1.0, b"\0\1U"), (2.0, b"")])
+
+    def talk(peer):
+        t, broken = next(times)
+        peer.sendall(b"".join(data(t + 0.002 * k) for k in range(5)) + broken)
+
+    controller = Controller(WHOLE, talk, connections=2)
+    out = tmp_path / "s.mcap"
+    with box_on_a_socket() as (_, device):
+        code = main(["record", "--box", device, "--address", controller.url, "--duration", "1.5", "--out", str(out)])
+    controller.finish()
+    assert code == 0
+    assert [kind for kind in events(out) if kind.startswith("robot")] == ["robot-lost", "robot-back"]
+    assert [json.loads(m.data)["t"] for m in topics(out)["/robot/joints"]] == [
+        t + 0.002 * k for t in (1.0, 2.0) for k in range(5)
+    ]
 
 
 REFUSALS = {

@@ -19,7 +19,7 @@ import json
 from contextlib import suppress
 from urllib.parse import parse_qsl, urlsplit
 
-from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError
+from truearm.errors import InputError, LinkClosed, LinkError
 from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots import rtde_packages as rtde
 from truearm.session.joint_format import MAX_T_S, format_reading
@@ -160,8 +160,8 @@ class RtdeLink:
             f"is this port {PORT} of a Universal Robots controller?"
         )
 
-    def _stranger(self) -> ProtocolError:
-        return ProtocolError(
+    def _stranger(self) -> LinkError:
+        return LinkError(  # once may be a damaged package: a recording connects again
             f"{self.name}: sends data that are not RTDE; is this port {PORT} of a Universal Robots controller?"
         )
 
