@@ -223,6 +223,42 @@ def test_an_init_that_ends_early_can_be_repeated(tmp_path, run, monkeypatch, end
     assert run("init", tmp_path / "a" / "b", "--model", "puma560", "--minutes", 0).code == 0
 
 
+@pytest.mark.parametrize("exists", [True, False])
+def test_of_two_inits_at_once_one_makes_the_project(tmp_path, run, monkeypatch, exists):
+    """The other is refused, with nothing of it in the folder: its rig once stayed beside the project of another robot."""
+    home, other = tmp_path / "cell", tmp_path / "other"
+    if exists:
+        home.mkdir()
+
+    def plan(*_):
+        assert run("init", home, "--model", "ur5e", "--minutes", 0).code == 0
+
+    monkeypatch.setattr("truearm.workflows.plan.plan_ball_bar_files", plan)
+    code, _, err = run("init", home, "--model", "puma560")
+    assert code == 2
+    assert f"{home / FILE} already exists" in err
+    assert run("init", other, "--model", "ur5e", "--minutes", 0).code == 0
+    contents = [
+        {path.relative_to(folder): path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+        for folder in (home, other)
+    ]
+    assert contents[0] == contents[1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cell", "other"]
+
+
+def test_a_rig_that_appears_while_init_plans_is_kept(tmp_path, run, monkeypatch):
+    home = tmp_path / "cell"
+
+    def plan(*_):
+        home.mkdir()
+        (home / "rig.toml").write_text("mine")
+
+    monkeypatch.setattr("truearm.workflows.plan.plan_ball_bar_files", plan)
+    assert run("init", home, "--model", "puma560").code == 2
+    assert (home / "rig.toml").read_text() == "mine"
+    assert not (home / FILE).exists()
+
+
 @pytest.mark.parametrize("name", ["file", "file/cell"])
 def test_init_where_no_folder_can_be(tmp_path, run, name):
     (tmp_path / "file").write_text("mine")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum, auto
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from truearm.errors import InputError, TruearmError
-from truearm.files.disk import write_atomic
+from truearm.files.disk import working_folder, write_atomic
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
 from truearm.progress import step
@@ -204,59 +204,49 @@ def create(folder: Path, wanted: ProjectWanted) -> Created:
     model = Path(os.path.normpath(folder / project.model))  # the folder may not exist yet
     choice = RobotChoice(str(model) if model.is_file() else project.model, project.base or None, project.tip or None)
     robot = choice.load()
-    with _all_or_nothing() as new:
-        plan = None
-        new.folder(folder)
-        if not paths["rig"].exists():
+    with _workplace(folder) as new:
+        rig, plan = paths["rig"], None
+        if not rig.exists():
+            rig = new / project.rig
             bounded = replace(robot, branch=branch_of(robot, wanted.branch))
-            rig = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
-            new.file(paths["rig"], _rig_text(rig, project.name or robot.chain.name))
-        read_rig(paths["rig"])
-        for name in ("sessions", "results"):
-            new.folder(folder / getattr(project, name))
-        new.file(paths["project"], format_project(project))
+            first = _as_known(first_rig(bounded, wanted.chucks, wanted.spheres), wanted)
+            write_atomic(rig, _rig_text(first, project.name or robot.chain.name))
+        read_rig(rig)
         if wanted.minutes is not None and not paths["plan"].exists():
-            files = PlanFiles(choice, paths["rig"], branch=wanted.branch, out=paths["plan"])
+            files = PlanFiles(choice, rig, branch=wanted.branch, out=new / project.plan)
             plan = plan_ball_bar_files(files, Budget(minutes=wanted.minutes), BallBarOptions())
-            new.files.append(paths["plan"])
-        written = sorted(new.files, key=lambda path: path != paths["project"])
+        write_atomic(new / FILE, format_project(project))
+        for name in (project.sessions, project.results):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        written = [path for path in paths.values() if (new / path.name).exists()]
+        _move(new, written)
     return Created(tuple(written), plan)
 
 
-class _New:
-    """The files and folders that ``create`` made."""
-
-    def __init__(self) -> None:
-        self.files: list[Path] = []
-        self.folders: list[Path] = []
-
-    def folder(self, path: Path) -> None:
-        """Make a folder and those above it, unless they exist. Raises InputError."""
-        missing = [one for one in (path, *path.parents) if not one.exists()]
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as exc:
-            raise InputError(f"{path}: cannot be used as a folder: {exc.strerror}") from exc
-        self.folders += reversed(missing)
-
-    def file(self, path: Path, text: str) -> None:
-        """Write a file. Raises InputError."""
-        write_atomic(path, text)
-        self.files.append(path)
-
-
 @contextmanager
-def _all_or_nothing() -> Iterator[_New]:
-    """Remove what was made so far if the project cannot be completed: the same command then works again."""
-    new = _New()
+def _workplace(folder: Path) -> Iterator[Path]:
+    """Make a temporary folder in ``folder``, or in the nearest one above it that exists. Raises InputError."""
     try:
-        yield new
-    except BaseException:
-        for path in new.files:
-            path.unlink(missing_ok=True)
-        for path in reversed(new.folders):
-            with suppress(OSError):  # somebody else put a file there
-                path.rmdir()
+        with working_folder(next(path for path in (folder, *folder.parents) if path.exists())) as new:
+            yield new
+    except OSError as exc:
+        raise InputError(f"{folder}: cannot be used as a folder: {exc.strerror}") from exc
+
+
+def _move(new: Path, files: list[Path]) -> None:
+    """Move files from the folder ``new`` to their places: all of them, or none if one exists, as after another init."""
+    reserved: list[Path] = []
+    try:
+        for path in files:
+            path.touch(exist_ok=False)
+            reserved.append(path)
+        for path in files:
+            os.replace(new / path.name, path)
+    except OSError as exc:
+        for path in reserved:
+            path.unlink()
+        if isinstance(exc, FileExistsError):
+            raise InputError(f"{exc.filename} already exists; edit it, or use another folder") from exc
         raise
 
 
