@@ -513,7 +513,8 @@ def correct_poses(
     own_frames : bool
         The poses are given in the robot's own base and flange frames: do not correct the mounting of base and tool.
     home : sequence of float, optional
-        Joint readings (j,) near those of the first pose [rad, m]. They select the configuration of the arm.
+        Joint readings (j,) near those of the first pose [rad, m]. They select the configuration of the arm, and are
+        needed if joint limits allow several: each needs another correction.
 
     Returns
     -------
@@ -524,7 +525,7 @@ def correct_poses(
     Raises
     ------
     TargetError
-        If a pose is out of reach or close to a singularity.
+        If a pose is out of reach or close to a singularity, or if nothing determines the configuration of the arm.
 
     Examples
     --------
@@ -532,7 +533,7 @@ def correct_poses(
     >>> import truearm
     >>> result = truearm.read_result("result.json")
     >>> pose = np.array([[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]])
-    >>> corrected = truearm.correct_poses(result, pose)
+    >>> corrected = truearm.correct_poses(result, pose, home=np.radians([0, 0, 180, 0, -90, 0]))
     >>> corrected.commanded.shape, bool(corrected.after[0, 0] < 1e-8)
     ((1, 4, 4), True)
     """

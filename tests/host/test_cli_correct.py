@@ -140,6 +140,68 @@ def test_frames_of_work_and_tool(bench, capsys):
     np.testing.assert_allclose(T_work @ framed.pose @ np.linalg.inv(T_tool), plain.pose, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["poses", "positions", "script", "module"])
+def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, capsys, kind):
+    """Each configuration of the arm needs another correction; joints near the first target determine it."""
+    elbow = np.array([[-0.4247, 0.0277, 2.2586, 1.1040, 1.1720, -2.5915]])  # up or down in the same quarter turns
+    q = elbow if kind == "module" else bench.q[:2]
+    targets = correct_bench.nominal_poses(q)
+    given = tmp_path / {"script": "p.script", "module": "p.mod"}.get(kind, "p.csv")
+    xyz = "\n".join(",".join(map(repr, row)) for row in (1e3 * targets[:, :3, 3]).tolist())
+    given.write_text(
+        {"poses": table(targets), "positions": f"x_mm,y_mm,z_mm\n{xyz}", "script": script(targets)}.get(kind)
+        or rapid(targets, q).decode("latin-1").replace("\xe9", ""),
+        encoding="latin-1",
+    )
+    out = given.with_stem("out")
+    frames = {"script": FRAMES, "module": FRAMES[:4]}.get(kind, ())
+    arguments = ("correct", bench.folder / "result.json", given, "--out", out, *frames, "--json")
+    code, said, err = run(capsys, *arguments)
+    assert (code, out.exists()) == (2, False)
+    assert "--home" in err
+    if kind in ("script", "module"):
+        refused = json.loads(said)["refused"]
+        assert {one["remedy"] for one in refused} == {"home"}
+    near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
+    code, said, err = run(capsys, *arguments, "--home", near)
+    assert code == 0, err
+    reached = [json.loads(said)["targets"][0]["before"][f"q{k}_deg"] for k in range(1, 7)]
+    np.testing.assert_allclose(reached, np.rad2deg(q[0]), atol=1e-3)
+
+
+def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
+    """The tool's with --tool, with the point named; the end frame's otherwise."""
+    for tool, point in (("0,0,200,0,0,0", "the tool"), ("0,0,0,0,0,0", "sphere_fixture")):
+        offset = np.eye(4)
+        offset[2, 3] = 1e-3 * float(tool.split(",")[2])
+        (tmp_path / "t.csv").write_text(table(bench.targets @ offset, bench.q))
+        arguments = ("correct", bench.folder / "result.json", tmp_path / "t.csv", "--tool", tool, "--force")
+        files = ("--out", tmp_path / "o.csv", "--residuals", tmp_path / "r.csv", "--report", tmp_path / "r.html")
+        _, said, _ = run(capsys, *arguments, *files)
+        _, document, _ = run(capsys, *arguments, *files, "--json")
+        document = json.loads(document)
+        errors = [one["error_before_mm"] for one in document["targets"]]
+        printed = [float(line.split()[1]) for line in said.splitlines() if re.match(r"\d+ +\d", line)]
+        assert printed == pytest.approx(errors[: len(printed)], abs=6e-5)
+        for path in ("o.csv", "r.csv"):
+            written = [float(row["before_mm"]) for row in csv.DictReader((tmp_path / path).open())]
+            assert written == pytest.approx(errors, abs=1e-5)
+        rms = np.sqrt(np.mean(np.square(errors)))
+        tile = re.search(r"error without correction, RMS</p>.*?>([\d.]+)<", (tmp_path / "r.html").read_text())
+        assert float(tile[1]) == pytest.approx(rms, abs=0.05)  # three digits
+        assert document["error_point"] == point
+        assert f"errors of {point}" in said
+        assert f"of {point}" in (tmp_path / "r.html").read_text()
+
+
+def test_a_correction_that_makes_it_worse_is_a_warning(bench, tmp_path, capsys):
+    arguments = ("correct", bench.folder / "result.json", bench.folder / "targets.csv", "--method", "offsets", "--json")
+    _, helped, _ = run(capsys, *arguments, "--out", tmp_path / "a.csv")
+    _, worse, _ = run(capsys, *arguments, "--out", tmp_path / "b.csv", "--own-frames")
+    warned = [any("farther off" in text for text in json.loads(said)["warnings"]) for said in (helped, worse)]
+    assert warned == [False, True]
+
+
 def test_own_frames_leave_the_mountings_out(bench, capsys):
     out = bench.folder / "own.csv"
     code, said, _ = run(
@@ -379,10 +441,10 @@ def test_positions_without_joints_are_found_where_there_is_room(bench, capsys):
     rows = "\n".join(",".join(map(repr, row)) for row in (1e3 * bench.targets[:, :3, 3]).tolist())
     (bench.folder / "positions.csv").write_text("x_mm,y_mm,z_mm\n" + rows)
     out = bench.folder / "positions-out.csv"
-    given = ("correct", bench.folder / "result.json", bench.folder / "positions.csv", "--out")
-    code, said, err = run(capsys, *given, out)
+    given = ("correct", bench.folder / "result.json", bench.folder / "positions.csv", "--home", home(bench), "--out")
+    code, _, err = run(capsys, *given, out)
     assert code == 0, err
-    assert "truearm chose the arm's configuration" in " ".join(said.split())
+    np.testing.assert_allclose(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start[0], bench.q[0], atol=0.3)
     assert miss(lands(parse_targets(out.read_text(), "t", ("rad",) * 6).q_start), bench.targets) < 0.35e-3
     code, _, err = run(capsys, *given, "-")
     assert code == 2

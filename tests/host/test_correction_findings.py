@@ -396,7 +396,7 @@ def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, capsys):
 def test_an_axis_just_beyond_a_quarter_turn_is_shown_on_its_side():
     q = np.radians([[-0.031, 0.0, 0.0, 89.9999, 0.0, -95.2]])
     quarters = np.array([[0.0, np.nan, np.nan, 1.0, np.nan, 0.0]])
-    (note,) = configuration_notes(q, quarters, np.array([True]), [7], home=True)
+    (note,) = configuration_notes(q, quarters, np.array([True]), [7])
     assert "line 7: cf1 is 0, axis 1 at -0.03° needs -1" in note
     assert "cf4 is 1, axis 4 at 89.9999° needs 0" in note
     assert "cf6 is 0, axis 6 at -95° needs -2" in note

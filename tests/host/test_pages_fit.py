@@ -63,6 +63,7 @@ def program(n=30):
             shift=np.full((n, 3), 1e-3),
             sizes=np.full((n, 2), 1e-3),
             before=np.full(n, 2e-3),
+            error_point=LONG,
             expected=np.full((n, 2), 1e-4),
             limits=("joint 5: 12.3 deg",) * n,
             singular_value=np.full(n, 0.12),

@@ -557,6 +557,10 @@ def test_quarter_turns_that_fit_two_configurations_are_said(tmp_path):
     known = "MoveAbsJ " + jointtarget(1) + ",v100,fine,tool0;"
     said = [outcome(tmp_path, module([], lines)).notes for lines in ([both], [known, both])]
     assert ["does not determine" in " ".join(notes) for notes in said] == [True, False]
+    with pytest.raises(ProgramRefused) as caught:
+        outcome(tmp_path, module([], [both]), home=None, partial=True)
+    assert [one.remedy for one in caught.value.refused] == ["home"]
+    outcome(tmp_path, module([], [known, both]), home=None)
 
 
 def test_configurations_that_are_not_watched_do_not_count(tmp_path):

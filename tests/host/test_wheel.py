@@ -27,7 +27,7 @@ result = truearm.identify(robot, table, rig, hold_out="shell=outer")
 print(result)
 print(truearm.validate(result, truearm.read_table("friday.csv", robot), rig))
 pose = [[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]]
-print(truearm.correct_poses(result, pose).commanded)
+print(truearm.correct_poses(result, pose, home=[0.0, 0.0, 3.14, 0.0, -1.57, 0.0]).commanded)
 truearm.export_robot(result, "urdf", "calibrated.urdf")
 print(truearm.__file__)
 """

@@ -106,7 +106,8 @@ def correct(
     home: Annotated[
         str | None,
         typer.Option(
-            metavar="Q1,Q2,...", help="Joints near those of the first target, to choose the configuration [deg, mm]."
+            metavar="Q1,Q2,...",
+            help="Joints near those of the first target [deg, mm]. Needed if nothing else determines the configuration of the arm.",
         ),
     ] = None,
     residuals: Annotated[

@@ -23,6 +23,7 @@ _REMEDIES = {
     "tools": "; give --tool NAME=X,Y,Z,RX,RY,RZ",
     "works": "; give --work NAME=X,Y,Z,RX,RY,RZ",
     "split": "; --split writes a separate target into this move",
+    "home": "; give --home Q1,Q2,... or, in a URScript, qnear of get_inverse_kin",
     "harmless": "; give --harmless NAME if it does not",
 }
 
@@ -45,9 +46,9 @@ def lines(found: CorrectedFile) -> list[str]:
     text += [f"and {len(rows) - SHOWN} more"] * (len(rows) > SHOWN)
     before, after = map(rms_of_columns, (done.before, done.after))
     text.append(f"{'RMS':<10}{_cells(before, after)}")
-    if after[0] > before[0]:
-        text.append("The corrected targets are farther off than the uncorrected ones: give another --method.")
-    text.append("These errors are computed with the identified robot; its uncertainty is not included.")
+    text.append(
+        f"These are the errors of {one_line(found.error_point)}, computed with the identified robot; its uncertainty is not included."
+    )
     return [*text, *found.warnings, *found.notes, f"Written: {one_line(str(found.out))}"]
 
 

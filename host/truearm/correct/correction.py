@@ -49,7 +49,7 @@ class Correction(NamedTuple):
 
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
-    end in m and rad. ``problem`` says why a row must not be used; ``truearm.correct_poses`` raises TargetError instead,
+    end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used; ``truearm.correct_poses`` raises TargetError instead,
     so all of its are "".
 
     Examples
@@ -58,7 +58,7 @@ class Correction(NamedTuple):
     >>> import truearm
     >>> result = truearm.read_result("result.json")
     >>> pose = np.array([[0, 0, 1, 0.5], [0, 1, 0, 0.1], [-1, 0, 0, 0.2], [0, 0, 0, 1]])
-    >>> corrected = truearm.correct_poses(result, pose)
+    >>> corrected = truearm.correct_poses(result, pose, home=np.radians([0, 0, 180, 0, -90, 0]))
     >>> corrected.q.shape, corrected.problem
     ((1, 6), ('',))
     """
@@ -118,6 +118,19 @@ def joined(parts: Sequence[Correction]) -> Correction:
         np.concatenate([part.after for part in parts]),
         tuple(problem for part in parts for problem in part.problem),
     )
+
+
+def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
+    """Return a correction with the errors of tools, whose poses in the end frame are (n, 4, 4) or (4, 4)."""
+    goal, *ends = (
+        (poses @ tools)[:, :3, 3]
+        for poses in (believed(pair, done.q_nominal), reached(pair, done.q_nominal), reached(pair, done.q))
+    )
+    before, after = (
+        np.column_stack([np.linalg.norm(end - goal, axis=1), error[:, 1]])
+        for end, error in zip(ends, (done.before, done.after), strict=True)
+    )
+    return done._replace(before=before, after=after)
 
 
 def _at(

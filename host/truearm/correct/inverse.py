@@ -160,7 +160,7 @@ def search(
     Each is sought from the previous solution and from N_STARTS of the N_NEAR best of N_SAMPLES joint vectors. Among an
     arm's configurations, the one nearest to the robot's previous position is taken. That position is given by
     ``origins`` or is the previous solution; for the first target it is ``home`` (j,) (default: the middle of the
-    limits). Joints with a range of more than one turn use the number of turns that brings them nearest. ``quadrants``
+    limits), which positions without orientation stay near. Joints with a range of more than one turn use the number of turns that brings them nearest. ``quadrants``
     (n, j), NaN where it does not matter, has priority: the quarter turn in which a reading must lie, as ⌊q/90°⌋. For a
     target that is not reached, the nearest result is returned.
     """
@@ -169,6 +169,8 @@ def search(
     first = 0.5 * (lower + upper) if home is None else home
     asked = np.full((n, j), np.nan) if quadrants is None else quadrants
     begun = Origins(np.full(n, -1), np.full((n, j), np.nan)) if origins is None else origins
+    if home is not None and not oriented:  # among a continuum of joints, random starts do not end near home
+        stock = _with(stock, inverse(chain, params, targets, np.tile(home, (n, 1)), oriented))
     chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
     for _ in range(PASSES if oriented else 0):  # without orientation there is a free choice of joints
         far = np.flatnonzero(~chosen.reached | (np.abs(chosen.q - near).max(axis=-1) > NEXT))
@@ -177,7 +179,7 @@ def search(
         went_on = Inverse(near.copy(), np.zeros(n, dtype=bool), np.zeros(n))
         for part, of_far in zip(went_on, inverse(chain, params, targets[far], near[far]), strict=True):
             part[far] = of_far
-        stock = Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, went_on, strict=True)))
+        stock = _with(stock, went_on)
         near_before = near
         chosen, near = _chosen(chain, params, stock, first, asked, oriented, begun)
         if np.abs(near - near_before).max(initial=0.0) < SAME:
@@ -185,13 +187,16 @@ def search(
     return chosen
 
 
-def several_fit(chain: Chain, params: Floats, targets: Floats, quadrants: Floats) -> NDArray[np.bool_]:
-    """Return for which targets (n, 4, 4) several solutions within the joint limits lie in the quarter turns (n, j), as in ``search``."""
-    stock = _solutions(chain, params, targets, oriented=True)
+def several_fit(
+    chain: Chain, params: Floats, targets: Floats, quadrants: Floats, oriented: bool = True
+) -> NDArray[np.bool_]:
+    """Return for which targets (n, 4, 4) several solutions within the joint limits fit the quarter turns (n, j) best, as in ``search``."""
+    stock = _solutions(chain, params, targets, oriented)
     found = np.zeros(len(targets), dtype=bool)
     for i, asked in enumerate(quadrants):
         q = turned(chain, params, stock.q[i], np.where(np.isnan(asked), 0.0, 0.5 * np.pi * (asked + 0.5)))
-        found[i] = (stock.reached[i] & within(chain, q) & (_misplaced(q, asked) == 0.0)).sum() > 1
+        misplaced = _misplaced(q, asked)[stock.reached[i] & within(chain, q)]
+        found[i] = (misplaced == misplaced.min(initial=np.inf)).sum() > 1
     return found
 
 
@@ -242,6 +247,11 @@ def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) ->
         order += [rows[~lost], rows[lost]]
     back = np.argsort(np.concatenate(order))
     return _rows(_stacked(stock), back)
+
+
+def _with(stock: Inverse, solution: Inverse) -> Inverse:
+    """Return solutions (n, k) and another one of each target (n,)."""
+    return Inverse(*(np.concatenate([a, b[:, None]], axis=1) for a, b in zip(stock, solution, strict=True)))
 
 
 def _only_outside(chain: Chain, found: Inverse, oriented: bool) -> NDArray[np.bool_]:

@@ -29,7 +29,7 @@ class CorrectionPage:
     """The content of a page about n targets.
 
     ``asked`` and ``shift`` (n, 3) [m] are the targets' positions and the shifts of the command; ``sizes`` (n, 2) [m,
-    rad] the sizes of the shifts. ``before`` (n,) [m] is the error without correction, ``expected`` (n, 2) [m, rad] the
+    rad] the sizes of the shifts. ``before`` (n,) [m] is the error of ``error_point`` without correction, ``expected`` (n, 2) [m, rad] the
     expanded uncertainty with it, NaN where unknown. ``limits`` are the margins to joint limits in words,
     ``singular_value`` is (n,). ``moves`` are rows of cells for straight moves: from, to, deviation, margins, and a
     remark. ``refused`` has line, statement, reason.
@@ -42,6 +42,7 @@ class CorrectionPage:
     shift: Floats
     sizes: Floats
     before: Floats
+    error_point: str
     expected: Floats
     limits: tuple[str, ...]
     singular_value: Floats
@@ -73,8 +74,14 @@ _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value
 def _summary(page: CorrectionPage) -> str:
     tiles = [
         ("shift, median", MM.of(float(np.median(page.sizes[:, 0]))), "mm", "of the commanded position", "old"),
-        ("error without correction, RMS", MM.of(rms(page.before)), "mm", "by the model", "val"),
-        ("expected error, largest (k = 2)", MM.of(_largest(page.expected[:, 0])), "mm", _EXPECTED, "fit"),
+        ("error without correction, RMS", MM.of(rms(page.before)), "mm", f"of {page.error_point}, by the model", "val"),
+        (
+            "expected error, largest (k = 2)",
+            MM.of(_largest(page.expected[:, 0])),
+            "mm",
+            f"of {page.error_point}, {_EXPECTED}",
+            "fit",
+        ),
     ]
     shown = "".join(
         f'<div class="tile {css}"><p class="name">{name}</p><p class="figure">{figures(value)}<span> {unit}</span></p>'
@@ -85,7 +92,7 @@ def _summary(page: CorrectionPage) -> str:
     return f'<section><div class="tiles">{shown}</div>{remarks}</section>\n'
 
 
-_EXPECTED = "at the tool, by the parameters' covariance and by what the calibration leaves unexplained"
+_EXPECTED = "by the parameters' covariance and by what the calibration leaves unexplained"
 
 
 def _largest(values: Floats) -> float:
@@ -100,11 +107,11 @@ def _targets(page: CorrectionPage) -> str:
         angle, before = number(MRAD.of(page.sizes[i, 1]), 3), number(MM.of(page.before[i]), 3)
         due = number(MM.of(page.expected[i, 0]), 3), number(MRAD.of(page.expected[i, 1]), 3)
         rows.append((place, *lengths, angle, before, *due, page.limits[i], figures(page.singular_value[i], 2)))
-    return _rows(titles, rows, "targets", len(page.places)) + f"<p>{escape(_TARGETS, 600)}</p>"
+    return _rows(titles, rows, "targets", len(page.places)) + f"<p>{escape(_TARGETS.format(page.error_point), 600)}</p>"
 
 
 _TARGETS = (
-    "Positions are those of the file. Shift: how far the command moved. Expected: the expanded uncertainty (k = 2, about 95 %) of the tool after the correction. "
+    "Positions are those of the file; errors are those of {}. Shift: how far the command moved. Expected: the expanded uncertainty (k = 2, about 95 %) after the correction. "
     "Singular value: the smallest one of the Jacobian (lengths in units of 0.5 m); near 0 the robot is near a singularity."
 )
 
@@ -154,7 +161,7 @@ def _errors(page: CorrectionPage, chosen: Sequence[int] | np.ndarray) -> Figure:
     )
     parts = [svg.axes(plot), svg.dots(plot, order, before, "val"), svg.dots(plot, order[known], due[known], "fit")]
     parts.append(svg.legend(plot, [("val", "without correction"), ("fit", "expected with it, k = 2")]))
-    caption = "Error of the tool without the correction, and the bound expected with it (about 95 %)."
+    caption = f"Error of {page.error_point} without the correction, and the bound expected with it (about 95 %)."
     if not known.all():
         caption += f" Where it is not known ({ABSENT} in the table) there is no point."
     return drawn(plot, "Errors", caption, parts)

@@ -12,10 +12,8 @@ from truearm.types import Floats
 from truearm.units import DEG
 
 MOST_NAMED = 6  # quarter turns
-SEARCHED = (
-    "truearm chose the arm's configuration: at each target the one nearest to that of the previous target. If the controller uses "
-    "another one, give joints near those of the first target in one of three ways: (1) with --home, (2) in a table, as columns "
-    "q1_deg, q2_deg …, (3) in a URScript, as qnear of get_inverse_kin."
+UNDETERMINED = (
+    "nothing determines in which of its configurations the arm reaches this target, and each needs another correction"
 )
 
 
@@ -35,13 +33,11 @@ def _in_its_quarter(angle: float) -> str:
     return next((text for text in shown if float(text) // 90.0 == angle // 90.0), f"{angle:.3g}")
 
 
-def configuration_notes(
-    q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[int], home: bool
-) -> list[str]:
-    """Return the arm configurations to check: those found by a search, and those that contradict the program's own
-    data.
+def configuration_notes(q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[int]) -> list[str]:
+    """Return the arm configurations to check: those that only ``home`` determines, and those that contradict the
+    program's own data.
 
-    ``determined`` (n,): the program determines the configuration. ``home``: the user gave joints near those of the first target.
+    ``determined`` (n,): the program determines the configuration.
     """
     wrong = (np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)
     n = int(wrong.any(axis=1).sum())
@@ -50,7 +46,6 @@ def configuration_notes(
         f"{'; '.join(_other_quarters(lines, q, quarters, wrong))}. Correct the data before you run the program, or the controller may stop."
     )
     unknown = listed([str(line) for line, is_told in zip(lines, determined, strict=False) if not is_told])
-    chosen = "The arm's configuration there is the one nearest to home." if home else SEARCHED
     return [
-        f"The program does not determine the position from which the robot moves to line {unknown}. {chosen}"
+        f"The program does not determine the position from which the robot moves to line {unknown}. The arm's configuration there is the one nearest to home."
     ] * bool((~determined).any()) + [check] * bool(wrong.any())

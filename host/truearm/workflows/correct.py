@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from truearm.correct.correction import MARGIN, Configuration, Correction
+from truearm.correct.correction import MARGIN, Configuration, Correction, at_tools
+from truearm.correct.inverse import several_fit
 from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, RobotError, TargetError
@@ -32,7 +33,7 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
-from truearm.workflows.configuration_notes import SEARCHED
+from truearm.workflows.configuration_notes import UNDETERMINED
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     Corrected,
@@ -96,6 +97,7 @@ class CorrectedFile:
     own_frames: bool
     out: Path
     correction: Correction
+    error_point: str
     places: tuple[str, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -140,14 +142,15 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
         found = findings(calibration, how.pair, done.targets, done.moves)
-        document = document_of(found, calibration, said, done.refused, files.out.name)
+        document = document_of(found, calibration, said, caveats, done.refused, files.out.name)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
             texts[files.report] = render(page_of(found, calibration, names, said, caveats, done.refused))
     for path, text in texts.items():
         write_atomic(path, text)
+    point = done.targets.error_point(calibration.chain.end_frame)
     return CorrectedFile(
-        calibration, options.own_frames, files.out, correction, places, caveats, said, document, done.refused
+        calibration, options.own_frames, files.out, correction, point, places, caveats, said, document, done.refused
     )
 
 
@@ -178,10 +181,12 @@ def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
 def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOptions) -> Correction:
     """Correct poses (n, 4, 4) of the end frame in the base frame.
 
-    Raises TargetError for the first one that is out of reach or near a singularity.
+    Raises TargetError for the first one that is out of reach or near a singularity, or if nothing determines the arm's
+    configuration.
     """
-    done, commanded = _corrected(_how(calibration, options), poses, options)
-    _refuse(done, [f"pose {i}" for i in range(len(poses))], TargetError, then="")
+    places = [f"pose {i}" for i in range(len(poses))]
+    done, commanded = _corrected(_how(calibration, options), poses, options, places)
+    _refuse(done, places, TargetError, then="")
     return done._replace(commanded=commanded)
 
 
@@ -193,11 +198,23 @@ def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
 
 
 def _corrected(
-    how: HowCorrected, poses: Floats, options: CorrectOptions, q_start: Floats | None = None, oriented: bool = True
+    how: HowCorrected,
+    poses: Floats,
+    options: CorrectOptions,
+    sources: Sequence[str],
+    q_start: Floats | None = None,
+    oriented: bool = True,
 ) -> tuple[Correction, Floats]:
     """Return the correction of the tool's poses (n, 4, 4) in the work frame, and the poses to command, in it too."""
     work, tool = frame_of(options.work), frame_of(options.tool)
-    done = how.correct(work @ poses @ inverted(tool), Configuration(q_start, how.home), oriented)
+    ends = work @ poses @ inverted(tool)
+    if q_start is None and how.home is None:
+        anywhere = np.full((1, len(how.pair.chain.joints)), np.nan)
+        if several_fit(how.pair.chain, how.pair.nominal, ends[:1], anywhere, oriented).any():
+            raise TargetError(
+                f"{sources[0]}: {UNDETERMINED}; give joints near those of this target with ", Argument("home")
+            )
+    done = at_tools(how.pair, how.correct(ends, Configuration(q_start, how.home), oriented), tool)
     return done, inverted(work) @ done.commanded @ tool
 
 
@@ -208,13 +225,13 @@ def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Co
         raise TargetError(
             f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
         )
-    done, commanded = _corrected(how, targets.pose, options, targets.q_start, targets.oriented)
+    done, commanded = _corrected(how, targets.pose, options, targets.source, targets.q_start, targets.oriented)
     _refuse(done, targets.source, TargetError)
     text = format_corrected(targets, commanded, done.q, done.before, done.after, units)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return Corrected(text, corrected, notes=(SEARCHED,) * (targets.q_start is None and how.home is None))
+    return Corrected(text, corrected)
 
 
 def _correct_program(files: CorrectFiles, how: HowCorrected, options: CorrectOptions) -> Corrected:

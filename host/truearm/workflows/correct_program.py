@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
-from truearm.correct.correction import Configuration, Correction, correct, joined
+from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
 from truearm.correct.inverse import Origins, several_fit
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
@@ -37,7 +37,7 @@ from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, for_each, frame_of, inverted
 from truearm.text import counted
 from truearm.types import Floats
-from truearm.workflows.configuration_notes import configuration_notes
+from truearm.workflows.configuration_notes import UNDETERMINED, configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
 from truearm.workflows.given_tools import check_names, check_used
 
@@ -152,11 +152,21 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
     n_joints = len(how.pair.chain.joints)
     goals = [*(one.goal for one in targets.poses), *(one.goal for one in targets.revisits)]
     near, quarters = nears_of(goals, n_joints), quarters_of(goals, n_joints)
-    every = _corrected_poses(how, _ends(base, flange, (place, frame, tools), targets), near, quarters, targets)
+    ends = _ends(base, flange, (place, frame, tools), targets)
+    determined = _determined(how.pair, ends, targets, near, quarters)
+    users = users_of(program, targets)
+    if how.home is None and not determined.all():
+        open_moves = [
+            refused_at(program, at, UNDETERMINED, "home")
+            for i in np.flatnonzero(~determined).tolist()
+            for at in users.poses[i]
+        ]
+        message = f"{path}: the program does not determine the arm's configuration at {counted(int((~determined).sum()), 'target')}, so nothing was written; give joints near those of the first target with "
+        raise ProgramRefused((message, Argument("home")), sorted(set(open_moves)))
+    every = _corrected_poses(how, ends, near, quarters, targets)
     done = _rows(every, range(len(targets.poses)))
     readings = [literal for literal, _ in targets.joints]
     joints = _corrected_joints(how, readings)
-    users = users_of(program, targets)
     refused = [*targets.refused, *_problems(program, done, users.poses)]
     refused += _other_configurations(program, targets, every)
     refused += _problems(program, joints, users.joints)
@@ -189,9 +199,9 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
     lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
     lines_of += [program.source.line(readings[i].start) for i in moved]
     rows = [good[i] for i in kept]
-    correction = joined([_rows(done, rows), _rows(joints, moved)])
     whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings have no tool
-    at_end = for_each(lambda tool: np.asarray(flange.pose @ tool), _taken(tools, rows))
+    at_end = _stacked(for_each(lambda tool: np.asarray(flange.pose @ tool), _taken(tools, rows)), whole)
+    correction = at_tools(how.pair, joined([_rows(done, rows), _rows(joints, moved)]), at_end)
     of_pose = {i: k for k, i in enumerate(rows)}
     of_joints = {readings[i].start: len(rows) + k for k, i in enumerate(moved)}
     corrected = CorrectedTargets(
@@ -199,7 +209,7 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
         np.arange(len(lines_of)) >= len(rows),
         _stacked(_taken(place, rows), believed(how.pair, joints.q_nominal[moved])),
         _stacked(told, joints.commanded[moved]),
-        _stacked(at_end, whole),
+        at_end,
         correction,
     )
     text = changed_text(program, changes)
@@ -223,26 +233,25 @@ def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, opt
             *configuration_notes(
                 correction.q[: len(kept)],
                 quarters[rows],
-                _determined(how.pair, done, targets, near, quarters)[rows],
+                determined[rows],
                 lines_of,
-                how.home is not None,
             ),
         ),
     )
 
 
 def _determined(
-    pair: ModelPair, done: Correction, targets: ProgramTargets, near: Floats, quarters: Floats
+    pair: ModelPair, ends: Floats, targets: ProgramTargets, near: Floats, quarters: Floats
 ) -> NDArray[np.bool_]:
     """Return for which targets (n,) the program determines the arm's configuration: by joints, by the robot's previous
-    position, or by quarter turns if only one configuration fits them.
+    position, or by quarter turns or joint limits that only one configuration fits.
     """
     n = len(targets.poses)
-    told = np.isfinite(near[:n]).any(axis=1) | np.array([one is not None for one in targets.origins], dtype=bool)
-    fits = np.flatnonzero(~told & np.isfinite(quarters[:n]).any(axis=1))
-    if fits.size:
-        told[fits] = ~several_fit(pair.chain, pair.nominal, believed(pair, done.q_nominal[fits]), quarters[fits])
-    return told
+    determined = np.isfinite(near[:n]).any(axis=1) | np.array([one is not None for one in targets.origins], dtype=bool)
+    searched = np.flatnonzero(~determined)
+    if searched.size:
+        determined[searched] = ~several_fit(pair.chain, pair.nominal, ends[searched], quarters[searched])
+    return determined
 
 
 def _straight_moves(

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from truearm.correct.correction import Correction
 from truearm.correct.inverse import singular_value
-from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.programs.program import Refused
 from truearm.files.strict_json import number_or_null
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.text import counted, listed
-from truearm.types import CurveKnots, Floats
+from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
 
@@ -37,7 +37,7 @@ FORMAT_VERSION = 1
 class CorrectedTargets(NamedTuple):
     """n targets as requested and as commanded (n, 4, 4), in the frame of the file.
 
-    ``tools`` (n, 4, 4) are poses of the tools in the end frame.
+    ``tools`` (n, 4, 4) are poses of the tools in the end frame; the errors of ``correction`` are theirs.
     """
 
     places: tuple[str, ...]  # "line 12", "row 3"
@@ -46,6 +46,10 @@ class CorrectedTargets(NamedTuple):
     told: Floats
     tools: Floats
     correction: Correction
+
+    def error_point(self, end_frame: str) -> str:
+        """Return whose errors they are: "the tool", or the end frame if no target has a tool."""
+        return end_frame if np.array_equal(self.tools, np.broadcast_to(np.eye(4), self.tools.shape)) else "the tool"
 
 
 class CorrectedMoves(NamedTuple):
@@ -64,8 +68,7 @@ class CorrectedMoves(NamedTuple):
 class Findings:
     """What is expected of n corrected targets.
 
-    ``before`` and ``after`` (n,) [m]: the error of the tool according to the identified robot. ``shift`` (n, 2) [m,
-    rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
+    ``shift`` (n, 2) [m, rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
     covariance and unexplained error, NaN if unknown. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
     margins. ``outside`` (n, j): joints outside the fitted readings (``Calibration.outside``); None if the result does
     not contain their range.
@@ -73,8 +76,6 @@ class Findings:
 
     targets: CorrectedTargets
     moves: CorrectedMoves
-    before: Floats
-    after: Floats
     shift: Floats
     expected: Floats
     unexplained: tuple[float, float]
@@ -96,18 +97,11 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
     if sigmas is not None:
         both = np.stack([sigmas.position, sigmas.rotation], axis=1)
         expected = COVERAGE * np.hypot(both, unexplained)
-    done = targets.correction
-    goal, without, now = (
-        (poses @ targets.tools)[:, :3, 3]
-        for poses in (believed(pair, done.q_nominal), reached(pair, done.q_nominal), reached(pair, done.q))
-    )
     difference = apart(targets.told, targets.asked)
     difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     return Findings(
         targets,
         moves,
-        before=np.linalg.norm(without - goal, axis=1),
-        after=np.linalg.norm(now - goal, axis=1),
         shift=np.stack([np.linalg.norm(part, axis=1) for part in (difference[:, :3], difference[:, 3:])], axis=1),
         expected=expected,
         unexplained=unexplained,
@@ -140,7 +134,12 @@ def _number(entry: Any, name: str) -> float:
 
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
     """Return what the operator must know before the program is run."""
+    before, after = (rms(error[:, 0]) for error in (targets.correction.before, targets.correction.after))
     said = []
+    if after > before:
+        said.append(
+            f"The corrected targets are farther off than the uncorrected ones, {MM.text(after, '.4f')} RMS and not {MM.text(before, '.4f')}: use another method."
+        )
     outside, drive = calibration.outside(targets.correction.q), moves.found
     if outside is None:
         said.append(
@@ -175,7 +174,12 @@ def warnings(calibration: Calibration, targets: CorrectedTargets, moves: Correct
 
 
 def document_of(
-    found: Findings, calibration: Calibration, said: Sequence[str], refused: Sequence[Refused], out: str
+    found: Findings,
+    calibration: Calibration,
+    said: Sequence[str],
+    notes: Sequence[str],
+    refused: Sequence[Refused],
+    out: str,
 ) -> dict[str, Any]:
     """Return the findings and warnings as JSON (docs/reference/target-format.md)."""
     return {
@@ -184,7 +188,9 @@ def document_of(
         "unexplained_mm": float(MM.of(found.unexplained[0])),
         "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
         "expected_relative": found.relative,
+        "error_point": found.targets.error_point(calibration.chain.end_frame),
         "warnings": list(said),
+        "notes": list(notes),
         "refused": [one._asdict() for one in refused],
         "targets": _target_entries(found, calibration.joint_units),
         "moves": _move_entries(found.moves, calibration.joint_units),
@@ -213,8 +219,8 @@ def _target_entries(found: Findings, units: Sequence[str]) -> list[dict[str, Any
             "after": _pose_entry(poses[1][i], done.q[i], units),
             "shift_mm": float(MM.of(found.shift[i, 0])),
             "shift_mrad": number_or_null(MRAD.of(found.shift[i, 1])),
-            "error_before_mm": float(MM.of(found.before[i])),
-            "error_after_mm": float(MM.of(found.after[i])),
+            "error_before_mm": float(MM.of(done.before[i, 0])),
+            "error_after_mm": float(MM.of(done.after[i, 0])),
             "expected_mm": number_or_null(MM.of(found.expected[i, 0])),
             "expected_mrad": number_or_null(MRAD.of(found.expected[i, 1])),
             **_limit_entry(found.limits[i], units),
