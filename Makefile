@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 DEVICE_FILES = $(shell find firmware protocol/truearm_wire hil_sim/truearm_sim/vm -path firmware/image -prune -o -name '*.py' -print 2>/dev/null | sort)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
+.PHONY: help demo test lint docs pictures notebooks device-check pytest collect soak bench benchmark micropython wire uf2 release chip hardware hardware-check micropython-if-possible browser-if-possible kicad-if-possible image-if-possible chip-if-possible venv test-lowest clean
 
 help: ## this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-22s %s\n", $$1, $$2}'
@@ -22,8 +22,19 @@ demo: .venv/installed ## simulate, record, identify, validate: ends with out/dem
 	@$(BIN)/truearm demo --out out/demo
 
 # Side by side: while the packages are installed, the image is compiled; what pytest does not need runs beside it.
-test: .venv/python ## everything that a change must pass
+test: .venv/python ## everything that a change must pass; the last line says which tests were left out, and why
+	@rm -rf build/left-out
 	@$(MAKE) --no-print-directory -j4 collect pytest lint docs device-check
+	@left=$$(cat build/left-out/* 2>/dev/null | paste -s -d ';' | sed 's/;/; /g'); \
+	  echo "make test: passed$${left:+; LEFT OUT: $$left}"
+
+# Run the command $(2), which fetches something. Exit code 3: that is impossible here, which is no failure: the tests $(3)
+# are left out, and build/left-out/$(1) holds the reason, for tests/conftest.py and the last line of make test.
+define fetch
+@mkdir -p build/left-out; rm -f build/left-out/$(1); \
+  { $(2); } 2>build/$(1).log; code=$$?; cat build/$(1).log >&2; [ $$code = 3 ] || exit $$code; \
+  echo "$(3) ($$(tail -n 1 build/$(1).log | sed 's/^error: //'))" >build/left-out/$(1)
+endef
 
 # What it says comes in one piece, since the tests print beside it.
 lint: .venv/installed-test ## ruff and mypy
@@ -46,7 +57,7 @@ device-check: .venv/installed-test ## compile every file that the box runs for t
 
 # tests/conftest.py says how many workers and which files first. A file's tests stay together, so what they share is made once.
 # Where they are compiled anyway (make test), that comes first.
-pytest: .venv/installed-test micropython chip-if-possible kicad-if-possible $(filter collect,$(MAKECMDGOALS)) ## the tests
+pytest: .venv/installed-test micropython-if-possible chip-if-possible browser-if-possible kicad-if-possible $(filter collect,$(MAKECMDGOALS)) ## the tests
 	@$(BIN)/pytest -m "not soak" -n auto --dist loadfile --no-loadscope-reorder
 
 collect: .venv/installed-test # compile the tests, before all workers do the same beside each other
@@ -77,7 +88,7 @@ wire: .venv/installed ## layout and golden vectors of the wire, from protocol/fr
 	@$(BIN)/python protocol/make_layout.py
 	@$(BIN)/python protocol/make_vectors.py
 
-uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (Debian 12 or newer, or a derivative, with compilers installed); SUITE=forky: with that Debian's MicroPython, in build/uf2-forky
+uf2: .venv/python ## one file to flash: build/uf2/truearm-VERSION.uf2 (Debian 12 or newer, or a derivative); SUITE=forky: with that Debian's MicroPython, in build/uf2-forky
 	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py $(if $(SUITE),--suite $(SUITE) --out build/uf2-$(SUITE) --work build/image-$(SUITE))
 
 release: uf2 .venv/installed-test ## wheel and source distribution in dist/, with the flashable image in them; URL=https://… of the repository makes the links absolute
@@ -87,14 +98,21 @@ release: uf2 .venv/installed-test ## wheel and source distribution in dist/, wit
 chip: .venv/installed-test ## what the chip emulator needs: Node (found, else fetched) and its packages, in build/
 	@$(BIN)/python -m truearm_sim.node --get
 
-# The tests at chip level need the image and the emulator. Where there is no apt they are skipped (exit code 3); where
-# there is, whatever is missing is an error that says what to install.
+micropython-if-possible: .venv/python
+	$(call fetch,micropython,$(MAKE) --no-print-directory micropython || exit 3,the tests in MicroPython)
+
+browser-if-possible: .venv/installed-test
+	$(call fetch,browser,$(BIN)/python -m tests.host.browser,the tests in a browser)
+
+# The tests at chip level need the image and the emulator. An image that can be built and does not compile is an error.
 image-if-possible: .venv/python
-	@PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py; code=$$?; \
-	  if [ $$code = 3 ]; then echo "going on without the tests at chip level"; exit 0; fi; exit $$code
+	$(call fetch,chip,PYTHONPATH=hil_sim $(BIN)/python firmware/image/build.py,the tests at chip level)
 
 chip-if-possible: image-if-possible .venv/installed-test
-	@! ls build/uf2/*.uf2 >/dev/null 2>&1 || $(BIN)/python -m truearm_sim.node --get
+	@[ -e build/left-out/chip ] || $(MAKE) --no-print-directory emulator-if-possible
+
+emulator-if-possible:
+	$(call fetch,chip,$(BIN)/python -m truearm_sim.node --get || exit 3,the tests at chip level)
 
 hardware: .venv/python ## schematic, netlist, parts list, drawings and tables of the box, from hardware/box.py
 	@$(BIN)/python -m hardware make
@@ -104,7 +122,7 @@ hardware-check: .venv/python ## check the box's circuit: netlist, KiCad's rules 
 	@$(BIN)/python -m hardware check; code=$$?; if [ $$code = 3 ]; then exit 0; fi; exit $$code
 
 kicad-if-possible: .venv/python
-	@$(BIN)/python -m hardware get || echo "going on without the hardware tests that need KiCad and ngspice"
+	$(call fetch,kicad,$(BIN)/python -m hardware get,the hardware tests that need KiCad and ngspice)
 
 venv: .venv/installed-test ## the virtual environment with everything for development
 

