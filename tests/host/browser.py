@@ -48,10 +48,28 @@ A4_PT = (595.0, 842.0)
 MARGIN_PT = 14.0 / 25.4 * 72.0  # of page.css
 
 # A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width.
-_FRAMES = """<!DOCTYPE html>{frames}<pre id="probe"></pre><script>
-onload = () => {{ document.getElementById('probe').textContent = JSON.stringify(
-  [...document.querySelectorAll('iframe')].map(f => f.contentDocument.documentElement.scrollWidth)); }};
+_FRAMES = """<!DOCTYPE html>FRAMES<pre id="probe"></pre><script>PICTURES
+onload = () => { document.getElementById('probe').textContent = JSON.stringify(
+  [...document.querySelectorAll('iframe')].map(f => { const d = f.contentDocument, w = f.contentWindow;
+    const clips = e => w.getComputedStyle(e).overflowX != 'visible' && e.scrollWidth > e.clientWidth + 1;
+    return {scroll: d.documentElement.scrollWidth, svgs: pictures(d), hidden: [...d.querySelectorAll('body *')].filter(clips)
+      .map(e => [e.tagName, e.className, e.scrollWidth, e.clientWidth, e.textContent.slice(0, 60)])}; })); };
 </script>"""
+# The pictures of a page: which labels leave their picture, and which cover each other.
+PICTURES = """
+const box = e => e.getBoundingClientRect();
+const pictures = d => [...d.querySelectorAll('svg')].map(svg => {
+  const s = box(svg), texts = [...svg.querySelectorAll('text')].filter(t => t.textContent);
+  const cut = texts.filter(t => { const b = box(t);
+    return b.left < s.left - 1 || b.right > s.right + 1 || b.top < s.top - 1 || b.bottom > s.bottom + 1; });
+  const over = [];
+  texts.forEach((t, i) => texts.slice(0, i).forEach(u => { const a = box(t), b = box(u);
+    // boxes of text are higher than its ink: a third of the height may be shared
+    if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 &&
+        Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > Math.min(a.height, b.height) / 3)
+      over.push(t.textContent + ' | ' + u.textContent); }));
+  return {width: s.width, height: s.height, texts: texts.length, cut: cut.map(t => t.textContent), over};
+});"""
 
 
 def browse(folder: Path, *arguments: str) -> str:
@@ -68,10 +86,11 @@ def probed(folder: Path, around: str, *arguments: str):
     return json.loads(html.unescape(re.search(r'<pre id="probe">(.*?)</pre>', dom, re.S).group(1)))
 
 
-def scroll_widths(folder: Path, pages: dict[str, Path], width: int) -> dict[str, int]:
-    """Return the width [px] that each page needs in a window of ``width``."""
+def laid_out(folder: Path, pages: dict[str, Path], width: int) -> dict[str, dict]:
+    """Return for each page in a window of ``width`` [px] its own width, the boxes that hide something, and its pictures."""
     frames = "".join(f'<iframe width="{width}" height="900" src="{path.as_uri()}"></iframe>' for path in pages.values())
-    return dict(zip(pages, probed(folder, _FRAMES.format(frames=frames)), strict=True))
+    page = _FRAMES.replace("PICTURES", PICTURES).replace("FRAMES", frames)
+    return dict(zip(pages, probed(folder, page), strict=True))
 
 
 @dataclass(frozen=True)

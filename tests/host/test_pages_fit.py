@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from browser import A4_PT, MARGIN_PT, needs_browser, needs_printer, printed, scroll_widths
+from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
 from report_bench import full_page, make_page
 
 from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page
@@ -86,10 +86,10 @@ def reproduced():
     return reproduce_page.render(reproduce_page.ReproducePage("Goswami 1993", LONG, (chapter,), steps, LONG))
 
 
-def map_():
-    u, v = np.arange(0.0, 900.0, 25.0), np.arange(0.0, 300.0, 25.0)
+def map_(width=900.0, height=300.0):
+    u, v = np.arange(0.0, width, 25.0), np.arange(0.0, height, 25.0)
     error = np.hypot(*np.meshgrid(u, v)) / 1e3
-    cells = Cells(u, v, error, np.full_like(error, 0.1), error > 0.8)
+    cells = Cells(u, v, error, np.full_like(error, 0.1), error > 0.8 * error.max())
     return map_picture(cells, "Error of ur5e without calibration", (100.0, 400.0, 50.0, 250.0))
 
 
@@ -104,6 +104,8 @@ def pages(tmp_path_factory):
         "program.html": program(),
         "reproduced.html": reproduced(),
         "map.svg": map_(),
+        "tall.svg": map_(60.0, 900.0),
+        "flat.svg": map_(900.0, 20.0),
     }
     for name, text in made.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -111,8 +113,22 @@ def pages(tmp_path_factory):
 
 
 @needs_browser
+@pytest.mark.parametrize("width", [1280, 1440, 1920])
+def test_nothing_is_hidden_on_a_screen(pages, tmp_path, width):
+    """No box scrolls or clips what it holds, and no label of a picture leaves it or covers another."""
+    layouts = laid_out(tmp_path, pages, width)
+    for name, layout in layouts.items():
+        assert layout["hidden"] == [], name
+        for drawing in layout["svgs"]:
+            assert (drawing["cut"], drawing["over"]) == ([], []), name
+    assert min(len(layouts[name]["svgs"]) for name in ("map.svg", "report.html", "program.html")) > 0
+
+
+@needs_browser
 def test_no_page_is_wider_than_a_phone(pages, tmp_path):
-    assert {name: w for name, w in scroll_widths(tmp_path, pages, PHONE).items() if w > PHONE} == {}
+    assert {
+        name: page["scroll"] for name, page in laid_out(tmp_path, pages, PHONE).items() if page["scroll"] > PHONE
+    } == {}
 
 
 @needs_printer

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser import needs_browser, probed
+from browser import PICTURES, needs_browser, probed
 from report_bench import Strict, drawings, full_page, titles
 
 from truearm.report.calibration_page import render
@@ -16,33 +16,22 @@ from truearm.report.calibration_page import render
 # A browser's window is at least 500 px wide; a frame of any width is laid out as a window of that width. The page
 # inside is the unchanged one; the script stands in the frame around it, since the page's own policy would stop it.
 AROUND = """<!DOCTYPE html><meta name="color-scheme" content="light dark"><iframe id="page" width="WIDTH" height="900"
-style="border:0" srcdoc="PAGE"></iframe><pre id="probe"></pre><script>
+style="border:0" srcdoc="PAGE"></iframe><pre id="probe"></pre><script>PICTURES
 onload = () => {
   const frame = document.getElementById('page'), w = frame.contentWindow, d = frame.contentDocument;
-  const box = e => e.getBoundingClientRect();
-  const svgs = [...d.querySelectorAll('svg')].map(svg => {
-    const s = box(svg), texts = [...svg.querySelectorAll('text')].filter(t => t.textContent);
-    const cut = texts.filter(t => { const b = box(t);
-      return b.left < s.left - 1 || b.right > s.right + 1 || b.top < s.top - 1 || b.bottom > s.bottom + 1; });
-    const over = [];
-    texts.forEach((t, i) => texts.slice(0, i).forEach(u => { const a = box(t), b = box(u);
-      // boxes of text are higher than its ink: a third of the height may be shared
-      if (Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 &&
-          Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > Math.min(a.height, b.height) / 3)
-        over.push(t.textContent + ' | ' + u.textContent); }));
-    return {width: s.width, height: s.height, texts: texts.length, cut: cut.map(t => t.textContent), over};
-  });
   const style = w.getComputedStyle(d.body), root = d.documentElement;
   document.getElementById('probe').textContent = JSON.stringify({inner: w.innerWidth, client: root.clientWidth,
     scroll: root.scrollWidth, paper: style.backgroundColor, ink: style.color,
-    loaded: w.performance.getEntriesByType('resource').length, svgs});
+    loaded: w.performance.getEntriesByType('resource').length, svgs: pictures(d)});
 };
 </script>"""
 
 
 def look(page, folder, width, dark):
     """The page laid out by the browser: what the probe found."""
-    around = AROUND.replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
+    around = (
+        AROUND.replace("PICTURES", PICTURES).replace("WIDTH", str(width)).replace("PAGE", html.escape(render(page)))
+    )
     return probed(folder, around, *(("--blink-settings=preferredColorScheme=0",) if dark else ()))
 
 

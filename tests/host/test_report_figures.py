@@ -14,6 +14,7 @@ from truearm.report import svg
 from truearm.report.calibration_page import render
 from truearm.report.correlation import correlation
 from truearm.report.figures import MAX_POINTS, by_order, figures_of
+from truearm.report.map_picture import Cells, map_picture
 from truearm.report.page_tables import direction_words
 from truearm.report.page_text import escape, figures, number
 from truearm.report.residual_rows import Law, law_of, rows_by_kind
@@ -114,6 +115,27 @@ def test_log_axis_holds_the_data(values):
     assert np.all((shown >= 0.0) & (shown <= 1.0))
     assert 2 <= len(axis.ticks) <= 8
     assert axis.low <= min(v for v in [*values, 1.0] if v > 0.0)
+
+
+def test_ticks_of_random_ranges_are_round():
+    """Axes, and the scale of a map, are divided at multiples of 1, 2 or 5 times a power of ten, and labelled so."""
+    rng = np.random.default_rng(20)
+    for low, span in zip(rng.normal(0.0, 3.0, 40), 10.0 ** rng.uniform(-3.0, 3.0, 40), strict=True):
+        error = np.array([[low, low + span], [low, low]]) ** 2
+        scale = map_picture(Cells(np.r_[0.0, 9.0], np.r_[0.0, 9.0], error, error, error < 0.0), "Error")
+        ticks = [text.replace("\u2212", "-") for text in re.findall(r'class="">([\u2212\d.e+]+)<', scale)]
+        assert_round(np.array(ticks, dtype=float))
+        axis = svg.linear_axis("x [mm]", low, low + span)
+        assert_round(np.array([float(text.replace("\u2212", "-")) for text in axis.tick_labels]))
+
+
+def assert_round(ticks):
+    step = np.diff(ticks)
+    assert 2 <= ticks.size <= 9
+    assert step == pytest.approx(step[0])
+    mantissa = step[0] / 10.0 ** math.floor(math.log10(step[0]) + 1e-9)
+    assert min(abs(mantissa - m) for m in (1.0, 2.0, 5.0)) < 1e-6
+    assert ticks / step[0] == pytest.approx(np.round(ticks / step[0]), abs=1e-6)
 
 
 def test_longitude_is_wrapped_and_in_degrees():

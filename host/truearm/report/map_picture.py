@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.report.svg import Plot, axes, drawing, label, linear_axis, num, rect
+from truearm.report.svg import Axis, Plot, axes, drawing, label, linear_axis, num, rect
 from truearm.types import Floats
 
 # Dark to light, each lighter than the previous one, so that the picture is readable when printed without colours.
@@ -18,6 +18,10 @@ STYLE = (
     ".grid{stroke:#ddd;fill:none}.axis{stroke:#222;fill:none}.pale{fill-opacity:.35}.task{fill:none;stroke:#d00;stroke-width:2}"
 )
 LONGEST = 640.0  # drawing units of the longer side
+LEFT, TOP, BOTTOM = 62.0, 54.0, 46.0  # room for the labels, the title above those of the scale
+SCALE = 132.0  # room for the scale and its labels
+TICK_SPACE = (50.0, 25.0)  # between ticks along x and y
+LETTER = 8.5  # width of a bold letter
 
 
 class Cells(NamedTuple):
@@ -42,11 +46,18 @@ def map_picture(
     """Return the SVG file of errors, pale outside the fitted readings; ``task_mm`` is a rectangle u0, u1, v0, v1."""
     u_mm, v_mm, error_mm, sigma_mm, outside = cells
     cell = float(u_mm[1] - u_mm[0]) if u_mm.size > 1 else 1.0
-    x = linear_axis(labels[0], float(u_mm[0]) - cell, float(u_mm[-1]) + cell)
-    y = linear_axis(labels[1], float(v_mm[0]) - cell, float(v_mm[-1]) + cell)
+    ends = [(float(values[0]) - cell, float(values[-1]) + cell) for values in (u_mm, v_mm)]
+    longest = max(high - low for low, high in ends)
+    x, y = (
+        linear_axis(name, low, high, intervals=min(6.0, LONGEST * (high - low) / longest / space))
+        for name, (low, high), space in zip(labels, ends, TICK_SPACE, strict=True)
+    )
     unit = LONGEST / max(x.high - x.low, y.high - y.low)
-    plot = Plot(x, y, height=unit * (y.high - y.low) + 76.0, width=unit * (x.high - x.low) + 190.0, right=128.0)
-    low, high = float(np.nanmin(error_mm)), float(np.nanmax(error_mm))
+    across, up = unit * (x.high - x.low), unit * (y.high - y.low)
+    right = max(SCALE, LETTER * len(title) - across)
+    plot = Plot(x, y, up + TOP + BOTTOM, LEFT + across + right, LEFT, right, TOP, BOTTOM)
+    errors = float(np.nanmin(error_mm)), float(np.nanmax(error_mm))
+    scale = linear_axis("error [mm]", *errors, intervals=min(6.0, up / TICK_SPACE[1]))
     parts = [f"<style>{STYLE}</style>", axes(plot), label(plot.left, 18, title, "name")]
     for i, j in zip(*np.nonzero(~np.isnan(error_mm)), strict=True):
         left, top = plot.px(u_mm[j] - 0.5 * cell), plot.py(v_mm[i] + 0.5 * cell)
@@ -61,29 +72,29 @@ def map_picture(
                 side,
                 "pale" * bool(outside[i, j]),
                 tip,
-                _fill((error_mm[i, j] - low) / max(high - low, 1e-12)),
+                _fill(float(scale.fraction(error_mm[i, j]))),
             )
         )
     if (outside & ~np.isnan(error_mm)).any():
-        parts.append(label(plot.width - 128.0, 18, "pale: not calibrated"))
+        parts.append(label(LEFT + across + 4.0, plot.height - 8, "pale: not calibrated"))
     if task_mm is not None:
         (x0, x1), (y1, y0) = plot.px(task_mm[:2]), plot.py(task_mm[2:])
         parts.append(rect(x0, y0, x1 - x0, y1 - y0, "task", "the best place for the task"))
-    parts += _scale(plot, low, high)
+    parts += _colours(plot, scale, LEFT + across + 28.0)
     picture = drawing(plot.width, plot.height, parts, title)
     return picture.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
-def _scale(plot: Plot, low: float, high: float) -> list[str]:
-    """Return the colours from low to high, with five numbers."""
-    left, top, floor, steps = plot.width - 100.0, plot.top, plot.height - plot.bottom, 60
-    side = (floor - top) / steps
+def _colours(plot: Plot, scale: Axis, left: float) -> list[str]:
+    """Return the colours of the scale, with its ticks."""
+    floor, steps = plot.height - plot.bottom, 60
+    side = (floor - plot.top) / steps
     parts = [
         rect(left, floor - (k + 1) * side, 18.0, side + 0.3, "", "", _fill(k / (steps - 1.0))) for k in range(steps)
     ]
-    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
-        parts.append(label(left + 24.0, floor - share * (floor - top) + 4.0, f"{low + share * (high - low):.2f}"))
-    return [*parts, label(left + 10.0, top - 10.0, "error [mm]", "mid")]
+    for share, text in zip(scale.fraction(scale.ticks), scale.tick_labels, strict=True):
+        parts.append(label(left + 24.0, floor - share * (floor - plot.top) + 4.0, text))
+    return [*parts, label(left, plot.top - 12.0, scale.label)]
 
 
 def _fill(share: float) -> str:

@@ -41,11 +41,11 @@ class Axis:
         return np.asarray((v - low) / (high - low))
 
 
-def linear_axis(label: str, low: float, high: float, step: float = 0.0) -> Axis:
-    """Return an axis over [low, high], widened to round ticks; ``step`` overrides the distance between ticks."""
+def linear_axis(label: str, low: float, high: float, step: float = 0.0, intervals: float = 6.0) -> Axis:
+    """Return an axis over [low, high], widened to at most about ``intervals`` + 1 round ticks, or to ticks every ``step``."""
     if not high > low:
         low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
-    step = step or round_step((high - low) / 6.0)
+    step = step or round_step((high - low) / intervals)
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     ticks = tuple(k * step + 0.0 for k in range(first, last + 1))
