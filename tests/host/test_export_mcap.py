@@ -125,3 +125,19 @@ def test_a_row_without_a_time_stands_at_the_start(tmp_path):
     tables.close()
     ((_, rows),) = read(tmp_path).values()
     assert rows == [(10**18 + 5 * 10**9, {"length_m": 0.5}), (10**18 + 6_500_000_000, {"time_s": 6.5, "length_m": 0.4})]
+
+
+@pytest.mark.parametrize("more", [[], ["--format", "mcap"]])
+def test_samples_are_those_that_inspect_counts(session, tmp_path, capsys, more):
+    export(session, tmp_path / "x", *more)
+    tables = json.loads((tmp_path / "x" / "session.json").read_text())["tables"]
+    printed = capsys.readouterr().out
+    assert main(["inspect", str(session), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert len(document["streams"]) == 2
+    for stream in document["streams"]:
+        ((name, table),) = ((name, table) for name, table in tables.items() if f"box_{stream['name']}" in name)
+        assert table["session_rows"] == stream["samples"]
+        fewer = f"{table['rows']} of " if more else ""
+        assert f"{name}: {fewer}{stream['samples']} samples" in printed
+    assert sum(stream["samples"] for stream in document["streams"]) == document["losses"]["samples"]

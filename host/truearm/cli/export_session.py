@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -64,6 +65,14 @@ def export_session(
 
     choice = RobotChoice(robot, base, tip)
     tables = export_session_files(ExportSession(session, out, format, rig, choice, allow_damaged, rate))
-    lines = (f"{one_line(str(out))}/{name}: {counted(rows, 'row')}" for name, rows in tables.items())
-    print_result({"folder": str(out), "rows": dict(tables)}, lines, as_json)
+    lines = (f"{one_line(str(out))}/{name}: {_size(table)}" for name, table in tables.items())
+    rows = {name: table["rows"] for name, table in tables.items()}
+    print_result({"folder": str(out), "rows": rows}, lines, as_json)
     warn_of_further_parts(session, "export each part separately: each has clocks of its own")
+
+
+def _size(table: Mapping[str, Any]) -> str:
+    """Return the number of samples, which ``truearm inspect`` prints too, or of rows; and how many of them were written."""
+    size = counted(table["session_rows"], "sample" if "gap" in table["columns"] else "row")
+    thinned = table["rows"] < table["session_rows"]
+    return f"{table['rows']} of {size} (--rate 0 writes all)" if thinned else size

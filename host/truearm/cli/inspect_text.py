@@ -66,7 +66,7 @@ def lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield from _session(document)
     yield from _topics(document["topics"])
     yield from _streams(document["streams"])
-    yield from _losses(document["losses"])
+    yield from _losses(document["losses"], len(document["streams"]))
     yield from _console(document)
     yield from _temperature(document["temperature_degc"])
     yield from _clock(document["clock"])
@@ -118,8 +118,12 @@ def _streams(streams: list[Mapping[str, Any]]) -> Iterator[str]:
         )
 
 
-def _losses(losses: Mapping[str, Any]) -> Iterator[str]:
-    yield f"frames: {losses['frames']} received, {counted(losses['samples'], 'sample')} in {counted(losses['blocks'], 'block')}"
+def _losses(losses: Mapping[str, Any], n_streams: int) -> Iterator[str]:
+    together = f" of {n_streams} streams" if n_streams > 1 else ""
+    yield (
+        f"frames: {losses['frames']} received, {counted(losses['samples'], 'sample')}{together} in "
+        f"{counted(losses['blocks'], 'block')}"
+    )
     box = losses["box"]
     counts = [(losses[key], text) for key, text in LOSSES]
     counts += [(box[key], BOX_WORDS.get(key, f"{key} by the box's count")) for key in COUNTERS if key != "sent"]

@@ -24,17 +24,20 @@ class Placement(NamedTuple):
 
 
 class ColumnTable(ABC):
-    """A table that is being written; ``rows`` is the number of rows so far. Raises OSError if the disk refuses a write.
+    """A table that is being written; ``rows`` is the number of rows so far, of the ``session_rows`` that the session has.
+    Raises OSError if the disk refuses a write.
 
     It is created from the first batch, which defines titles and types. That batch is not written yet.
     """
 
     def __init__(self) -> None:
         self.rows = 0
+        self.session_rows = 0
 
     def write(self, columns: Columns) -> None:
         """Append a batch with the titles and types of the first."""
         self.rows += self._write(columns)
+        self.session_rows += len(next(iter(columns.values())))
 
     @abstractmethod
     def _write(self, columns: Columns) -> int:

@@ -52,8 +52,8 @@ class ExportSession:
 
 
 @step("exporting the session")
-def export_session_files(wanted: ExportSession) -> dict[str, int]:
-    """Write all tables, or none; return the number of rows by name. Raises InputError, SessionError, WriteError."""
+def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
+    """Write all tables, or none; return the rows and titles of each by name. Raises InputError, SessionError, WriteError."""
     check_format(wanted.format)
     if wanted.rate_hz is not None and wanted.format != "mcap":
         text = f" has no effect with format {wanted.format}, which holds all samples; leave it out, or use format mcap"
@@ -75,7 +75,8 @@ def export_session_files(wanted: ExportSession) -> dict[str, int]:
             os.replace(whole, out)
     except OSError as exc:
         raise WriteError(f"{out}: cannot be written: {system_reason(exc)}; nothing was exported") from exc
-    return {name: table["rows"] for name, table in document["tables"].items()}
+    tables: dict[str, dict[str, Any]] = document["tables"]
+    return tables
 
 
 def _check_folder(out: Path) -> None:
@@ -151,8 +152,11 @@ class _Tables:
         self._tables[name][1].write(columns)
 
     def close(self) -> dict[str, Any]:
-        """Complete all tables; return rows and titles of each."""
+        """Complete all tables; return the written rows, all rows of the session, and the titles of each."""
         for _, table, _ in self._tables.values():
             table.close()
         self._all.close()
-        return {name: {"rows": table.rows, "columns": titles} for name, table, titles in self._tables.values()}
+        return {
+            name: {"rows": table.rows, "session_rows": table.session_rows, "columns": titles}
+            for name, table, titles in self._tables.values()
+        }
