@@ -14,6 +14,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
+import tomllib
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, fields
@@ -44,6 +45,9 @@ HUGE = 1e12  # no number in any unit is larger; a larger integer may have no flo
 UNKNOWN = "unknown"
 NO_UNIT = ("",)
 NAME = re.compile(r"[\w-]{1,64}")  # no dots: parameter names such as socket.<place>.<socket>.x are made from these
+MAX_KEY_PARTS = 32  # tomllib's time grows with the square of the number
+_KEY_PART = r"""(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
+_DEEP_KEY = re.compile(f"(?:{_KEY_PART}){{{MAX_KEY_PARTS}}}")
 LARGEST_RATIO = 1e6  # of standard deviations in a covariance; the smallest would be lost in the rounding of its square
 
 T = TypeVar("T")
@@ -60,6 +64,17 @@ def at(where: str) -> Iterator[None]:
         yield
     except SchemaError as exc:
         raise SchemaError(f"{where}: {exc}") from None
+
+
+def load_toml(text: str, parse_float: Callable[[str], Any] = float) -> dict[str, Any]:
+    """Return TOML text as a dictionary, in a time proportional to its length.
+
+    Raises ValueError for a dotted key of MAX_KEY_PARTS or more dots, and otherwise what tomllib raises.
+    """
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"a key of more than {MAX_KEY_PARTS} parts in line {line}")
+    return tomllib.loads(text, parse_float=parse_float)
 
 
 def quoted(value: object) -> str:

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import time
 import tomllib
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truearm.errors import RigError, RobotError
+from truearm.box.configuration import with_file
+from truearm.errors import ConfigError, RigError, RobotError
+from truearm.files.rig_file import parse_rig
+from truearm.model.robot import parse_robot
 from truearm.schema import (
     IDENTIFIER,
     MAX_ENTRIES,
@@ -27,6 +31,7 @@ from truearm.schema import (
     Table,
     Text,
     Whole,
+    load_toml,
     read,
     sigma,
 )
@@ -266,3 +271,24 @@ def test_declarations_cost_no_numerics() -> None:
     code = "import sys, truearm.schema; print(*{'numpy', 'scipy'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["a." * 40_000 + "b = 1", "[" + "a . " * 40_000 + "b]", "x = {" + '"a".' * 20_000 + "b = 1}"]
+)
+def test_a_long_dotted_key_is_refused_at_once(text):
+    """tomllib took 19 s for 80 kB, and four times as long for twice as many."""
+    for parse, error in (
+        (lambda: parse_rig(text, "rig.toml"), RigError),
+        (lambda: parse_robot(text), RobotError),
+        (lambda: with_file({}, text, "box.toml"), ConfigError),
+    ):
+        begin = time.process_time()
+        with pytest.raises(error, match="more than 32 parts in line 1"):
+            parse()
+        assert time.process_time() - begin < 0.5
+
+
+def test_dots_that_are_no_long_key():
+    text = f"note = '{'1.5 ' * 1000}{'...' * 1000}'\n" + "\n".join(f"a{k}.b.c.d = 127.0" for k in range(2000))
+    assert load_toml(text)["a1999"] == {"b": {"c": {"d": 127.0}}}

@@ -9,7 +9,6 @@ checked against the specification (configuration_schema.py) before anything is s
 from __future__ import annotations
 
 import copy
-import tomllib
 from collections.abc import Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,7 @@ from truearm.box.configuration_schema import (
 )
 from truearm.errors import ConfigError, ProtocolError
 from truearm.files.disk import parse_toml
-from truearm.schema import Table, at, check_known, raising, read
+from truearm.schema import Table, at, check_known, load_toml, raising, read
 from truearm.text import one_line
 from truearm.units import NS
 
@@ -230,7 +229,7 @@ def _value(text: str, is_words: bool) -> Any:
     if is_words:
         return text[1:-1] if len(text) > 1 and text[0] == text[-1] == '"' else text
     try:
-        values = tomllib.loads(f"value = {text}", parse_float=parse_number)
+        values = load_toml(f"value = {text}", parse_number)
     except (ValueError, RecursionError):
         return text
     return values["value"] if set(values) == {"value"} else text

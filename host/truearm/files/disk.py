@@ -16,6 +16,7 @@ from typing import Any
 
 from truearm.errors import Argument, InputError, TruearmError, WriteError
 from truearm.file_names import DISK_FAILED, no_such_file, system_reason
+from truearm.schema import load_toml
 
 SESSION_MAGIC = b"\x89MCAP"
 
@@ -64,13 +65,13 @@ def parse_toml(
     ``parse_float`` converts TOML's floats to numbers, and may raise ValueError.
     """
     try:
-        return tomllib.loads(text, parse_float=parse_float)
+        return load_toml(text, parse_float)
     except tomllib.TOMLDecodeError as exc:
         raise error(f"{name}: is not TOML: {exc}; correct this place") from exc
     except RecursionError as exc:
         raise error(f"{name}: is nested too deeply") from exc
     except ValueError as exc:  # tomllib passes on errors of int()'s limit of digits and of impossible dates
-        raise error(f"{name}: is not usable TOML: {exc}") from exc
+        raise error(f"{name}: is not usable TOML: {exc}; correct this place") from exc
 
 
 def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:

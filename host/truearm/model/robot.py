@@ -25,7 +25,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -38,7 +37,7 @@ from truearm.model.chain import Chain
 from truearm.model.elementary_transforms import chain_from_slots
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
-from truearm.schema import Key, List, Number, SchemaError, Text, raising
+from truearm.schema import Key, List, Number, SchemaError, Text, load_toml, raising
 from truearm.text import counted
 from truearm.types import Floats
 
@@ -105,7 +104,7 @@ def parse_robot(text: str) -> Robot:
     if len(text) > MAX_TEXT:
         raise RobotError(f"robot file has {len(text)} characters, the limit is {MAX_TEXT}; is this the right file?")
     try:
-        doc = tomllib.loads(text)
+        doc = load_toml(text)
     except (ValueError, RecursionError) as error:  # tomllib propagates int()'s digit limit and impossible dates
         raise RobotError(f"robot file is not valid TOML: {error}; correct this place") from error
     with raising(RobotError, "robot file"):
