@@ -6,7 +6,7 @@ Shapes: ``n`` rows, ``p`` parameters of the problem.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, NamedTuple, assert_never
@@ -95,6 +95,11 @@ def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Flo
             if name in at:
                 weights[at[name], column] = weight
     return weights
+
+
+def largest_terms(weights: Iterable[float], names: Iterable[str]) -> list[tuple[float, str]]:
+    """Return the terms of a direction in descending order; those that are equal but for rounding, in their own order."""
+    return sorted(zip(weights, names, strict=True), key=lambda term: -round(abs(term[0]), 6))
 
 
 class Observability(NamedTuple):

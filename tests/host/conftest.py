@@ -1,9 +1,12 @@
 """Fixtures shared by the host tests."""
 
+import importlib.util
 import io
+import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -27,6 +30,18 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
         return Outcome(code, captured.out, captured.err)
 
     return call
+
+
+@pytest.fixture(scope="session")
+def real_arms() -> ModuleType:
+    """bench/real_arms.py, which is no package."""
+    spec = importlib.util.spec_from_file_location("real_arms", Path(__file__).parents[2] / "bench" / "real_arms.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,6 @@
 """Joint laws on real arms: a cheap part of docs/explanation/real-arms.md. ``make benchmark`` runs all of it."""
 
-import importlib.util
 import lzma
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +36,6 @@ def test_ur5_by_its_authors_poses():
     geometry, laws = held_out_means(robot, RIG, table, np.arange(len(table)) >= len(grid))
     assert geometry < 0.105
     assert laws < 0.066
-
-
-@pytest.fixture(scope="module")
-def real_arms():
-    """bench/real_arms.py, which is no package."""
-    spec = importlib.util.spec_from_file_location("real_arms", ROOT / "bench" / "real_arms.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 CASES = [

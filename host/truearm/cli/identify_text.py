@@ -38,7 +38,7 @@ from truearm.report.result_words import (
 from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, freedom_words, usability_sentences, wrong_first
-from truearm.results import MeanError, PoseError, ResidualParts, Unusable
+from truearm.results import MeanError, PoseError, ResidualParts, Unusable, largest_terms
 from truearm.session.dwells import NEED_DECISION
 from truearm.text import counted, one_line, outcome
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, size, title
@@ -268,7 +268,7 @@ def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
 
 def direction_text(direction: Mapping[str, Any]) -> str:
     """Format a null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
-    terms = sorted(zip(direction["weights"], direction["names"], strict=True), key=lambda t: -abs(t[0]))
+    terms = largest_terms(direction["weights"], direction["names"])
     shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
     words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
     return " ".join(words).removeprefix("+ ") + f" and {len(terms) - len(shown)} smaller" * (len(terms) > len(shown))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from truearm.cli.identify_text import MAX_TERMS
+from truearm.results import largest_terms
 from truearm.text import counted
 from truearm.types import BAR_MOUNTED
 from truearm.units import UNITS
@@ -143,9 +144,9 @@ def _known_after(document: Mapping[str, Any]) -> list[str]:
 
 def _direction(weights: Mapping[str, float]) -> str:
     """Format its largest terms; --json has all."""
-    terms = sorted(weights.items(), key=lambda term: -abs(term[1]))
+    terms = largest_terms(weights.values(), weights)
     rest = f" and {counted(len(terms) - MAX_TERMS, 'other')}" * (len(terms) > MAX_TERMS)
-    return " ".join(f"{weight:+.2f}·{name}" for name, weight in terms[:MAX_TERMS]) + rest
+    return " ".join(f"{weight:+.2f}·{name}" for weight, name in terms[:MAX_TERMS]) + rest
 
 
 def _region(document: Mapping[str, Any]) -> list[str]:

@@ -23,6 +23,7 @@ from truearm.estimate.solution import Options, Solution, of_data
 from truearm.estimate.systematic_candidates import AS_LIKELY, in_all_rows, largest_errors
 from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.systematic_score import FitChi2, log_chance
+from truearm.estimate.ties import largest_first
 from truearm.estimate.whitened_rows import only
 from truearm.model.chain import Chain
 from truearm.results import Effect, OffBy, SystematicError, SystematicErrors
@@ -69,7 +70,8 @@ def one_constant(of: Fitting, found: SystematicErrors, state: FitChi2) -> System
     """
     few = np.zeros(of.used.size, dtype=bool)
     few[some_rows(of.used, MOST_ROWS)] = True
-    ranked = sorted(((_chi2(of, cause, few), cause) for cause in in_all_rows(of.problem)), key=lambda one: one[0])
+    tried = [(_chi2(of, cause, few), cause) for cause in in_all_rows(of.problem)]
+    ranked = [tried[i] for i in largest_first([-chi2 for chi2, _ in tried])]
     if not ranked or not math.isfinite(ranked[0][0]):
         return None
     least, cause = ranked[0]

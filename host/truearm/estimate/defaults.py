@@ -32,11 +32,12 @@ from truearm.estimate.identifiability import (
     SMALL_PART,
     identifiability,
     null_basis,
+    rank_columns,
     spread,
     suggested_free,
     weakly_identifiable,
 )
-from truearm.estimate.information import RANK_TOLERANCE, of_rows, scaled_columns
+from truearm.estimate.information import RANK_TOLERANCE, of_rows
 from truearm.estimate.outliers import gross_rows
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
@@ -158,7 +159,7 @@ def _shrinking(problem: Problem, x: Floats, free: Mask) -> Mask:
     the residuals are in proportion to the robot, so the best fit to noise is a robot without extent.
     """
     given = of_rows(problem, x, problem.columns(free))
-    scaled, scale = scaled_columns(_root(problem, x, free))
+    scaled, scale = rank_columns(_root(problem, x, free))
     _, unseen = null_basis(scaled)
     gradient = (given.root.T @ given.rhs) / scale
     along = unseen @ (unseen.T @ gradient)

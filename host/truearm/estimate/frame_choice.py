@@ -17,11 +17,11 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.identifiability import null_basis, project_out
-from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
+from truearm.estimate.identifiability import null_basis, project_out, rank_columns
+from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.ties import pivots
 from truearm.model.chain import Chain, about, along, forward, trace_point
 from truearm.types import Floats
 
@@ -82,7 +82,7 @@ def held_as_frames(
     None of the ``named`` parameters is fixed. ``root`` (k, k) has the robot's free columns first and then the rig's;
     ``unit`` (p,) makes metres and radians comparable.
     """
-    scaled, scale = scaled_columns(root)
+    scaled, scale = rank_columns(root)
     n_robot = int(free.sum())
     at = np.cumsum(free) - 1
     out = np.zeros(free.size, dtype=bool)
@@ -94,6 +94,5 @@ def held_as_frames(
             continue
         basis, _ = np.linalg.qr(unseen / (scale[at[which]] * unit[which])[:, None])
         may = ~named[which]
-        triangle, order = scipy.linalg.qr(basis[may].T, mode="r", pivoting=True)
-        out[which[may][order[: int((np.abs(np.diag(triangle)) > RANK_TOLERANCE).sum())]]] = True
+        out[which[may][pivots(basis[may].T, RANK_TOLERANCE)]] = True
     return out

@@ -9,8 +9,8 @@ Null directions are made readable by a choice of basis: each direction has a par
 1 in this direction and 0 in the others), and all other parameters appear only as needed to compensate for the pivot.
 
 The same columns yield a suggested free set: pivoted QR repeatedly takes the column with the longest component not yet
-explained, until nothing is left. The choice among equivalent parameters is arbitrary; the papers' choice is stored in
-the robot's file (``Robot.free``), and preferred columns are taken before all others. Additional rows cannot make
+explained, until nothing is left. Among equivalent parameters, the first in the robot's file is taken (``ties``); the
+papers' choice is stored there (``Robot.free``), and preferred columns are taken before all others. Additional rows cannot make
 independent columns dependent, so the columns taken stay independent when rows are added, and the gain from an addition
 is the difference between two such sets.
 
@@ -31,13 +31,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from truearm.estimate.information import RANK_TOLERANCE, scaled_columns
+from truearm.estimate.information import RANK_TOLERANCE
+from truearm.estimate.ties import first_within, pivots
 from truearm.results import NullDirection, Observability
 from truearm.types import Floats
 
+SHORT = 0.01  # of the longest column
 NO_PART = 1e-6  # weight, in scaled parameters, below which a parameter does not belong to a direction
 SMALL_PART = 0.05  # the same, in units, for a hardly identifiable direction, to which all parameters contribute
 
@@ -54,7 +55,7 @@ class Identifiability(NamedTuple):
 
 def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identifiability:
     """Analyse a root (k, k) whose first ``n_robot`` columns are the robot's; ``names`` are those of the k parameters."""
-    scaled, scale = scaled_columns(root)
+    scaled, scale = rank_columns(root)
     robot, rig = scaled[:, :n_robot], scaled[:, n_robot:]
     singular, null_robot = null_basis(project_out(robot, rig))
     _, null_rig = null_basis(rig)
@@ -95,16 +96,14 @@ def suggested_free(
 
     ``taken`` columns, which must be independent, come first, then ``prefer`` columns.
     """
-    scaled, _ = scaled_columns(root)
+    scaled, _ = rank_columns(root)
     rest = project_out(scaled[:, :n_robot], scaled[:, n_robot:])
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
     for group in (prefer & ~out, ~prefer & ~out):
         left = project_out(rest[:, group], rest[:, out])
         if left.size == 0:
             continue
-        triangle, order = scipy.linalg.qr(left, mode="r", pivoting=True)
-        rank = int((np.abs(np.diag(triangle)) > RANK_TOLERANCE).sum())
-        out[np.flatnonzero(group)[order[:rank]]] = True
+        out[np.flatnonzero(group)[pivots(left, RANK_TOLERANCE)]] = True
     return out
 
 
@@ -144,15 +143,26 @@ def identifiable_columns(
     out = np.zeros(n_robot, dtype=bool) if taken is None else taken.copy()
     more = int((np.linalg.svd(rest, compute_uv=False) >= 1.0).sum() - out.sum())
     if more > 0:
-        order = scipy.linalg.qr(project_out(rest[:, ~out], rest[:, out]), mode="r", pivoting=True)[1]
-        out[np.flatnonzero(~out)[order[:more]]] = True
+        out[np.flatnonzero(~out)[pivots(project_out(rest[:, ~out], rest[:, out]), most=more)]] = True
     return out
 
 
 def _in_units(root: Floats, n_robot: int, unit: Floats) -> Floats:
     """Return the robot's whitened columns with the rig projected out, in units of their parameters."""
-    scaled, scale = scaled_columns(root)
+    scaled, scale = rank_columns(root)
     return np.asarray(project_out(scaled[:, :n_robot], scaled[:, n_robot:]) * (scale[:n_robot] * unit))
+
+
+def rank_columns(root: Floats) -> tuple[Floats, Floats]:
+    """Return the root with columns of length 1, and the divisors (k,), for a decision about rank.
+
+    A column that is far shorter than the longest is divided by SHORT of that and stays shorter than 1. It may be a
+    difference of terms as long as the longest: scaled up, their rounding would pass for information.
+    """
+    length = np.linalg.norm(root, axis=0)
+    scale = np.maximum(length, SHORT * length.max(initial=0.0))
+    scale[scale == 0.0] = 1.0
+    return root / scale, scale
 
 
 def project_out(wanted: Floats, unwanted: Floats) -> Floats:
@@ -193,14 +203,13 @@ def _directions(
     d = basis.shape[1]
     if d == 0:
         return ()
-    pivots = scipy.linalg.qr(basis.T, mode="r", pivoting=True)[1][:d]
+    own_parameters = sorted(pivots(basis.T))
     whole = basis if beside is None else np.concatenate([basis, beside])
-    own = whole @ np.linalg.inv(basis[pivots])
     out = []
-    for column in own[:, np.argsort(pivots)].T:
+    for column in (whole @ np.linalg.inv(basis[own_parameters])).T:
         part = np.flatnonzero(np.abs(column) > least).tolist()
         weights = column[part] / scale[part]
-        weights = weights / weights[np.argmax(np.abs(weights))]
+        weights = weights / weights[first_within(np.abs(weights))]
         out.append(NullDirection(tuple(names[i] for i in part), tuple(float(w) for w in weights)))
     return tuple(out)
 

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.estimate.better_fit import fits
 from truearm.estimate.label_test import CLEARLY, Labels, labellings, log_chance, permuted
+from truearm.estimate.ties import first_within
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
 from truearm.kinds.registry import GROUPS, identifiers, kinds, rig_names
 from truearm.model.chain import Chain
@@ -164,7 +165,8 @@ def relabellings(
                 break
     if not found:
         return Search((), "done")
-    after, labels = min(found, key=lambda one: (one[0].reduced > AS_WELL * least, one[0].moved))
+    as_well = [one for one in found if one[0].reduced <= AS_WELL * least] or found
+    after, labels = as_well[first_within([-trial.moved for trial, _ in as_well])]
     changes = tuple(_changes(search, labels, chosen, before, after))
     return Search(changes, "done", before, after, _log_chance(before, after, count))
 

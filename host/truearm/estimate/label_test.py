@@ -24,6 +24,8 @@ from typing import NamedTuple
 
 from scipy import special
 
+from truearm.estimate.ties import first_within, largest_first
+
 MOST_PERMUTED = 4
 CLEARLY = 9.0  # of the sum of squares: a third of the RMS
 
@@ -54,7 +56,7 @@ def labellings(squares: Squares, named: Sequence[Labels], scope: Sequence[Hashab
         if square < as_named:
             chance = min(log_chance(square / as_named, len(squares)) + math.log(tried), 0.0)
             found.append(Labelling(labels, square, chance))
-    return sorted(found, key=lambda one: one.square)
+    return [found[i] for i in largest_first([-one.square for one in found])]
 
 
 def log_chance(ratio: float, freedom: float) -> float:
@@ -105,6 +107,6 @@ def permuted(
 def _each_best(squares: Squares, named: Sequence[Labels]) -> tuple[Labels, ...]:
     best = []
     for of, labels in zip(squares, named, strict=True):
-        other = min(of, key=of.__getitem__)
+        other = list(of)[first_within([-square for square in of.values()])]
         best.append(other if CLEARLY * of[other] < of[labels] else labels)
     return tuple(best)

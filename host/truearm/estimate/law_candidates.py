@@ -21,6 +21,7 @@ import numpy as np
 from truearm.errors import InputError
 from truearm.estimate.evidence import PriorBlock
 from truearm.estimate.solvers import LawMode
+from truearm.estimate.ties import first_within
 from truearm.kinds.quantities import GRAVITY
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.sag import Sag
@@ -113,7 +114,7 @@ def _near(readings: Floats, around: bool) -> tuple[tuple[float, float], ...]:
     each = np.unique(np.mod(readings, 2.0 * math.pi) if around else readings)
     if around:
         gaps = np.diff(each, append=each[0] + 2.0 * math.pi)
-        widest = int(np.argmax(gaps))
+        widest = first_within(gaps)
         if gaps[widest] <= 2.0 * REACH:
             return ((float(readings.min()), float(readings.min()) + 2.0 * math.pi),)
         each = np.append(each[widest + 1 :], each[: widest + 1] + 2.0 * math.pi)

@@ -25,6 +25,7 @@ from truearm.estimate.other_readings import (
     in_other_unit,
     worst_fitted,
 )
+from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import POINT, TURN
 from truearm.kinds.registry import kinds, points
@@ -110,8 +111,8 @@ def likeliest(readings: Sequence[Interpretation]) -> list[Interpretation]:
         except (ProblemError, np.linalg.LinAlgError):
             continue
         if np.isfinite(least):
-            scored = sorted([*scored, (least, i)])
-    return [readings[i] for _, i in scored[:MOST_FITTED]]
+            scored.append((least, i))
+    return [readings[scored[k][1]] for k in largest_first([-least for least, _ in scored])[:MOST_FITTED]]
 
 
 def _flipped(rig: Rigs, entry: str, axis: int, only: str = "") -> Rigs | None:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from truearm.errors import ProblemError
+from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
@@ -129,14 +130,14 @@ def of_other_joints(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
             continue
         if np.isfinite(least):
             scored.append((least, _arranged(names, order, signs), order, signs))
-            scored.sort(key=lambda one: one[0])
-    for _, text, order, signs in scored[:MOST_FITTED]:
+    for i in largest_first([-least for least, *_ in scored])[:MOST_FITTED]:
+        _, text, order, signs = scored[i]
         yield Interpretation(text, chain, rig, _with_joints(table, order, signs), free)
 
 
 def worst_fitted(scored: Sequence[tuple[Any, ...]]) -> float:
-    """Return χ²/ν of the last interpretation to be fitted among those ``scored``, the best first; inf if there are few."""
-    return float(scored[MOST_FITTED - 1][0]) if len(scored) >= MOST_FITTED else math.inf
+    """Return χ²/ν of the last interpretation to be fitted among those ``scored``; inf if there are few."""
+    return sorted(float(least) for least, *_ in scored)[MOST_FITTED - 1] if len(scored) >= MOST_FITTED else math.inf
 
 
 def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:

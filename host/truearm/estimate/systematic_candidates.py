@@ -25,6 +25,7 @@ from truearm.estimate.systematic_score import (
     span_in_table,
     unfollowed,
 )
+from truearm.estimate.ties import first_within, largest_first
 from truearm.results import DriftWith
 from truearm.types import Floats, Indices
 from truearm.units import UNITS
@@ -137,8 +138,7 @@ def searched(found: Sequence[Best], every: Sequence[Family], test: ScoreTest) ->
         beyond_chance = [of for of in candidates if of is not None and not test.by_chance(of.log_p)]
         if not beyond_chance:
             break
-        best = max(beyond_chance, key=lambda of: of.evidence)
-        near = sorted((of for of in beyond_chance if of is not best), key=lambda of: -of.evidence)
+        best, *near = [beyond_chance[i] for i in largest_first([of.evidence for of in beyond_chance])]
         rivals = tuple(
             label(_in_fewer_rows(of, now), test.how) for of in near if of.evidence > best.evidence - AS_LIKELY
         )
@@ -165,7 +165,7 @@ def _search(family: Family, test: ScoreTest) -> Best | None:
     log_count = math.log((freedom > 0).sum())
     evidence = half_drop - np.log1p(known / variance[:, None]).sum(axis=1) / 2.0 - log_count
     evidence = np.where(freedom > 0, evidence, -np.inf)
-    at = int(np.argmax(evidence))
+    at = first_within(evidence)
     log_p = float(log_chance(drop[[at]] / test.inflation, freedom[[at]], state)[0]) + log_count
     first, last = int(family.first[at]), int(family.last[at])
     return Best(

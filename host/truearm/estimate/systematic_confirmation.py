@@ -21,6 +21,7 @@ from truearm.estimate.systematic_score import (
     effect_columns,
     log_chance,
 )
+from truearm.estimate.ties import first_within
 from truearm.types import Floats
 
 NOISIER = 5.0  # times the noise of the others: rows with less than that are noisier, but not off
@@ -41,7 +42,7 @@ def confirmed(found: Sequence[Best], test: ScoreTest, together: ScoreTest) -> tu
             inflation=1.0 if together.state.explained else path_inflation(together.rows, test.how)
         )
         again, own = _jointly(left, test, together)
-        worst = max(range(len(again)), key=lambda i: again[i].log_p, default=None)
+        worst = first_within([of.log_p for of in again]) if again else None
         if worst is None or not test.by_chance(again[worst].log_p):
             return again, together
         del left[worst]

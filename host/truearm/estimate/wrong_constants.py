@@ -20,6 +20,7 @@ from truearm.estimate.information import seen as significant
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import prior_error
 from truearm.estimate.systematic_effects import Cause
+from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import Trial, trial_problem, tried
 from truearm.model.chain import Chain
 from truearm.results import Effect, WrongInput
@@ -73,7 +74,7 @@ def _likely(
     parts = spectrum(seen.root[:, ~np.any(mine, axis=0)])
     followed = parts.u[:, : parts.singular.size][:, significant(parts)]
     drops = [_drop(seen.root[:, of], seen.rhs, followed) for of in mine]
-    return [causes[i] for i in np.argsort(drops)[::-1][:MOST_FITTED]]
+    return [causes[i] for i in largest_first(drops)[:MOST_FITTED]]
 
 
 def _drop(by: Floats, rhs: Floats, followed: Floats) -> float:

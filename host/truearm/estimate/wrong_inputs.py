@@ -45,6 +45,7 @@ from truearm.estimate.rows_apart import other_set_up, stuck_joint
 from truearm.estimate.solvers import SOLVERS
 from truearm.estimate.swapped_bars import other_bars
 from truearm.estimate.systematic import GROSS
+from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import Trial, tried
 from truearm.estimate.uncertainty import LEAST_FREEDOM
 from truearm.estimate.wrong_constants import wrong_constants
@@ -299,7 +300,8 @@ def _ranked(found: Sequence[Found]) -> tuple[Explanation, ...]:
     """Return the best explanation, and those that explain as much nearly as well."""
     if not found:
         return ()
-    best = min(found, key=lambda of: of.score)
+    found = [found[i] for i in largest_first([-of.score for of in found])]
+    best = found[0]
     beside = [of for of in found if of.fit.reduced <= AS_LIKELY * best.fit.reduced]
     # An item far from its place, with base and tool rotated to it, is what wrong labels look like.
     beside = [
@@ -307,7 +309,7 @@ def _ranked(found: Sequence[Found]) -> tuple[Explanation, ...]:
     ]
     if best.explanation.what is not WrongInput.SET_UP:
         beside = [of for of in beside if of.explanation.what is not WrongInput.SET_UP]
-    ranked = sorted({id(of): of for of in (best, *beside)}.values(), key=lambda of: of.score)
+    ranked = [best, *(of for of in beside if of is not best)]
     return tuple(of.explanation for of in ranked[:MOST_NAMED])
 
 

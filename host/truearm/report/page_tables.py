@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from truearm.report.page_parts import table
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.result_words import SMALLEST_WEIGHT, drawing
-from truearm.results import Estimate, NullDirection
+from truearm.results import Estimate, NullDirection, largest_terms
 from truearm.text import counted
 from truearm.units import UNITS
 
@@ -98,7 +98,7 @@ def _directions(directions: Sequence[NullDirection], single: str = "unidentifiab
 
 def direction_words(direction: NullDirection, single: str = "unidentifiable") -> str:
     """Return a direction in words: "link2.z up, link3.z down by as much"; ``single`` describes a lone parameter."""
-    terms = sorted(zip(direction.weights, direction.names, strict=True), key=lambda t: -abs(t[0]))
+    terms = largest_terms(direction.weights, direction.names)
     terms = [(weight, name) for weight, name in terms if abs(weight) >= SMALLEST_WEIGHT]
     if len(terms) == 1:
         return f"{terms[0][1]}: {single}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import point_jacobians
-from truearm.results import NullDirection, weights_of
+from truearm.results import NullDirection, largest_terms, weights_of
 from truearm.text import listed, one_line
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration
@@ -98,7 +98,6 @@ def _held(what: str, names: Sequence[str], directions: Sequence[NullDirection], 
 
 
 def _terms(direction: NullDirection) -> str:
-    terms = [term for term in zip(direction.weights, direction.names, strict=True) if abs(term[0]) >= SMALLEST]
-    terms = sorted(terms, key=lambda term: -abs(term[0]))
+    terms = [term for term in largest_terms(direction.weights, direction.names) if abs(term[0]) >= SMALLEST]
     more = f" and {len(terms) - TERMS} more" * (len(terms) > TERMS)
     return " ".join(f"{weight:+.2f} {one_line(name)}" for weight, name in terms[:TERMS]) + more
