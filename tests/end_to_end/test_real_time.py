@@ -73,7 +73,7 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
 def wait_for_recording(session, seconds):
     """Until the recorder has begun, however busy the machine, and so many seconds more."""
     deadline = time.monotonic() + 60
-    while not session.exists() and time.monotonic() < deadline:
+    while not (session.exists() and session.stat().st_size > 100) and time.monotonic() < deadline:  # more than a header
         time.sleep(0.05)
     time.sleep(seconds)
 

@@ -12,6 +12,7 @@ from record_box import HOST_0, SECOND, Box, Lab, Robot
 from test_record_command import RIG
 
 from truearm.cli.main import main
+from truearm.session.session_file import open_session
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
@@ -132,3 +133,21 @@ def test_bytes_appended_to_the_file(monkeypatch, tmp_path, lab, capfd):
 
     assert record(monkeypatch, lab, out, None, lambda box, robot: lab.at(END_NS - SECOND, append)) == 4
     assert "were overwritten" in capfd.readouterr().err
+
+
+def test_a_second_recorder_with_the_same_name_is_refused_before_its_box_is_started(monkeypatch, tmp_path, lab, capfd):
+    out, codes, other = tmp_path / "s.mcap", [], Box(lab)
+
+    def second(box, robot):
+        def run():
+            with monkeypatch.context() as patch:
+                patch.setattr("truearm.record.ports.BoxPort", lambda *_: lambda: other.link)
+                codes.append(main(["record", "--box", "memory", "--duration", "1", "--out", str(out)]))
+
+        box.link.on_write, write = lambda data: (run() if not codes else None, write(data)), box.link.on_write
+
+    assert record(monkeypatch, lab, out, None, second) == 0
+    assert codes == [2]
+    assert "choose another name" in capfd.readouterr().err
+    assert other.commands == []
+    assert open_session(out).metadata["session-end"]["reason"] == "duration"

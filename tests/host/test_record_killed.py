@@ -43,7 +43,8 @@ def killed(folder, after_s):
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 30
-        while not (out.exists() and out.stat().st_size) and time.monotonic() < deadline:
+        # before the box has started, there is only a header
+        while not (out.exists() and out.stat().st_size > 100) and time.monotonic() < deadline:
             time.sleep(0.002)
         time.sleep(after_s)
         at_ns = HostClock().now_ns()

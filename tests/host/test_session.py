@@ -352,14 +352,15 @@ class TestWriterErrors:
         assert open_session(tmp_path / "s.mcap").metadata["session-end"]["reason"] == "first"
 
     def test_held(self, tmp_path):
-        """No file before it is kept; then what was held is in it, in front of what follows."""
+        """Only a header before it is kept; then what was held is in it, in front of what follows."""
         path = tmp_path / "s.mcap"
         lab = Lab()
         with SessionWriter(path, lab, hold=True) as writer:
             writer.add("/box/adc", lab.now, b"early")
             writer.tick(lab.now + CHUNK_NS)
             assert not writer.kept
-            assert not path.exists()
+            assert path.stat().st_size < 100
+            assert open_session(path, allow_damaged=True).truncated  # what a killed recorder leaves
             writer.keep()
             writer.keep()
             writer.add("/box/adc", lab.now, b"late")
@@ -367,6 +368,33 @@ class TestWriterErrors:
         with SessionWriter(tmp_path / "never.mcap", lab, hold=True):
             pass
         assert not (tmp_path / "never.mcap").exists()
+
+    @pytest.mark.parametrize("earlier", [False, True])
+    def test_of_two_recorders_with_one_name_the_second_is_refused_at_its_start(self, tmp_path, earlier):
+        """Not when its box has started: what it had received was lost."""
+        path = tmp_path / "s.mcap"
+        if earlier:
+            written(path, 3)
+        before = path.read_bytes() if earlier else b""
+        with SessionWriter(path, Lab(), overwrite=earlier, hold=True) as first:
+            with pytest.raises(InputError, match="is still being written" if earlier else "choose another name"):
+                SessionWriter(path, Lab(), overwrite=earlier, hold=True)
+            assert path.read_bytes()[: len(before)] == before
+            first.keep()
+        assert open_session(path).metadata["session"]
+
+    @pytest.mark.parametrize("end", ["deleted", "closed"])
+    def test_an_earlier_recording_is_intact_until_there_is_another(self, tmp_path, end):
+        path = tmp_path / "s.mcap"
+        written(path, 3)
+        before = path.read_bytes()
+        with SessionWriter(path, Lab(), overwrite=True, hold=True) as writer:
+            assert path.read_bytes() == before
+            if end == "deleted":
+                path.unlink()
+                writer.keep()
+        assert open_session(path).path == path
+        assert (path.read_bytes() == before) == (end == "closed")
 
     def test_a_file_that_came_while_it_was_held(self, tmp_path):
         writer = SessionWriter(tmp_path / "s.mcap", Lab(), hold=True)

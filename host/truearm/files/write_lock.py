@@ -9,7 +9,6 @@ written to recently counts as held.
 from __future__ import annotations
 
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,11 +20,16 @@ except ImportError:  # Windows
 A_MOMENT_S = 5.0  # a recorder writes every second
 
 
-def hold(file: BinaryIO) -> None:
-    """Hold a file that is open for writing until it is closed."""
+def hold(file: BinaryIO) -> bool:
+    """Hold a file that is open for writing until it is closed; return False if another process holds it."""
     if fcntl is not None:
-        with suppress(OSError):  # a drive without locks, or another process reads it now: the recording continues
+        try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a drive without locks: the recording continues
+            pass
+    return True
 
 
 def is_held(path: Path) -> bool:

@@ -23,8 +23,8 @@ recording continues; nothing is lost. A truncated file is left as it is, and a n
 recording. A renamed file is written to as before. At the end the file is read back and compared with the CRC of what
 was written.
 
-A writer that is held writes nothing to the disk before ``keep``: an earlier recording of that name stays intact until
-there is something to replace it.
+A writer that is held only reserves its name before ``keep``, so that no other recorder takes it: with the header of a
+new file, or with a lock on an earlier recording, which stays intact until there is something to replace it.
 """
 
 from __future__ import annotations
@@ -81,8 +81,7 @@ class _Message(NamedTuple):
 class SessionWriter:
     """An open session file. ``close`` (or leaving the ``with`` block) completes it; an unclosed file is readable too.
 
-    With ``hold`` there is no file before ``keep``, and none at all if the writer is closed before. Without a ``clock``
-    the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
+    With ``hold`` there is only a header before ``keep``, and no file if the writer is closed before. Without a ``clock`` the file is a copy of a finished recording: it contains no times of its own except those in ``metadata`` and
     ``close``.
 
     Messages get their log time from the last metadata ``session``. Before it, or if it has no pair of times, the host's
@@ -94,8 +93,10 @@ class SessionWriter:
     def __init__(self, path: Path, clock: Clock | None, *, overwrite: bool = False, hold: bool = False) -> None:
         self.path = path
         self._overwrite = overwrite
-        self._out = _Output(io.BytesIO() if hold else self._open())
         self._held = hold
+        self._new = False  # not an earlier recording
+        self._file = self._open()
+        self._out = _Output(io.BytesIO() if hold else self._file)
         self._clock = clock
         self._channels: dict[str, list[int]] = {}  # topic: channel id, messages so far
         self._utc_offset_ns = 0  # UTC minus the host's clock
@@ -122,6 +123,8 @@ class SessionWriter:
         self._copied_bytes = 0  # size of the last copy, and of the file after it
         self._copied_to = 0
         self._writer = _begun(self._out)
+        if hold:
+            self._reserve()
         if clock is not None:
             self.metadata("session", {"version": __version__, "clock": clock.kind, **_anchor(clock)})
 
@@ -140,14 +143,34 @@ class SessionWriter:
         """Create the file from what was held so far, and write to it from now on. A second call does nothing."""
         if not self._held:
             return
-        held, file = self._out.file, self._open()
+        held = self._out.file
+        if not self._is_reserved():
+            self._file.close()
+            self._file = self._open()
         self._held = False
-        self._out.file = file
+        self._out.file = self._file
         try:
-            file.write(held.getvalue())  # type: ignore[attr-defined]
+            self._file.truncate(self._file.seek(0))
+            self._file.write(held.getvalue())  # type: ignore[attr-defined]
             self._flushed()
         except OSError as exc:
             raise self._cannot_write(exc) from exc
+
+    def _reserve(self) -> None:
+        """Write the header into a new file: without it, what a killed recorder leaves is no session."""
+        try:
+            if self._new:
+                self._file.write(self._out.file.getvalue())  # type: ignore[attr-defined]
+                self._file.flush()
+        except OSError as exc:
+            self.path.unlink()
+            raise self._cannot_write(exc) from exc
+        self._size = os.fstat(self._file.fileno()).st_size
+
+    def _is_reserved(self) -> bool:
+        """Return whether nobody touched the file since its name was reserved."""
+        changed = os.fstat(self._file.fileno()).st_size != self._size
+        return not changed and file_loss(self._file, self.path, self._size) is None
 
     def add(self, topic: str, t_host_ns: int, data: bytes, sequence: int | None = None) -> None:
         """Append a message unchanged; ``sequence`` is its number within its topic, by default the next one.
@@ -253,7 +276,11 @@ class SessionWriter:
         if self._out.file.closed:
             return
         if self._held:
+            unused = self._new and not self._file.closed and self._is_reserved()
             self._out.file.close()
+            self._file.close()
+            if unused:
+                self.path.unlink()
             return
         try:
             self._watch()
@@ -276,17 +303,21 @@ class SessionWriter:
 
     def _open(self) -> BinaryIO:
         try:
-            file = self.path.open("w+b" if self._overwrite else "x+b")
+            self._new = not (self._overwrite and self.path.exists())
+            file = self.path.open("x+b" if self._new else "r+b" if self._held else "w+b")
         except FileExistsError as exc:
             raise InputError(f"{self.path}: exists; choose another name or give ", Argument("force")) from exc
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
-        hold(file)
+        if not hold(file) and not self._new:
+            file.close()
+            raise InputError(f"{self.path}: is still being written; end that recording first, or give another name")
         return file
 
     def _flushed(self) -> None:
         self._out.flush()
-        self._size = self._out.tell()
+        if not self._held:
+            self._size = self._out.tell()
 
     def _watch(self, ended: bool = False) -> None:
         """Check the file before more is written to it. Raises OSError, WriteError."""
