@@ -506,7 +506,7 @@ class Estimate:
     n_observations: int
     rank: int
     rank_gap: float  # smallest kept / largest dropped singular value
-    null_space: tuple[NullDirection, ...]
+    null_space: tuple[NullDirection, ...]  # named: parts too small to print are left out
     rms_before: Mapping[str, float]  # by SI unit, of the fitted rows, once base and tool are placed
     rms_after: Mapping[str, float]
     rms_history: Mapping[str, tuple[float, ...]]  # one per iteration, first is rms_raw
@@ -542,6 +542,7 @@ class Estimate:
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out
     pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
+    unseen: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (p, d) the complete null space, in SI units
 
     @property
     def covariance_explains(self) -> bool:

@@ -1,6 +1,7 @@
 """The predicted error of the tool by the covariance, and of measured orientations."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from truearm.estimate import prediction
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prediction import MOST_POSES, point_covariance, predicted_point_error
+from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
+from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Device, Plane, Rig
+from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig
 
+MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis
 TURN = 2e-4  # rad
 UNKNOWN = Device("t", SENSOR, rotation_sigma=TURN)
@@ -49,6 +53,35 @@ def test_what_is_free_beyond_the_rank_changes_no_prediction(bars):
     few, many = (predicted_point_error(CHAIN, RIG, table, e) for e in (estimate, every))
     assert many.rms == pytest.approx(few.rms, rel=1e-6)  # two fits, each converged to 1e-8 or so of a σ
     assert not many.relative
+
+
+@pytest.mark.parametrize("seed", [8, 16])
+def test_six_constants_a_joint_do_not_move_the_tool(seed):
+    """A URDF's redundant parameters leave every length as it is. As printed, without parts below 1e-6, they do not quite."""
+    robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
+    rng = np.random.default_rng(seed)
+    chain, n = robot.chain, 120
+    truth = chain.params_nominal + np.where(robot.free, weak_prior(chain) * rng.standard_normal(robot.free.size), 0.0)
+    lower, upper = np.clip(chain.limits, -2.5, 2.5)
+    q = rng.uniform(lower, upper, (n, len(chain.joints)))
+    spheres = {"s1": (0.0, 0.03, 0.02), "s2": (0.02, -0.03, 0.05), "s3": (-0.03, 0.0, 0.08)}
+    chucks = {"c1": (0.5, 0.0, 0.0), "c2": (0.3, 0.5, 0.0), "c3": (0.6, -0.4, 0.1)}
+    sphere, chuck = rng.choice(list(spheres), n), rng.choice(list(chucks), n)
+    ends = point_forward(chain, truth, q, np.array([spheres[name] for name in sphere]))
+    length = np.linalg.norm(ends - [chucks[name] for name in chuck], axis=1) + 3e-5 * rng.standard_normal(n)
+    rig = Rig(
+        spheres={name: Point(name, at, 0.0) for name, at in spheres.items()},
+        chucks={name: Point(name, at, 0.0) for name, at in chucks.items()},
+        bars={"b": BallBar("b", 1.0, 1.0, 3.0, 3e-5)},
+    )
+    table = ObservationTable(
+        q=q, kind=np.full(n, "ball_bar"), value=length, bar=np.full(n, "b"), chuck=chuck, sphere=sphere
+    )
+    estimate = identify(chain, rig, table, free=robot.free)
+    few = identify(chain, rig, table, free=estimate.suggested_free[: truth.size])
+    predicted = [predicted_point_error(chain, rig, table, each) for each in (estimate, few)]
+    assert not predicted[0].relative
+    assert predicted[0].rms == pytest.approx(predicted[1].rms, rel=1e-3)
 
 
 def test_about_one_chuck_the_arm_may_turn_as_one_body(bars):

@@ -50,7 +50,8 @@ class Identifiability(NamedTuple):
     gap: float  # smallest kept over largest dropped singular value; inf if none was dropped
     singular: Floats  # (r,) of the robot's part
     identifiable: NDArray[np.bool_]  # (k,)
-    null_space: tuple[NullDirection, ...]
+    null_space: tuple[NullDirection, ...]  # as printed: without parts below NO_PART
+    unseen: Floats  # (k, d) the same space exactly, in SI units, each direction with a largest weight of 1
 
 
 def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identifiability:
@@ -68,7 +69,9 @@ def identifiability(root: Floats, n_robot: int, names: Sequence[str]) -> Identif
         *_directions(null_rig, scale[n_robot:], names[n_robot:]),
     )
     identifiable = np.linalg.norm(null_all, axis=1) < NO_PART
-    return Identifiability(rank, _gap(singular, rank), singular, identifiable, directions)
+    unseen = null_all / scale[:, None]
+    unseen /= np.abs(unseen).max(axis=0, initial=1e-300)
+    return Identifiability(rank, _gap(singular, rank), singular, identifiable, directions, unseen)
 
 
 def observability(root: Floats, n_robot: int, chosen: NDArray[np.bool_], unit: Floats, n_rows: int) -> Observability:

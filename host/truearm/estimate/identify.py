@@ -200,6 +200,8 @@ def identify(
         wrong, distance, beyond = None, bad.distance, bad.bad
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
+    unseen = np.zeros((x.size, sight.unseen.shape[1]))
+    unseen[columns] = sight.unseen
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise
@@ -262,6 +264,7 @@ def identify(
         without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
         parts=residual_parts(taken, x, columns, half(parts)),
         pose_error=None if shared is None else shared.error,
+        unseen=unseen,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
 

@@ -267,6 +267,7 @@ class _Work:
             sigma=sigma,
             free=of.columns,
             identifiable=identifiable,
+            unseen=np.insert(before.unseen, [at] * added, 0.0, axis=0),
             covariance=covariance,
             n_robot_parameters=p,
             rms_after=rms_of(seen.residual),

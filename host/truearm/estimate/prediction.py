@@ -4,7 +4,8 @@
 of the point's own position on the end, where the rig does not know it, its error at a pose has the mean square
 tr(J P Jᵀ). Both parts are needed together: robot and target may each be uncertain by metres and still determine the
 point to a micrometre. Null directions have no variance in P, and need none if they move no point. Two cases are
-distinguished by the null directions N:
+distinguished by the null directions N (complete; those that are printed lack parts of 1e-6, and move the tool by more
+than rounding):
 
 - J·N moves all points as one rigid body. Then the observations (seats in sockets, a line device or tracker of unknown
   pose) do not determine the pose of the base, which was not asked of them. That motion, B = ∂points/∂(twist of the
@@ -28,13 +29,13 @@ from numpy.typing import NDArray
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
-from truearm.results import Effect, Estimate, PredictedError, SystematicErrors, weights_of
+from truearm.results import Effect, Estimate, PredictedError, SystematicErrors
 from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
 from truearm.units import UNITS
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
-MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; directions from an SVD have 1e-10
+MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; complete ones move by 1e-10 at most
 
 
 class PointCovariance(NamedTuple):
@@ -70,7 +71,7 @@ def point_covariance(
     axes = forward(chain, params, table.q)[:, :3, :3]
     np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
     flat = jac[:, :, :-1].reshape(-1, estimate.value.size)
-    unseen = flat @ weights_of(estimate.null_space, estimate.parameter_names)
+    unseen = flat @ estimate.unseen
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     half = flat @ covariance_root(estimate.covariance)
     if relative:
