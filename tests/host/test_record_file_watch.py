@@ -1,5 +1,7 @@
 """A session file that is deleted, renamed, replaced or truncated while it is written, and a robot that floods its link."""
 
+import errno
+import io
 import json
 import os
 import re
@@ -12,6 +14,7 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from record_box import HOST_0, SECOND, Box
@@ -19,7 +22,7 @@ from record_files import events, run, topics
 from record_real import box_on_a_socket
 from test_record_command import RIG
 
-from truearm.errors import SessionError
+from truearm.errors import SessionError, WriteError
 from truearm.record.joint_lines import MAX_RUBBISH
 from truearm.record.recorder import RecordOptions
 from truearm.record.session_writer import SessionWriter
@@ -89,6 +92,46 @@ def test_nothing_is_lost_of_a_folder_that_is_removed(lab, tmp_path, monkeypatch,
     assert summary.file_losses == (f"{folder / 's.mcap'}: was deleted while it was written; all of it is in {rescued}",)
     assert 10 * len(samples(rescued)) == summary.counters.samples
     assert is_head_whole(rescued)
+
+
+@pytest.mark.parametrize("what", ["deleted", "truncated"])
+@pytest.mark.parametrize("both", [False, True])
+def test_a_full_disk_keeps_no_part_of_a_rescued_file(lab, tmp_path, monkeypatch, what, both):
+    """Another disk takes it; if that is full too, nothing says that the content of a deleted file can be read."""
+    folder, other = tmp_path / "full", tmp_path / "temporary"
+    folder.mkdir()
+    other.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(other))
+    path = folder / "s.mcap"
+
+    class Full(io.FileIO):
+        def write(self, data):
+            super().write(data[:100])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    opened = Path.open
+
+    def open_(self, mode="r", *more, **named):
+        full = "rescued" in self.name and (both or self.parent == folder) and "x" in mode
+        return Full(self, "x+") if full else opened(self, mode, *more, **named)
+
+    monkeypatch.setattr(Path, "open", open_)
+
+    def happens():
+        path.unlink() if what == "deleted" else os.truncate(path, 100)
+
+    if both:
+        says = "its content is lost" if what == "deleted" else "cannot be written any more"
+        with pytest.raises(WriteError, match=says):
+            lost(lab, path, happens)
+        assert list(other.iterdir()) == []
+    else:
+        summary = lost(lab, path, happens)
+        assert str(other / "s-rescued.mcap") in summary.file_losses[0]
+        first = samples(other / "s-rescued.mcap")
+        assert first[-1] + 10 == summary.counters.samples
+        assert (first[0] == 0) == (what == "deleted")
+    assert list(folder.iterdir()) == ([] if what == "deleted" else [path])
 
 
 def test_a_renamed_file_is_written_to_as_before(lab, path):

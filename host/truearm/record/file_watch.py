@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 import tempfile
 import zlib
+from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import BinaryIO
@@ -42,18 +44,31 @@ def file_loss(file: BinaryIO, path: Path, size: int) -> FileLoss | None:
     return None if os.path.samestat(own, there) else FileLoss.REPLACED
 
 
-def new_file_beside(path: Path) -> tuple[Path, BinaryIO]:
-    """Create a new file, open for reading and writing, named after ``path``: ``session-rescued.mcap``,
+def rescued_file(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryIO]:
+    """Create a new file, open for reading and writing, named after ``path``, and fill it: ``session-rescued.mcap``,
     ``session-rescued-2.mcap`` …
 
-    It is in the folder of ``path``, which is created again if it was removed. If that is impossible, it is in the
-    system's folder for temporary files. Raises WriteError if it cannot be created there either.
+    It is in the folder of ``path``, which is created again if it was removed. If that is impossible or its disk is full,
+    it is in the system's folder for temporary files. Raises OSError or WriteError if it cannot be written there either. A
+    file that could not be filled is removed.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        return _new_file(path)
+        return _filled(path, fill)
     except (OSError, WriteError):
-        return _new_file(Path(tempfile.gettempdir()) / path.name)
+        return _filled(Path(tempfile.gettempdir()) / path.name, fill)
+
+
+def _filled(path: Path, fill: Callable[[BinaryIO], None]) -> tuple[Path, BinaryIO]:
+    out, file = _new_file(path)
+    try:
+        fill(file)
+    except OSError:
+        out.unlink()
+        with suppress(OSError):  # a full disk refuses the same bytes again
+            file.close()
+        raise
+    return out, file
 
 
 def _new_file(path: Path) -> tuple[Path, BinaryIO]:
@@ -72,7 +87,7 @@ def _new_file(path: Path) -> tuple[Path, BinaryIO]:
 
 
 def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:
-    """Copy the first ``size`` bytes of an open file, whether or not it still has a name. Raises OSError."""
+    """Copy the first ``size`` bytes of an open file to the disk, whether or not it still has a name. Raises OSError."""
     file.seek(0)
     while size:
         data = file.read(min(COPIED_BYTES, size))
@@ -81,6 +96,7 @@ def copy_open_file(file: BinaryIO, size: int, out: BinaryIO) -> None:
         out.write(data)
         size -= len(data)
     out.flush()
+    os.fsync(out.fileno())
 
 
 def content_crc(file: BinaryIO, size: int) -> int | None:

@@ -37,6 +37,7 @@ import time
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, assert_never
@@ -46,7 +47,7 @@ from mcap.writer import CompressionType, Writer
 from truearm import __version__
 from truearm.errors import Argument, InputError, LinkError, WriteError
 from truearm.files.write_lock import hold
-from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, new_file_beside
+from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
 from truearm.record.links import Clock
 from truearm.record.session_schemas import Encodings, encodings_of
 from truearm.session.joint_format import COLUMNS, JOINTS, JointLine, columns_of_rows, pack, parse_line
@@ -335,7 +336,7 @@ class SessionWriter:
                     f"{old}: was renamed while it was written; the recording continues in it, under its new name"
                 )
             case FileLoss.DELETED | FileLoss.REPLACED:
-                self._move()
+                self._move(loss)
                 self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
             case FileLoss.TRUNCATED if ended:
                 self.losses.append(
@@ -358,21 +359,36 @@ class SessionWriter:
                 f"{self.path} shows what is left"
             )
 
-    def _move(self) -> None:
+    def _move(self, loss: FileLoss) -> None:
         """Continue in a new file that has the contents of the old one."""
-        path, new = new_file_beside(self.path)
-        copy_open_file(self._out.file, self._size, new)
-        os.fsync(new.fileno())
+        try:
+            path, new = rescued_file(self.path, partial(copy_open_file, self._out.file, self._size))
+        except (OSError, WriteError) as exc:
+            why = exc.strerror or str(exc)
+            raise WriteError(
+                f"{self.path}: was {loss} while it was written, and could not be copied ({why}); its content is lost",
+                why,
+            ) from exc
         self._out.file.close()
         self.path, self._out.file, self._renamed = path, new, False
 
     def _begin_again(self) -> None:
         """Continue in a new file that begins, like the old one, with plan, rig and what was mounted."""
-        path, new = new_file_beside(self.path)
-        self._out.file.close()
-        self.path, self._out, self._renamed = path, _Output(new), False
-        self._writer = self._head_into(self._out)
-        self._copy_head(attached=True)
+        old = self._out
+
+        def begin(new: BinaryIO) -> None:
+            self._out = _Output(new)
+            self._writer = self._head_into(self._out)
+            self._copy_head(attached=True)
+            self._out.flush()
+
+        try:
+            self.path, _ = rescued_file(self.path, begin)
+        except (OSError, WriteError):
+            self._out = old  # the next attempt begins again too
+            raise
+        old.file.close()
+        self._renamed = False
         self._flushed()
 
     def _head_into(self, out: _Output | io.BytesIO) -> Writer:

@@ -92,10 +92,7 @@ def record_request(request: Request, output: TextIO, say: Callable[[str], None])
     for part in () if work.before is None else work.before.damaged:
         say(damaged_part(part))
     device = choose_box(request.device, output)
-    try:
-        return _record(device, work, request, output)
-    except WriteError as exc:  # data received until then is in the file
-        raise IncompleteError(*exc.args) from exc
+    return _record(device, work, request, output)
 
 
 def damaged_part(part: Path) -> str:
@@ -191,9 +188,10 @@ def _record(device: str, work: RecordingWork, request: Request, output: TextIO) 
                     hooks=Hooks(interrupted=interrupted, operator=view),
                 )
             except TruearmError as exc:
-                if writer.kept:
-                    raise IncompleteError(*exc.args, f"; everything received until then is in {writer.path}") from exc
-                raise
+                if not writer.kept:
+                    raise
+                where = "" if isinstance(exc, WriteError) else f"; everything received until then is in {writer.path}"
+                raise IncompleteError(*exc.args, where) from exc
         dwells = None
         if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
             dwells = recorded_dwells(writer.path)
