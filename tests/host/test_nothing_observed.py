@@ -9,8 +9,11 @@ import pytest
 from test_relabel import ROBOT, plan, recorded, right
 
 from truearm.cli.main import main
+from truearm.record.recover import recover
+from truearm.session.session_file import open_session
 from truearm.workflows import inputs
 from truearm.workflows.session_observations import Rejected, nothing_observed
+from truearm.workflows.session_parts import SETUP, recorded_model
 
 __all__ = ["plan"]  # a fixture
 RELABEL, INSPECT = "truearm relabel s.mcap", "truearm inspect s.mcap"
@@ -40,6 +43,23 @@ def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeyp
     error = identified(path, capsys)
     assert "no observation from 40 dwells (40 doubtful); check that robot and rig are those that were measured" in error
     assert f"truearm relabel {path}" in error
+
+
+def test_a_session_of_another_robot(tmp_path, plan, capsys, monkeypatch):
+    """A session that names another robot is refused only if its readings do not fit this one."""
+    recorded(tmp_path / "made.mcap", plan, right(plan))
+    session, path = open_session(tmp_path / "made.mcap"), tmp_path / "s.mcap"
+    session.metadata[SETUP] = {"model": "irb120"}
+    recover(session, path, {})
+    assert recorded_model(path) == "irb120"
+    assert main(["identify", str(path), "--model", ROBOT.chain.name, "--out", str(tmp_path / "fits.json")]) != 2
+    capsys.readouterr()
+    monkeypatch.setattr(inputs, "borne_out_rows", lambda robot, rig, result: np.arange(len(result.table)) < 3)
+    error = identified(path, capsys)
+    assert (
+        f"{path}: was recorded for robot irb120, and 37 of its 40 observations do not fit {ROBOT.chain.name}" in error
+    )
+    assert "relabel" not in error
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from session_stream import RIG, session
 
-from truearm.cli.project import defaults
+from truearm.cli.project import defaults, project_model
 from truearm.errors import InputError
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project, format_project, read_project
@@ -294,6 +294,7 @@ def test_status_says_what_comes_next(project, run):
             "size_bytes": (project / "sessions" / "2026-01-01.mcap").stat().st_size,
             "complete": True,
             "written": False,
+            "other_robot": None,
         }
     ]
 
@@ -364,6 +365,19 @@ def test_a_plan_is_never_written_over_by_default(project, run):
     err = run("plan", "ballbar", "--poses", 9, "--candidates", 9).err
     assert "--out plan-2.csv" in err
     assert (project / "plan.csv").read_text() == "mine"
+
+
+def test_status_names_a_session_of_another_robot(project, run):
+    assert project_model(project / "sessions") == "puma560"
+    for name in ("puma560", "irb120"):
+        with SessionWriter(project / "sessions" / f"{name}.mcap", HostClock()) as writer:
+            writer.metadata("setup", {"model": name})
+    text, state = run("status").out, json.loads(run("status", "--json").out)
+    assert {Path(one["file"]).stem: one["other_robot"] for one in state["sessions"]} == {
+        "puma560": None,
+        "irb120": "irb120",
+    }
+    assert text.count("recorded for another robot") == 1
 
 
 def test_record_takes_address_and_rig(project, run):

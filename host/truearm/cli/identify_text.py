@@ -39,7 +39,7 @@ from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, freedom_words, usability_sentences, wrong_first
 from truearm.results import MeanError, PoseError, ResidualParts, Unusable, largest_terms
-from truearm.session.dwells import NEED_DECISION
+from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, one_line, outcome
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, size, title
 
@@ -152,7 +152,13 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
         unsettled = sum(n for reason, n in count["rejected"].items() if reason in NEED_DECISION)
         if unsettled:
             session = one_line(given.get(count["session"], count["session"]))
-            line += f"; {unsettled} need a decision: truearm relabel {shlex.quote(session)}"
+            none_fits = not count["used"] and set(count["rejected"]) == {DOUBTFUL}
+            line += (
+                "; none fits: check that robot and rig are those that were measured; if so, "
+                if none_fits
+                else f"; {unsettled} need a decision: "
+            )
+            line += f"truearm relabel {shlex.quote(session)}"
         lines.append(line + " (as relabelled)" * count["labels"] + f"; {passes}" * bool(count["lines"]))
     return lines
 

@@ -100,6 +100,16 @@ def defaults(folder: Path) -> dict[str, Any]:
     return _answers(read_project(file), file.parent, folder)
 
 
+def project_model(folder: Path) -> str:
+    """Return the name of the robot, or of its file, of the project that contains ``folder``; "" without a project."""
+    file = find_project(folder)
+    if file is None:
+        return ""
+    from truearm.files.project_file import read_project
+
+    return Path(read_project(file).model).name
+
+
 def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     def shown(path: Path) -> str:
         return os.path.relpath(path, folder)

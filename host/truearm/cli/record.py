@@ -20,7 +20,7 @@ from truearm.cli.options import (
     out_file,
 )
 from truearm.cli.output import print_result
-from truearm.cli.project import ProjectCommand, typed
+from truearm.cli.project import ProjectCommand, project_model, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
 from truearm.record.robots.sources import sources_help
@@ -102,7 +102,10 @@ def record(
     if not 0 <= patience < math.inf:
         raise InputError(f"--patience {patience:g} is not a duration; give seconds, or 0 not to wait")
     recorded = record_request(
-        Request(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
+        Request(
+            *(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
+            model=project_model(Path.cwd()),
+        ),
         sys.stderr,
         lambda text: typer.echo(text, err=True),
     )

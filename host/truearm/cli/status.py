@@ -11,7 +11,7 @@ from truearm.cli.options import JsonOption
 from truearm.cli.output import print_result
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
-from truearm.text import counted, outcome, page
+from truearm.text import counted, one_line, outcome, page
 
 if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState, ResultState
@@ -46,7 +46,8 @@ def _lines(state: ProjectState) -> Iterator[str]:
         whole = (
             "" if session.complete else ", is being written" if session.written else ", not complete: truearm recover"
         )
-        yield f"          {os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}"
+        other = f", recorded for another robot: {one_line(session.model)}" if session.model else ""
+        yield f"          {os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}{other}"
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
         held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
@@ -102,7 +103,13 @@ def _document(state: ProjectState) -> dict[str, Any]:
         "plan": str(state.plan) if state.plan else None,
         "poses": state.poses,
         "sessions": [
-            {"file": str(s.path), "size_bytes": s.size, "complete": s.complete, "written": s.written}
+            {
+                "file": str(s.path),
+                "size_bytes": s.size,
+                "complete": s.complete,
+                "written": s.written,
+                "other_robot": s.model or None,
+            }
             for s in state.sessions
         ],
         "results": [

@@ -178,15 +178,17 @@ def record_virtually(
     osr: int,
     seed: int,
     step_ns: int | None = None,
+    model: str = "",
 ) -> None:
     """Run the recorder on the lab's links and clock and write session.mcap.
 
-    ``step_ns``: the longest step of the box's time; None: the lab's own.
+    ``step_ns``: the longest step of the box's time; None: the lab's own. ``model``: the robot, or its file.
     """
     from truearm.interrupt import asked_to_stop
     from truearm.record.recorder import Hooks, RecordOptions, record
     from truearm.record.session_writer import SessionWriter
     from truearm.workflows.record import plan_rows
+    from truearm.workflows.session_parts import SETUP
     from truearm_sim.confirming import Confirming
     from truearm_sim.lab import STEP_NS, Lab
 
@@ -200,7 +202,12 @@ def record_virtually(
             writer,
             lab.clock,
             robot=lab.robot_link,
-            options=RecordOptions(plan=plan_rows(plan), rig_toml=(out / "rig.toml").read_bytes(), osr=osr),
+            options=RecordOptions(
+                plan=plan_rows(plan),
+                rig_toml=(out / "rig.toml").read_bytes(),
+                osr=osr,
+                head=[(SETUP, {"model": model})],
+            ),
             hooks=Hooks(
                 interrupted=interrupted,
                 progress=lambda status: advance(status.elapsed_s / world.duration),

@@ -36,7 +36,7 @@ from truearm.workflows.session_observations import (
     silent,
     unheard,
 )
-from truearm.workflows.session_parts import is_part
+from truearm.workflows.session_parts import SETUP, is_part
 from truearm.workflows.session_rigs import Assigned, session_rigs
 
 if TYPE_CHECKING:
@@ -243,6 +243,16 @@ def _read_session(
         table = table.select(borne_out)
         doubtful = int((~borne_out).sum())
     rejected = rejected_of(result, doubtful)
+    model = session.metadata.get(SETUP, {}).get("model", "")
+    if (
+        robot is not None
+        and 2 * doubtful > len(result.table)
+        and model not in ("", robot.chain.name, Path(robot.file).name)
+    ):
+        raise InputError(
+            f"{path}: was recorded for robot {one_line(model)}, and {doubtful} of its {len(result.table)} observations "
+            f"do not fit {robot.chain.name}; leave it out, or move it to the project of its robot"
+        )
     used = sum(table.kind == "ball_bar")
     n, mountings = len(result.dwells) - result.n_mountings, result.n_mountings
     lines, lines_used = len(result.passes), sum(not one.reason for one in result.passes)

@@ -107,12 +107,16 @@ class NextStep(Enum):
 
 @dataclass(frozen=True)
 class SessionState:
-    """A recording: file, size [byte], whether it was completed, and whether it is still being written."""
+    """A recording: file, size [byte], whether it was completed, and whether it is still being written.
+
+    ``model``: the robot for which it was recorded, if it names another one than the project, else "".
+    """
 
     path: Path
     size: int
     complete: bool
     written: bool
+    model: str = ""
 
 
 @dataclass(frozen=True)
@@ -290,7 +294,7 @@ def state_of(path: Path) -> ProjectState:
     """Return what a project has and its next step; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
-    sessions = tuple(map(_session, sessions_of(home / project.sessions)))
+    sessions = tuple(_session(session, project) for session in sessions_of(home / project.sessions))
     results = tuple(map(_result, results_of(home / project.results)))
     state = ProjectState(project, home, rig, plan, _poses(plan), sessions, results, NextStep.DESCRIBE)
     return replace(state, next=_next(state))
@@ -315,14 +319,17 @@ def _poses(plan: Path | None) -> int:
     return 0 if plan is None else int(read_plan(plan).dwells.sum())
 
 
-def _session(path: Path) -> SessionState:
+def _session(path: Path, project: Project) -> SessionState:
     from truearm.files.write_lock import is_held
     from truearm.session.message_columns import has_footer
+    from truearm.workflows.session_parts import recorded_model
 
     size = path.stat().st_size
     with path.open("rb") as file:
         complete = has_footer(file, size)
-    return SessionState(path, size, complete, not complete and is_held(path))
+    model = recorded_model(path)
+    other = model if model != Path(project.model).name else ""
+    return SessionState(path, size, complete, not complete and is_held(path), other)
 
 
 def _result(path: Path) -> ResultState:

@@ -57,6 +57,7 @@ class Request:
     plain: bool
     unchecked: bool
     force: bool
+    model: str = ""  # of the project
 
 
 @dataclass(frozen=True)
@@ -235,6 +236,8 @@ def _work(request: Request) -> RecordingWork:
     if before is not None:
         work = _going_on(work, request, before)
     setup = {"robot": work.robot or "", "osr": str(work.osr)}
+    if request.model:
+        setup["model"] = request.model
     if before is not None:
         setup |= {"of": before.first.name, "part": str(before.part), "begun": before.begun}
     return replace(work, setup=setup)

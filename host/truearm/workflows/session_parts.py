@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -66,6 +67,21 @@ def _goes_on(part: Session, first: Session) -> bool:
 
 def _begun(first: Session) -> str:
     return first.metadata.get("session", {}).get("utc_ns", "")
+
+
+def recorded_model(path: Path) -> str:
+    """Return the robot, or its file, for which a session was recorded; "" if the session does not name one."""
+    from mcap.opcode import Opcode
+
+    from truearm.session.message_columns import MAX_METADATA_BYTES, body_of, open_file, parse_metadata, records
+
+    with suppress(SessionError), open_file(path) as file:
+        for opcode, at, length in records(file, path.stat().st_size):
+            if opcode == Opcode.METADATA:
+                name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)
+                if name == SETUP:
+                    return entries.get("model", "")
+    return ""
 
 
 def first_stem(path: Path) -> str:

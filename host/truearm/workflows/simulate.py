@@ -156,6 +156,7 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
             options.osr,
             options.seed,
             step_ns=of_box.longest_step_ns,
+            model=Path(options.model.robot or "").name,
         )
     finally:
         box.close()
