@@ -7,14 +7,15 @@ Time is the 64-bit microsecond timer, read raw: high, low, high again, to detect
 wraps at 2^30.
 
 The link is USB CDC through MicroPython's own standard input and output, so the REPL remains on the same cable.
-`kbd_intr(-1)` makes a byte 3 ordinary data. Reading: one byte per call, after a poll that reports one. Writing:
+`kbd_intr(-1)` makes a byte 3 ordinary data. Reading: byte by byte, after a poll that reports one. Writing:
 `stdout` would wait up to 0.5 s for a host that does not read, and its FIFO would swallow a frame that nobody fetches. A
 frame is therefore handed over only when the endpoint has sent everything: then 320 bytes fit (FIFO and packet), and the
 call returns at once. When the host is gone the endpoint stays full, `send` takes nothing, and the box counts what it
 must drop.
 
 Both times of a clock exchange are taken in C, in the USB interrupt and just before the FIFO, if the image supports it
-(image/usb_stamp). A stock MicroPython takes them in Python: when it looks for bytes, and before CRC and FIFO.
+(image/usb_stamp), which also reads in C: 60 µs a byte are saved. A stock MicroPython takes them in Python: when it looks for bytes, and
+before CRC and FIFO.
 
 For two seconds after power-on, Ctrl-C leads to the REPL; only after that is byte 3 data, and the watchdog runs. The box
 therefore stays reachable whatever the firmware does; a command leads back too.
@@ -62,6 +63,8 @@ TX_MAX = 256  # bytes that fit MicroPython's FIFO; its packet buffer of 64 is al
 IDLE_MS = 2  # a block of 13 samples takes 3.2 ms at 4 kHz
 RING_SLOTS = 200  # blocks: 2 s of both streams at 1 kHz, 78 and 20 blocks a second
 
+SHORTEST_PERIOD_NS = 245760  # 4069 Hz, both sources, of the image in the emulator (docs/how-to/hardware.md)
+
 WRONG_CLOCK = "the system clock is %d Hz; the box counts times of flight and makes the converter's clock with %d Hz. Look for machine.freq() in boot.py"
 
 POWER = 1
@@ -94,6 +97,7 @@ def _now(out: ptr8, at: int):
 class Board:
     name = chip.NAME
     ring_slots = RING_SLOTS
+    shortest_period_ns = SHORTEST_PERIOD_NS
     config_path = "config.json"
     error_path = "last_error.txt"
 
@@ -119,6 +123,7 @@ class Board:
         self._stdin = sys.stdin.buffer
         self._stdout = sys.stdout.buffer
         self._byte = bytearray(1)
+        self.receive = usb_stamp.receive if usb_stamp else self._receive
         self.send_stamped = usb_stamp.send if usb_stamp else self._send_stamped
         self._watchdog = None
         self._blink = BLINKS[0]
@@ -151,7 +156,7 @@ class Board:
 
     # -- the link
 
-    def receive(self, buf, stamp):
+    def _receive(self, buf, stamp):
         n = 0
         while n < len(buf):
             for _ in self._poll.ipoll(0):
@@ -163,8 +168,6 @@ class Board:
             self._stdin.readinto(self._byte)
             buf[n] = self._byte[0]
             n += 1
-        if n and usb_stamp:
-            usb_stamp.received(stamp)
         return n
 
     def send(self, buf, at, n):

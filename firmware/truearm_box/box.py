@@ -2,6 +2,7 @@
 
     name                      "rp2040", "vm"
     uid, boot_id (4 bytes), reset_cause, ring_slots, config_path, error_path
+    shortest_period_ns        of the sources' samples, both at once, at which no sample is lost
     now(buf)                  8 bytes, big endian: microseconds since boot. Never steps, never wraps.
     ticks(), ticks_diff(a, b) microseconds for durations, small integers
     receive(buf, stamp) → n   bytes received over the link, at most len(buf). If any: stamp (8 bytes) is a time, as now's, at which the first
@@ -60,7 +61,7 @@ import gc
 import io
 import sys
 
-from truearm_wire.fast import copy
+from truearm_wire.fast import copy, skip_zeros
 from truearm_wire.frame import Splitter
 from truearm_wire.messages import BOOT_LOADER, COUNTER, EVENT, RESET
 
@@ -75,6 +76,7 @@ from .temperatures import Temperatures
 from .toggle import Toggle
 
 EDGES_A_STEP = 8  # a line without termination may have edges faster than they can be handled
+OWN_FRAMES = 4  # of those that wait, go after an answer and after 64 bytes of input, before more input is read
 
 
 class Box:
@@ -101,6 +103,7 @@ class Box:
         self.toggle = Toggle(board)
         self._now = bytearray(8)
         self._sending_block = False
+        self._own_first = 0  # own frames that go before more input is read
         self.ended = False  # the host requested MicroPython's prompt
         self.commands.identify(0)  # the ident that every boot sends
 
@@ -131,54 +134,67 @@ class Box:
         return busy
 
     def _next_frame(self):
-        """Begin the most urgent frame. Answers first: they carry times, while blocks can wait in the ring."""
+        """Begin the most urgent frame, or read input.
+
+        Answers first: they carry times, while blocks can wait in the ring. But some own frames follow each answer and
+        each reading, so no input stops the streams, and no stream stops the answers.
+        """
+        if self._own_first:
+            self._own_first -= 1
+            if self._send_own():
+                return True
         if self.commands.pending():
             self.commands.send_page()
+            self._own_first = OWN_FRAMES
             return True
         if self.commands.leaving:
             self._leave()
             return True
         if self._receive():
+            self._own_first = OWN_FRAMES
             return True
+        return self._send_own() or self.commands.send_deferred()
+
+    def _send_own(self):
+        """Begin the most urgent frame that nobody asked for. Returns whether there was one."""
         if self._events.used:
             self._send_event()
-            return True
-        if self.temperatures.ready:
+        elif self.temperatures.ready:
             self.temperatures.send(self.link)
-            return True
-        if self.health.due():
+        elif self.health.due():
             bad = self._splitter.bad_frames + self.commands.bad
             dropped = (self._events.dropped + self._board.edges_lost) & COUNTER
             self.health.send(self.link, self.streams.running, self._ring.overruns, dropped, bad)
-            return True
-        if self._ring.used:
+        elif self._ring.used:
             self._sending_block = True
             self.streams.send_oldest(self.link)
-            return True
-        return self.commands.send_deferred()
+        else:
+            return False
+        return True
 
     def _receive(self):
-        """Read received bytes until a frame is complete, and handle it.
+        """Read input until a frame is complete, and handle it; at most 64 bytes. Returns whether there was any.
 
         A request left its host before its first byte arrived. Of bytes read together only the first byte's time is
         known. A frame that begins with it, or after a delimiter that ends nothing, has that time as its t1; one that
         begins later may have been sent later.
         """
-        while True:
-            while self._rx_at < self._rx_end:
-                byte = self._rx[self._rx_at]
-                self._rx_at += 1
-                if byte and self._splitter.n == 0:
-                    copy(self._t1, 0, self._t_first if self._rx_at <= self._rx_begun else self._t_read, 0, 8)
-                if self._splitter.push(byte):
-                    self.commands.handle(self._splitter.buf, 1, self._splitter.end, self._t1)
-                    return True
+        if self._rx_at == self._rx_end:
             self._rx_end = self._board.receive(self._rx, self._t_first)
             self._rx_at = 0
             if self._rx_end == 0:
                 return False
             self._board.now(self._t_read)
             self._rx_begun = 2 if self._rx[0] == 0 and self._splitter.n == 0 else 1
+        while self._rx_at < self._rx_end:
+            if self._splitter.n == 0:
+                self._rx_at = skip_zeros(self._rx, self._rx_at, self._rx_end)
+                copy(self._t1, 0, self._t_first if self._rx_at < self._rx_begun else self._t_read, 0, 8)
+            self._rx_at = self._splitter.push(self._rx, self._rx_at, self._rx_end)
+            if self._splitter.end:
+                self.commands.handle(self._splitter.buf, 1, self._splitter.end, self._t1)
+                break
+        return True
 
     def _keep_edges(self):
         """Give edges their full time at once: later their stamps could have wrapped. Returns whether more may wait."""

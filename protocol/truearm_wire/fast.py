@@ -137,6 +137,22 @@ def copy(dst: ptr8, i: int, src: ptr8, k: int, n: int):
 
 
 @micropython.viper
+def find_zero(buf: ptr8, at: int, end: int) -> int:
+    """Return the offset of the first zero in buf[at:end], or end."""
+    while at < end and buf[at] != 0:
+        at += 1
+    return at
+
+
+@micropython.viper
+def skip_zeros(buf: ptr8, at: int, end: int) -> int:
+    """Return the offset of the first byte of buf[at:end] that is not zero, or end."""
+    while at < end and buf[at] == 0:
+        at += 1
+    return at
+
+
+@micropython.viper
 def cobs_decode(buf: ptr8, start: int, end: int) -> int:
     """Unstuff buf[start:end] in place (code byte first); the data is then buf[start + 1:end].
 

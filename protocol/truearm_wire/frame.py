@@ -1,7 +1,7 @@
 """Payload ↔ frame, and a splitter for a byte stream; for the box and for tests. The host has its own, faster one."""
 
 from .cbor import CborError
-from .fast import cobs_decode, crc32_ok, seal
+from .fast import cobs_decode, copy, crc32_ok, find_zero, micropython, seal
 
 PAYLOAD_MAX = 250
 FRAME_MAX = PAYLOAD_MAX + 4 + 1 + 2
@@ -42,28 +42,34 @@ def unframe(run):
 class Splitter:
     """Find frames in the bytes that the box receives, in a fixed buffer; longer runs are counted as bad.
 
-    After `push(byte)` returned True, the payload is buf[1:end] until the next push. Allocates nothing.
+    Allocates nothing.
     """
 
     def __init__(self):
         self.buf = bytearray(256)
-        self.n = 0
+        self.n = 0  # bytes since the last delimiter, at most 256
         self.end = 0
         self.bad_frames = 0
 
-    def push(self, byte):
-        if byte:
-            if self.n < 256:
-                self.buf[self.n] = byte
-            if self.n < 257:
-                self.n += 1
-            return False
-        n = self.n
+    @micropython.native
+    def push(self, src, at, end):
+        """Take src[at:end] up to its first delimiter; return the offset after what was taken.
+
+        If that completed a frame, its payload is self.buf[1:self.end] until the next push; otherwise self.end is 0.
+        """
+        self.end = 0
+        zero = find_zero(src, at, end)
+        n = self.n + zero - at
+        if n < 256:
+            copy(self.buf, self.n, src, at, zero - at)
+        else:
+            n = 256
+        if zero == end:
+            self.n = n
+            return end
         self.n = 0
-        if n == 0:
-            return False
-        if 6 <= n <= 255 and cobs_decode(self.buf, 0, n) and crc32_ok(self.buf, 1, n):
+        if 6 <= n < 256 and cobs_decode(self.buf, 0, n) and crc32_ok(self.buf, 1, n):
             self.end = n - 4
-            return True
-        self.bad_frames += 1
-        return False
+        elif n:
+            self.bad_frames += 1
+        return zero + 1

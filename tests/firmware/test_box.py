@@ -39,14 +39,14 @@ def assert_contiguous(blocks, start=0):
 
 def test_boot_sends_ident_and_heartbeat(bench):
     document = ident_document(bench.boot)
-    assert document["protocol"] == [1, 3]
+    assert document["protocol"] == [1, 4]
     assert document["boot_id"] == 0xDEADBEEF
     assert document["uid"] == bytes.fromhex("e6614103e7452b2f")
     stream = document["streams"][0]
     assert (stream["osr"], stream["period_ns"]) == (4096, PERIOD_NS)
     assert [c["name"] for c in stream["channels"]] == ["lvdt", "transverse_a", "transverse_b", "excitation"]
     assert [f[1] for f in bench.boot] == list(range(len(bench.boot))), "seq counts every frame from 0"
-    assert bench.boot[-1][0] == HEARTBEAT
+    assert [f[0] for f in bench.boot].count(HEARTBEAT) == 1
 
 
 def test_sync_reply_bears_device_time(bench):
@@ -110,7 +110,7 @@ def test_a_link_that_is_never_idle_does_not_exhaust_the_heap(chip):
         rx = command(48, 10 + i) if i % 2 else frame.frame(cbor.encode([60, 10 + i, bytes(200)]))
         chip.sample(13, rx=rx if chip.answer.rx_room > 500 else b"", tx_room=240)
         answers += chip.answer.tx.count(b"unknown command")
-    assert answers > 100
+    assert answers > 50  # an answer after four blocks
     assert not chip.answer.reset
 
 
@@ -129,7 +129,7 @@ def test_the_longest_answers_on_a_link_that_is_never_idle(tmp_path):
         box.sample(13, rx=rx, tx_room=240)
         tx += box.answer.tx
     answered = [f for f in frames(tx[: tx.rindex(0) + 1]) if isinstance(f, list) and f[0] == IDENT]
-    assert len(answered) > 1000
+    assert len(answered) > 300
     assert not box.answer.reset
     box.box.close()
 

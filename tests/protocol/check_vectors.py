@@ -21,8 +21,10 @@ def restore(value):
 def payloads(data):
     splitter = frame.Splitter()
     found = []
-    for byte in data:
-        if splitter.push(byte):
+    at = 0
+    while at < len(data):
+        at = splitter.push(data, at, len(data))
+        if splitter.end:
             found.append(bytes(splitter.buf[1 : splitter.end]))
     return found
 

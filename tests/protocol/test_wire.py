@@ -174,16 +174,27 @@ def test_frame_is_cobs_of_payload_and_crc(payload):
     assert frame.unframe(expected[1:-1]) == payload
 
 
-@given(st.lists(st.binary(min_size=1, max_size=30), max_size=6), st.lists(st.binary(max_size=300), max_size=6))
-def test_splitter_finds_every_frame_between_rubbish(payloads, rubbish):
+@given(
+    st.lists(st.binary(min_size=1, max_size=30), max_size=6),
+    st.lists(st.binary(max_size=300), max_size=6),
+    st.integers(1, 64),
+)
+def test_splitter_finds_every_frame_between_rubbish(payloads, rubbish, size):
+    """However it arrives in pieces; what ended no frame is counted, once a run."""
     stream = b""
     for i in range(max(len(payloads), len(rubbish))):
         stream += rubbish[i] if i < len(rubbish) else b""
         stream += frame.frame(payloads[i]) if i < len(payloads) else b""
     splitter, found = frame.Splitter(), []
-    for byte in stream:
-        if splitter.push(byte):
-            found.append(bytes(splitter.buf[1 : splitter.end]))
+    for at in range(0, len(stream), size):
+        end = min(at + size, len(stream))
+        while at < end:
+            at = splitter.push(stream, at, end)
+            if splitter.end:
+                found.append(bytes(splitter.buf[1 : splitter.end]))
+    runs = [run for run in stream.split(b"\0")[:-1] if run]
+    assert splitter.bad_frames + len(found) == len(runs)
+    assert found == [payload for run in runs if (payload := frame.unframe(run)) is not None]
     it = iter(found)
     assert all(any(p == q for q in it) for p in payloads), "every frame comes out, in order"
 

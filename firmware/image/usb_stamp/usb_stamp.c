@@ -1,13 +1,15 @@
 // The two times of a clock exchange (protocol/SPEC.md, sync-reply), closer to the wire than Python can take them.
 //
-//     received(stamp)             the device time at which the newest packet from the host was there
+//     receive(buf, stamp)         read what has come, at most len(buf) bytes, with the device time at which the newest packet was there
 //     send(buf, at, end, place)   finish a frame with the device time at which it goes, and send it
 //
 // t1 is taken in the USB interrupt. Whatever Python reads came in that packet or in an earlier one, so no request's t1 is before its arrival.
 // t2 is taken when the endpoint is free and nothing but CRC, COBS and the FIFO stands between it and the wire.
 // Nothing here allocates.
 
+#include "py/mphal.h"
 #include "py/runtime.h"
+#include "py/stream.h"
 
 #ifndef NO_QSTR
 #include "hardware/structs/usb_dpram.h"
@@ -48,19 +50,26 @@ static void put_time(uint8_t *out, uint64_t us) {
     }
 }
 
-static mp_obj_t received(mp_obj_t stamp) {
-    mp_buffer_info_t buffer;
-    mp_get_buffer_raise(stamp, &buffer, MP_BUFFER_WRITE);
-    if (buffer.len < TIME_BYTES) {
+static mp_obj_t receive(mp_obj_t buf, mp_obj_t stamp) {
+    mp_buffer_info_t in, time;
+    mp_get_buffer_raise(buf, &in, MP_BUFFER_WRITE);
+    mp_get_buffer_raise(stamp, &time, MP_BUFFER_WRITE);
+    if (time.len < TIME_BYTES) {
         mp_raise_ValueError(NULL);
     }
-    uint32_t state = save_and_disable_interrupts();
-    uint64_t us = newest_us;
-    restore_interrupts(state);
-    put_time(buffer.buf, us ? us : time_us_64());
-    return mp_const_none;
+    size_t n = 0;
+    while (n < in.len && (mp_hal_stdio_poll(MP_STREAM_POLL_RD) & MP_STREAM_POLL_RD)) {
+        ((uint8_t *)in.buf)[n++] = mp_hal_stdin_rx_chr();
+    }
+    if (n) {
+        uint32_t state = save_and_disable_interrupts();
+        uint64_t us = newest_us;
+        restore_interrupts(state);
+        put_time(time.buf, us ? us : time_us_64());
+    }
+    return MP_OBJ_NEW_SMALL_INT(n);
 }
-static MP_DEFINE_CONST_FUN_OBJ_1(received_obj, received);
+static MP_DEFINE_CONST_FUN_OBJ_2(receive_obj, receive);
 
 // CRC-32 by half bytes, of the reflected polynomial 0xEDB88320
 static uint32_t crc32(const uint8_t *at, const uint8_t *end) {
@@ -96,8 +105,20 @@ static size_t close_frame(uint8_t *buf, size_t end) {
     return end + TAIL;
 }
 
+// Against erratum E15 TinyUSB begins no transfer to the host from 800 to 998 us after a start of frame, but at the next one. A frame stamped
+// then, or so late before that CRC and FIFO last until then, would wait behind its stamp.
+static bool held_back(void) {
+    #if PICO_RP2040_USB_DEVICE_UFRAME_FIX
+    extern volatile uint32_t e15_last_sof;
+    uint32_t since_us = time_us_32() - e15_last_sof;
+    return since_us > 750 && since_us <= 998;
+    #else
+    return false;
+    #endif
+}
+
 // The payload buf[at + HEAD:end] gets the time at buf[place:place + 8] and goes. Returns the length of the frame, or 0 if the host has not
-// fetched all that was sent before; then nothing was changed.
+// fetched all that was sent before, or the transfer would wait; then nothing was changed.
 static mp_obj_t send(size_t n_args, const mp_obj_t *args) {
     (void)n_args;
     mp_buffer_info_t buffer;
@@ -108,7 +129,7 @@ static mp_obj_t send(size_t n_args, const mp_obj_t *args) {
         mp_raise_ValueError(NULL);
     }
     mp_usbd_task();
-    if (tud_cdc_write_available() < CFG_TUD_CDC_TX_BUFSIZE || usbd_edpt_busy(0, USBD_CDC_EP_IN)) {
+    if (tud_cdc_write_available() < CFG_TUD_CDC_TX_BUFSIZE || usbd_edpt_busy(0, USBD_CDC_EP_IN) || held_back()) {
         return MP_OBJ_NEW_SMALL_INT(0);
     }
     uint8_t *frame = (uint8_t *)buffer.buf + at;
@@ -119,7 +140,7 @@ static MP_DEFINE_CONST_FUN_OBJ_VAR_BETWEEN(send_obj, 4, 4, send);
 
 static const mp_rom_map_elem_t globals_table[] = {
     { MP_ROM_QSTR(MP_QSTR___name__), MP_ROM_QSTR(MP_QSTR_usb_stamp) },
-    { MP_ROM_QSTR(MP_QSTR_received), MP_ROM_PTR(&received_obj) },
+    { MP_ROM_QSTR(MP_QSTR_receive), MP_ROM_PTR(&receive_obj) },
     { MP_ROM_QSTR(MP_QSTR_send), MP_ROM_PTR(&send_obj) },
 };
 static MP_DEFINE_CONST_DICT(globals, globals_table);
