@@ -29,7 +29,7 @@ from truearm_wire import frame, messages
 from truearm_wire.messages import CONFIGURE, DATA, EVENT, HEARTBEAT, IDENTIFY, START, SYNC_REQUEST
 
 ROOT = Path(__file__).resolve().parents[1]
-RATES = (4096, 2048, 1024, 512)  # oversampling: 1017, 2035, 4069, 8138 Hz
+RATES = (4096, 2048, 1024)  # oversampling: 1017, 2035, 4069 Hz; a start above is refused
 MAG_PERIOD_NS = 983_040
 BOOT_S = 3.2
 GRANT_US = 10_000

@@ -54,13 +54,21 @@ def typed(tag: int, data: bytes) -> bytes:
 
 IDENT_DOCUMENT = cbor2.dumps(
     {
-        "protocol": [1, 1],
+        "protocol": [1, 4],
         "firmware": "0.1.0",
         "uid": bytes.fromhex("e6614103e7452b2f"),
         "boot_id": 0xDEADBEEF,
         "clock_hz": 1000000,
         "streams": [
-            {"id": 0, "name": "adc", "period_ns": 983040, "osr": 4096, "group_delay_ns": 1474560, "channels": []}
+            {
+                "id": 0,
+                "name": "adc",
+                "period_ns": 983040,
+                "osr": 4096,
+                "group_delay_ns": 1474560,
+                "shortest_period_ns": 245760,
+                "channels": [],
+            }
         ],
     }
 )

@@ -149,9 +149,9 @@ class Commands:
             self._answer(self._last)
 
     def send_deferred(self):
-        """Answer a stop, when no block waits. Returns whether there was one to answer."""
+        """Answer a stop, when no sample waits. Returns whether there was one to answer."""
         req_id = self._stop_id
-        if not req_id:
+        if not req_id or self._streams.waiting():
             return False
         self._stop_id = 0
         self._lay_out(_paged(REPLY, req_id, EMPTY))
@@ -200,6 +200,7 @@ class Commands:
         self._need_rest()
         if self._streams.waiting():
             raise Refused(ERROR_STREAMING, "samples of the last start still wait")
+        self._settings.check_rates()
         self._streams.start(self._settings.osr, self._settings.mag_period_ns)
 
     def _stop(self, values):
@@ -236,7 +237,7 @@ class Commands:
         self._board.output(values[2])
 
     def _need_rest(self):
-        if self._streams.running:
+        if self._streams.running or self._streams.ending():
             raise Refused(ERROR_STREAMING, "not while streaming")
 
 

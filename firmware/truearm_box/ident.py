@@ -28,6 +28,8 @@ def document(board, config, osr, mag_period_ns, fault, last_error):
     }
     if mag_period_ns:
         found["streams"].append(_mag(config["magnetostrictive"], mag_period_ns))
+    for stream in found["streams"]:
+        stream["shortest_period_ns"] = board.shortest_period_ns
     described = [{"name": name, "uid": uid} for name, uid in thermometers(config, board.thermometers.uids)]
     if described:
         found["thermometers"] = described

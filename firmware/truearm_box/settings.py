@@ -6,6 +6,7 @@ from truearm_wire.cbor import decode
 from truearm_wire.messages import PAGE_BYTES, STREAM_ADC, pages_of
 
 from . import config, ident, selftest, storage, temperatures
+from .stream import PERIOD_NS_PER_OSR
 
 PAGES_MAX = 16  # of a configuration: 3200 bytes
 ROOM = 60000  # bytes of heap that a configuration must leave for commands (health.py); many small parts take up to 40 times its size
@@ -71,6 +72,14 @@ class Settings:
             self.osr = rate
         else:
             self.mag_period_ns = rate
+
+    def check_rates(self):
+        """Raise ValueError if samples would be lost at these rates."""
+        shortest_ns = self._board.shortest_period_ns
+        for name, period_ns in (("adc", PERIOD_NS_PER_OSR * self.osr), ("mag", self.mag_period_ns)):
+            if 0 < period_ns < shortest_ns:
+                hz = (1000000000 // period_ns, 1000000000 // shortest_ns)
+                raise ValueError("%s at %d Hz would lose samples; choose at most %d Hz" % (name, hz[0], hz[1]))
 
     def put(self, page, count, data):
         """Take a page of a new configuration; return whether it was the last, and the configuration is active.

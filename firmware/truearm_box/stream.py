@@ -41,11 +41,9 @@ class Streams:
             self.mag.start(mag_period_ns, mag_period_ns)
 
     def stop(self):
-        """Stop sampling; existing samples stay in the ring."""
+        """Stop sampling. Existing samples move on into the ring, as it takes them."""
         self.adc.stop()
         self.mag.stop()
-        self.adc.flush()
-        self.mag.flush()
         self.running = False
 
     def pull(self):
@@ -54,8 +52,12 @@ class Streams:
         return self.mag.pull() or adc
 
     def waiting(self):
-        """Return whether blocks wait to be sent."""
-        return self._ring.used > 0
+        """Return whether samples wait to be sent: blocks in the ring, or what a stop left in the sources."""
+        return self._ring.used > 0 or self.ending()
+
+    def ending(self):
+        """Return whether sources that were stopped may still hold samples."""
+        return self.adc.ending or self.mag.ending
 
     def send_oldest(self, link):
         """Send the oldest block of the ring."""
@@ -88,6 +90,7 @@ class Stream:
         self._index = bytearray(8)
         self._lost_before = False
         self._on = False
+        self.ending = False  # stopped, and samples may wait in the source
 
     def start(self, rate, period_ns):
         for i in range(4):
@@ -99,24 +102,22 @@ class Stream:
     def stop(self):
         if self._on:
             self._source.stop()
-
-    def flush(self):
-        """Move all existing samples into the ring, after a stop."""
-        while self.pull():
-            pass
-        rest = self._source.waiting() if self._on else 0
-        if rest:
-            self._pull_block(rest)
-        self._on = False
+            self.ending = True
 
     def pull(self):
-        if not self._on:
+        if not self._on or (self.ending and self._ring.full()):
             return False
-        return self._pull_block(self._block) or (self._source.broken() and self._pull_rest())
+        if self._pull_block(self._block):
+            return True
+        if self.ending or self._source.broken():
+            return self._pull_rest()
+        return False
 
     def _pull_rest(self):
-        """Move the samples that wait before a gap: no more will follow them."""
-        rest = self._source.waiting()
+        """Move the samples that wait before a gap or the end: no more will follow them."""
+        rest = min(self._source.waiting(), self._block)
+        if rest == 0 and self.ending:
+            self._on = self.ending = False
         return rest > 0 and self._pull_block(rest)
 
     @micropython.native

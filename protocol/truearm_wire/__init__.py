@@ -7,4 +7,4 @@ version   of package, firmware and image
 frame     payload ↔ frame, and the splitter of a byte stream
 """
 
-PROTOCOL = (1, 3)
+PROTOCOL = (1, 4)

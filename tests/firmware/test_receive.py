@@ -33,6 +33,7 @@ class Slow:
     """A board whose clock advances while it reads: data that arrive meanwhile are read in the same call."""
 
     name, uid, boot_id, reset_cause, ring_slots = "slow", b"12345678", b"\1\2\3\4", 1, 64
+    shortest_period_ns = 245760
     config_path = error_path = "/nowhere/at/all"
     edges_lost = 0
     thermometers = Bus()

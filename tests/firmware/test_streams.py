@@ -273,3 +273,25 @@ def test_edges_of_lines_keep_their_order(bench):
     found = [f for f in bench.give(us=1000, edges=edges) if f[0] == EVENT]
     assert [(f[2], f[3]) for f in found] == [(i % 3, 10 * i) for i in range(12)]
     assert all(b[1] == a[1] + 1 for a, b in itertools.pairwise(found))
+
+
+def test_a_stop_with_a_full_ring_loses_nothing_more(bench):
+    """The ring filled while the host was gone. What the sources still hold at the stop waits for space; it was lost, and no jump told of it."""
+    bench.start()
+    for _ in range(200):
+        bench.sample(13, both=True, tx_room=0)
+    tx = bench.answer.tx
+    bench.sample(70, both=True, rx=command(51, 3), tx_room=300)
+    tx += bench.answer.tx
+    for k in range(60):
+        found = bench.give(us=10, rx=command(52, 4) if k == 0 else b"", tx_room=1500)
+        tx += bench.answer.tx
+    assert found == []
+    found = frames(tx)
+    lost = 0
+    for stream, channels in ((0, 4), (1, 1)):
+        ends = [0] + [f[3] + len(values(f)) // channels for f in blocks(found, stream)]
+        assert ends[-1] == bench.index
+        lost += sum(f[3] - end for f, end in zip(blocks(found, stream), ends[:-1], strict=True))
+    assert [f[:1] + f[2:4] for f in found if f[0] in (ERROR, REPLY)][0] == [ERROR, 4, messages.ERROR_STREAMING]
+    assert beat(bench)["overruns"] == lost

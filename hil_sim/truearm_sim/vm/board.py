@@ -259,6 +259,7 @@ class Thermometers:
 
 class Board:
     name = "vm"
+    shortest_period_ns = 245760  # of a Pico
 
     def __init__(self):
         with open("board.json") as f:

@@ -38,6 +38,8 @@ def ident_lines(ident: Ident) -> list[str]:
 
 def _rate(stream: Stream) -> str:
     rate = f"{NS.factor / stream.period_ns:.2f} samples per second" if stream.period_ns else "no fixed rate"
+    if stream.shortest_period_ns:
+        rate += f" (at most {NS.factor / stream.shortest_period_ns:.2f} without loss)"
     osr = f", osr {stream.osr}" if stream.osr else ""
     return f"{rate}{osr}, group delay {MS.text(NS.to_si(stream.group_delay_ns), '.3f')}"
 

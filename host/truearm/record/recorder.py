@@ -348,7 +348,9 @@ class _Recorder:
                 "is this a truearm box, and is its firmware running?"
             )
         if answer.error is not None and not may_fail:
-            raise ProtocolError(f"{self._link.name}: the box refuses {name!r} {list(arguments)}: {answer.error}")
+            raise ProtocolError(
+                f"{self._link.name}: the box refuses {' '.join([name, *map(str, arguments)])!r}: {answer.error}"
+            )
 
     def _await_answer(self) -> Answer | None:
         deadline_ns = self._clock.now_ns() + RETRY_NS

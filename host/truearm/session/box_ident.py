@@ -77,7 +77,7 @@ class Stream:
     """A stream of samples, on the topic ``/box/<name>``. The signal precedes a sample's timestamp by
     ``group_delay_ns``.
 
-    ``period_ns`` and ``group_delay_ns`` apply to ``osr``.
+    ``period_ns`` and ``group_delay_ns`` apply to ``osr``. Below ``shortest_period_ns`` the box would lose samples (0: not stated).
     """
 
     id: int
@@ -86,6 +86,7 @@ class Stream:
     osr: int
     group_delay_ns: int
     channels: tuple[Channel, ...]
+    shortest_period_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -237,6 +238,7 @@ def _stream(entry: dict[str, Any]) -> Stream:
         osr=_unsigned(entry.get("osr"), "osr", 2**32),
         group_delay_ns=_unsigned(entry.get("group_delay_ns"), "group_delay_ns", 2**40),
         channels=tuple(_divided(channel, entry, found) for channel, entry in zip(found, channels, strict=True)),
+        shortest_period_ns=_unsigned(entry.get("shortest_period_ns", 0), "shortest_period_ns", 2**32),
     )
 
 
