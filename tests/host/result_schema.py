@@ -29,6 +29,7 @@ SCALARS: dict[str, type | tuple[type, ...]] = {
     "chi2_reduced": (float, type(None)),
     "chi2_freedom": float,
     "relabelling_search": str,
+    "simulated": bool,
     "usable": bool,
     "unusable_because": (str, type(None)),
 }

@@ -1,12 +1,14 @@
 """Sessions of earlier versions remain readable: the files of tests/data/sessions give the same observations as before."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from truearm.session.session_file import open_session
+from truearm.types import ObservationTable
 from truearm.workflows.export_session import ExportSession, export_session_files
 from truearm.workflows.session_observations import observations_of_session
 
@@ -49,6 +51,16 @@ class TestOldSessions:
         joints = result.survey.joints
         assert (joints.readings, joints.lost, joints.malformed, joints.restarts) == (readings, 0, 0, 0)
         assert (result.losses.frames_lost, result.losses.samples_lost) == (0, 0)
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_they_are_known_as_simulated(name):
+    """By the uid of the simulated box, and also in a selection and beside rows without a mark."""
+    table = observations_of_session(SESSIONS / f"{name}.mcap").table
+    assert table.simulated
+    unmarked = replace(table, simulated=False)
+    assert ObservationTable.joined([unmarked, table.select(slice(0, 1))]).simulated
+    assert not unmarked.select(slice(0, 1)).simulated
 
 
 def test_events_of_the_operator():

@@ -175,7 +175,10 @@ def headline(document: Document) -> str:
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} fitted" + (f", {held} held out" if held else "")
-    robot, end = one_line(document["robot"]["name"]), outcome(document["status"], document["iterations"])
+    robot, end = (
+        "SIMULATED: " * document["simulated"] + one_line(document["robot"]["name"]),
+        outcome(document["status"], document["iterations"]),
+    )
     return f"{robot}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
 

@@ -36,6 +36,7 @@ WORDS: Mapping[str, Collection[str | bool | None]] = {
     "solver": tuple(SOLVERS),
     "loss": tuple(Loss),
     "prior": (*Prior, EARLIER_PRIOR),
+    "simulated": (True, False),
     "usable": (True, False),
     "unusable_because": (None, *Unusable),
 }

@@ -60,6 +60,7 @@ def document_of(
         "format_version": FORMAT_VERSION,
         "truearm_version": __version__,
         "inputs": [entry._asdict() for entry in inputs],
+        "simulated": table.simulated,
         "robot": {
             "name": robot.name,
             "base_frame": robot.base_frame,

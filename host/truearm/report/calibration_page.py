@@ -82,7 +82,9 @@ class CalibrationPage:
 def render(page: CalibrationPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     sections = (
-        certificate_section(page.certificate, page.estimate, page.estimate.held_out, page.predicted)
+        certificate_section(
+            page.certificate, page.estimate, page.estimate.held_out, page.predicted, page.table.simulated
+        )
         if page.certificate
         else "",
         _verdict(page),
@@ -93,6 +95,8 @@ def render(page: CalibrationPage) -> str:
         section("The recording", fact_list(page.facts)) if page.facts else "",
         _making(page),
     )
+    if page.table.simulated:
+        return html_page("truearm", f"{page.title} (simulated)", page.subtitle, sections, watermark="simulated")
     return html_page("truearm", page.title, page.subtitle, sections)
 
 

@@ -91,7 +91,11 @@ def facts_of(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
 
 
 def certificate_section(
-    certificate: Certificate, e: Estimate, judged: HeldOut | None, predicted: PredictedError | None
+    certificate: Certificate,
+    e: Estimate,
+    judged: HeldOut | None,
+    predicted: PredictedError | None,
+    simulated: bool = False,
 ) -> str:
     """Return page one as HTML."""
     robot = certificate.robot + (f", serial {certificate.serial}" if certificate.serial else "")
@@ -115,7 +119,7 @@ def certificate_section(
         ),
     ]
     body = "".join(f"<h3>{title}</h3>{fact_list(pairs)}" for title, pairs in groups if pairs)
-    return f'<section class="certificate"><h2>Certificate of calibration</h2>{body}</section>\n'
+    return f'<section class="certificate"><h2>Certificate of {"a simulated " * simulated}calibration</h2>{body}</section>\n'
 
 
 def _conditions(recordings: Sequence[Recording]) -> list[tuple[str, str]]:

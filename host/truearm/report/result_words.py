@@ -50,6 +50,11 @@ def time_offset(name: str, value_s: float | None, sigma_s: float | None) -> str:
     )
 
 
+SIMULATED = (
+    "SIMULATED: at least one session was recorded with a simulated box, so this says nothing about a real robot."
+)
+
+
 def copy_sentences(document: Mapping[str, Any]) -> list[str]:
     """Return which rows were left out because they are copies; empty if there are none."""
     copies = document["copies"]

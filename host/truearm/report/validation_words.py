@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from truearm.report.result_words import FAR_OFF, copy_sentences
+from truearm.report.result_words import FAR_OFF, SIMULATED, copy_sentences
 from truearm.report.systematic_words import systematic_sentences
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
@@ -99,7 +99,7 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
-    lines = []
+    lines = [SIMULATED] if document["simulated"] else []
     if document["without_rig"]:
         lines.append(
             f"No rig was given, but the identification used one ({one_line(document['without_rig'])}). What it says of the fixtures and of the points on "

@@ -42,6 +42,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
 RESERVED_NAMES = frozenset({"event", "heartbeat", "ident", "temperature", "sync", "reply", "other", "console"})
 
 
+EMULATED_UID = "e6614103e7452b2f"  # SPEC §5: of the emulated chip, which runs the firmware of a real box
 RATIO_STEP = 2.0**-20  # scale of a channel divided by another: ±8 in 24 bits
 
 
@@ -101,6 +102,11 @@ class Ident:
     faults: tuple[str, ...]
     thermometers: tuple[str, ...]  # their names
     document: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the box is a simulated one."""
+        return self.document.get("board") == "vm" or self.document.get("uid") == EMULATED_UID
 
 
 class _Wrong(ValueError):

@@ -21,6 +21,7 @@ from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.programs.program import Refused
 from truearm.files.strict_json import number_or_null
 from truearm.model.poses import apart, inverted, position_and_rotation
+from truearm.report.result_words import SIMULATED
 from truearm.text import counted, listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
@@ -135,7 +136,7 @@ def _number(entry: Any, name: str) -> float:
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
     """Return what the operator must know before the program is run."""
     before, after = (rms(error[:, 0]) for error in (targets.correction.before, targets.correction.after))
-    said = []
+    said = [SIMULATED] if calibration.document.get("simulated") else []
     if after > before:
         said.append(
             f"The corrected targets are farther off than the uncorrected ones, {MM.text(after, '.4f')} RMS and not {MM.text(before, '.4f')}: use another method."
