@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,10 +29,11 @@ from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
-from truearm.schema import Entries, Table, keys_of
+from truearm.schema import Entries, SchemaError, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, ObservationTable, Point, Rig
 from truearm.units import MM
 
+SHORTEST = 0.01  # m: the balls of any bar are larger
 SURE = 5.0  # σ: a length is beyond the stroke
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
 
@@ -213,10 +215,20 @@ def _another(points: Sequence[tuple[float, float, float]]) -> Point:
     return Point(NEW, (float(middle[0]), float(middle[1]), float(middle[2])))
 
 
+def _bar(gain: float = 1.0, **values: Any) -> BallBar:
+    bar = BallBar(gain=gain, **values)
+    if bar.zero < SHORTEST:
+        raise SchemaError(
+            f"zero, the length at mid-travel from ball to ball, is {MM.text(bar.zero, 'g')}; a bar is longer than "
+            f"{MM.text(SHORTEST, 'g')}; were metres written where mm are meant?"
+        )
+    return bar
+
+
 CHUCK = Entries("chuck", POINT, "chucks", by_name)
 BAR = Entries(
     "bar",
-    Table((NAME, *keys_of(BallBar, "gain")), lambda gain=1.0, **values: BallBar(gain=gain, **values)),
+    Table((NAME, *keys_of(BallBar, "gain")), _bar),
     "bars",
     by_name,
 )
