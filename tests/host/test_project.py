@@ -312,6 +312,37 @@ def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run
     assert "truearm correct" not in said
 
 
+def test_status_lists_a_rehearsal_and_does_not_count_it(project, files, run):
+    """The README's rehearsal in a project: session, result.json at the top; then a result of the project's own rows."""
+    (project / "rehearsal").mkdir()
+    recorded(project / "rehearsal" / "session.mcap")
+    inputs = files / "poses.csv", "--rig", files / "rig.toml"
+    assert run("identify", *inputs, "--out", "result.json").code == 0
+    own = json.loads((project / "result.json").read_text())
+    of_rehearsal = {"role": "observations", "name": "session.mcap"}
+    of_rehearsal["sha256"] = sha256(project / "rehearsal" / "session.mcap")
+    shutil.copy("rig.toml", "rehearsal")
+    for path in (project / "rehearsed.json", project / "results" / "2026-01-02.json"):  # made from that session
+        path.write_text(json.dumps({**own, "inputs": [*own["inputs"], of_rehearsal]}))
+    shutil.copy("result.json", "rehearsal")
+    state = json.loads(run("status", "--json").out)
+
+    def files_of(name):
+        return sorted(os.path.relpath(entry["file"]) for entry in state[name])
+
+    assert (files_of("sessions"), files_of("other_sessions")) == ([], ["rehearsal/session.mcap"])
+    assert files_of("results") == ["result.json"]
+    assert files_of("other_results") == ["rehearsal/result.json", "rehearsed.json", "results/2026-01-02.json"]
+    assert state["next"].startswith("truearm plan")  # the rehearsal is no recording
+    recorded(project / "sessions" / "2026-01-01.mcap")
+    os.utime(project / "sessions" / "2026-01-01.mcap", (1e9, 1e9))
+    os.utime(project / "result.json", (1e9 - 1, 1e9 - 1))  # only what was made of the rehearsal is newer
+    assert json.loads(run("status", "--json").out)["next"].startswith("truearm identify")
+    said = run("status").out
+    assert "not used  rehearsal/session.mcap" in said
+    assert re.search(r"rehearsed.json, .* \(of rehearsal/session.mcap\)", said)
+
+
 def test_status_of_a_recording_that_was_cut_off(project, run):
     """It is recovered, and from then on the recovered one counts."""
     (project / "sessions").mkdir(exist_ok=True)

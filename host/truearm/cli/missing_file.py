@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 from truearm.files.project_folder import find_project
 
@@ -26,12 +24,12 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
     if file is None or parameter not in ("result", "inputs", "session"):
         return None
     from truearm.files.project_file import read_project
-    from truearm.workflows.project import results_of, sessions_of
+    from truearm.workflows.project import folders_of, result_document, results_of, sessions_of, was_read
 
     project, home = read_project(file), file.parent
-    folders = [home, *(path for path in home.iterdir() if path.is_dir() and not path.name.startswith("."))]
+    folders = folders_of(home)
     sessions = _by_time(path for one in folders for path in sessions_of(one))
-    documents = {path: _result(path) for path in _by_time(path for one in folders for path in results_of(one))}
+    documents = {path: result_document(path) for path in _by_time(path for one in folders for path in results_of(one))}
     results = [path for path, document in documents.items() if document]
 
     def shown(path: Path) -> str:
@@ -58,7 +56,7 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
     if arguments[0] == "report" and results:  # it reads the sessions of its result
         typed = [path for path in results if path in {Path(os.path.abspath(word)) for word in arguments}]
         of = documents[(typed or results)[-1]]
-        read = [path for path in sessions if path.parent != home / project.sessions and _was_read(path, of)]
+        read = [path for path in sessions if path.parent != home / project.sessions and was_read(path, of)]
         read = read or (used if parameter != "result" else [])
         used = [*([] if typed else results[-1:]), *read]
     others = ", ".join(shown(path) for path in [path for path in found if path not in used][-MOST:])
@@ -68,22 +66,3 @@ def missing_file(parameter: str, arguments: Sequence[str], folder: Path) -> str 
 
 def _by_time(files: Iterable[Path]) -> list[Path]:
     return sorted(files, key=lambda path: path.stat().st_mtime_ns)
-
-
-def _result(path: Path) -> Mapping[str, Any]:
-    """Return the document of a result; empty for any other file."""
-    from truearm.files.result_file import FORMAT
-
-    try:
-        document = json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return {}
-    return document if isinstance(document, dict) and document.get("format") == FORMAT else {}
-
-
-def _was_read(session: Path, result: Mapping[str, Any]) -> bool:
-    """Return whether a result was made from this session."""
-    from truearm.files.disk import sha256
-
-    hashes = [one.get("sha256") for one in result.get("inputs", ()) if one.get("name") == session.name]
-    return bool(hashes) and sha256(session) in hashes

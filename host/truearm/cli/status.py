@@ -14,7 +14,7 @@ from truearm.files.project_folder import FILE, find_project
 from truearm.text import counted, one_line, outcome, page
 
 if TYPE_CHECKING:
-    from truearm.workflows.project import ProjectState, ResultState
+    from truearm.workflows.project import ProjectState, ResultState, SessionState
 
 
 def status(as_json: JsonOption = False) -> None:
@@ -43,17 +43,33 @@ def _lines(state: ProjectState) -> Iterator[str]:
     yield f"plan      {plan}"
     yield f"sessions  {len(state.sessions) or 'none'}"
     for session in state.sessions:
-        whole = (
-            "" if session.complete else ", is being written" if session.written else ", not complete: truearm recover"
-        )
-        other = f", recorded for another robot: {one_line(session.model)}" if session.model else ""
-        yield f"          {os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}{other}"
+        yield f"          {_session(session)}"
     yield f"results   {len(state.results) or 'none'}"
     for result in state.results:
-        held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
-        yield f"          {os.path.relpath(result.path)}, {outcome(result.status)}{_unusable(result)}{held}"
+        yield f"          {_result(result)}"
+    others = [
+        f"{_session(session)} (not in {project.sessions}: if it is no rehearsal, move it there)"
+        for session in state.other_sessions
+    ]
+    others += [
+        f"{_result(result)} (of {os.path.relpath(result.session) if result.session else 'another folder'})"
+        for result in state.other_results
+    ]
+    for title, line in zip(("not used", *[""] * len(others)), others, strict=False):
+        yield f"{title:<10}{line}"
     command, why = _next(state)
     yield f"next      {command} ({why})"
+
+
+def _session(session: SessionState) -> str:
+    whole = "" if session.complete else ", is being written" if session.written else ", not complete: truearm recover"
+    other = f", recorded for another robot: {one_line(session.model)}" if session.model else ""
+    return f"{os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}{other}"
+
+
+def _result(result: ResultState) -> str:
+    held = "" if result.held_out_mm is None else f", {result.held_out_mm:.4f} mm RMS held out"
+    return f"{os.path.relpath(result.path)}, {outcome(result.status)}{_unusable(result)}{held}"
 
 
 def _unusable(result: ResultState) -> str:
@@ -102,25 +118,32 @@ def _document(state: ProjectState) -> dict[str, Any]:
         "rig": str(state.rig) if state.rig else None,
         "plan": str(state.plan) if state.plan else None,
         "poses": state.poses,
-        "sessions": [
-            {
-                "file": str(s.path),
-                "size_bytes": s.size,
-                "complete": s.complete,
-                "written": s.written,
-                "other_robot": s.model or None,
-            }
-            for s in state.sessions
-        ],
-        "results": [
-            {
-                "file": str(r.path),
-                "held_out_rms_mm": r.held_out_mm,
-                "status": r.status,
-                "unusable_because": r.unusable,
-            }
-            for r in state.results
+        "sessions": [_session_document(session) for session in state.sessions],
+        "results": [_result_document(result) for result in state.results],
+        "other_sessions": [_session_document(session) for session in state.other_sessions],
+        "other_results": [
+            {**_result_document(result), "session": str(result.session) if result.session else None}
+            for result in state.other_results
         ],
         "next": _next(state)[0],
         "why": _next(state)[1],
+    }
+
+
+def _session_document(session: SessionState) -> dict[str, Any]:
+    return {
+        "file": str(session.path),
+        "size_bytes": session.size,
+        "complete": session.complete,
+        "written": session.written,
+        "other_robot": session.model or None,
+    }
+
+
+def _result_document(result: ResultState) -> dict[str, Any]:
+    return {
+        "file": str(result.path),
+        "held_out_rms_mm": result.held_out_mm,
+        "status": result.status,
+        "unusable_because": result.unusable,
     }

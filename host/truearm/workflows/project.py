@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -121,17 +121,25 @@ class SessionState:
 
 @dataclass(frozen=True)
 class ResultState:
-    """A result: file, held-out error [mm] if rows were held out, how the fit ended, and why it is not usable if so."""
+    """A result: file, held-out error [mm] if rows were held out, how the fit ended, and why it is not usable if so.
+
+    ``session`` is the session outside the project's folder that it was made from, such as a rehearsal's.
+    """
 
     path: Path
     held_out_mm: float | None
     status: str
     unusable: str | None = None
+    session: Path | None = None
 
 
 @dataclass(frozen=True)
 class ProjectState:
-    """The contents of a project's folder, and the next step."""
+    """The contents of a project's folder, and the next step.
+
+    Sessions outside the project's folder for them, results made from these, and results in folders beside the
+    project's are ``other_sessions`` and ``other_results``: the next step does not depend on a rehearsal.
+    """
 
     project: Project
     home: Path
@@ -140,6 +148,8 @@ class ProjectState:
     poses: int
     sessions: tuple[SessionState, ...]
     results: tuple[ResultState, ...]
+    other_sessions: tuple[SessionState, ...]
+    other_results: tuple[ResultState, ...]
     next: NextStep
 
 
@@ -163,6 +173,30 @@ def sessions_of(folder: Path) -> list[Path]:
 def results_of(folder: Path) -> list[Path]:
     """Return the results of a folder, the newest last."""
     return _by_time(folder.glob("*.json"))
+
+
+def folders_of(home: Path) -> list[Path]:
+    """Return the project's folder and the folders in it, without hidden ones."""
+    return [home, *sorted(path for path in home.iterdir() if path.is_dir() and not path.name.startswith("."))]
+
+
+def result_document(path: Path) -> dict[str, Any]:
+    """Return the document of a result; empty for any other file."""
+    from truearm.files.result_file import FORMAT
+
+    try:
+        document = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return document if isinstance(document, dict) and document.get("format") == FORMAT else {}
+
+
+def was_read(session: Path, document: Mapping[str, Any]) -> bool:
+    """Return whether a result was made from this session."""
+    from truearm.files.disk import sha256
+
+    hashes = [entry.get("sha256") for entry in document.get("inputs", ()) if entry.get("name") == session.name]
+    return bool(hashes) and sha256(session) in hashes
 
 
 def _by_time(files: Iterable[Path]) -> list[Path]:
@@ -294,9 +328,24 @@ def state_of(path: Path) -> ProjectState:
     """Return what a project has and its next step; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
-    sessions = tuple(_session(session, project) for session in sessions_of(home / project.sessions))
-    results = tuple(map(_result, results_of(home / project.results)))
-    state = ProjectState(project, home, rig, plan, _poses(plan), sessions, results, NextStep.DESCRIBE)
+    own_sessions, own_results = home / project.sessions, home / project.results
+    folders = [folder for folder in folders_of(home) if folder not in (own_sessions, own_results)]
+    others = _by_time(path for folder in folders for path in sessions_of(folder))
+    read = [path for folder in folders for path in results_of(folder) if result_document(path)]
+    results = [_result(path, others) for path in _by_time({*results_of(own_results), *read})]
+    of_project = [result.session is None and result.path.parent in (home, own_results) for result in results]
+    state = ProjectState(
+        project,
+        home,
+        rig,
+        plan,
+        _poses(plan),
+        sessions=tuple(_session(path, project) for path in sessions_of(own_sessions)),
+        results=tuple(result for result, own in zip(results, of_project, strict=True) if own),
+        other_sessions=tuple(_session(path, project) for path in others),
+        other_results=tuple(result for result, own in zip(results, of_project, strict=True) if not own),
+        next=NextStep.DESCRIBE,
+    )
     return replace(state, next=_next(state))
 
 
@@ -332,13 +381,16 @@ def _session(path: Path, project: Project) -> SessionState:
     return SessionState(path, size, complete, not complete and is_held(path), other)
 
 
-def _result(path: Path) -> ResultState:
+def _result(path: Path, others: Sequence[Path]) -> ResultState:
+    """Return the state of a result; ``others`` are the sessions outside the project's folder."""
     from truearm.files.stored_result import read_result
 
+    document = result_document(path)
+    session = next((session for session in others if was_read(session, document)), None)
     try:
-        document: dict[str, Any] = json.loads(path.read_bytes())
         read_result(path)
     except (TruearmError, ValueError, OSError) as exc:
-        return ResultState(path, None, f"cannot be read: {exc}")
+        return ResultState(path, None, f"cannot be read: {exc}", session=session)
     held_out = document.get("held_out") or {}
-    return ResultState(path, held_out.get("rms_mm"), str(document["status"]), document.get("unusable_because"))
+    status, unusable = str(document["status"]), document.get("unusable_because")
+    return ResultState(path, held_out.get("rms_mm"), status, unusable, session)
