@@ -41,6 +41,7 @@ PATIENCE_S = (
 SHORTEST_NS = 10_000
 ROBOT_SHARE_NS = SECOND // 50  # at a time, so that a flood of readings delays neither clock exchanges nor the end
 DRAIN_NS = SECOND // 5
+WAITING_NS = 5 * SECOND  # for readings that were received and not stored yet; usually there are none
 USUAL_WAITING = 128  # pieces that have just arrived when a recording ends
 
 _COMMANDS = {IDENTIFY: "identify", CONFIGURE: "configure", START: "start", STOP: "stop"}
@@ -297,14 +298,10 @@ class _Recorder:
         self._state = "recording"
 
     def _finish(self, end: _Ended) -> None:
-        """Stop the box and complete the file, whatever else fails."""
+        """Stop the box, store what waits, and complete the file, whatever else fails."""
         try:
-            if self._box.ident is not None and self._state != "link lost":
-                self._stop()
-        except LinkError as exc:  # received data is kept; the next recorder stops the box first
-            if not self._box_gone:
-                self._box_gone = str(exc)
-                self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
+            self._stop()
+            self._store_waiting()
         except KeyboardInterrupt:
             pass
         finally:
@@ -324,11 +321,26 @@ class _Recorder:
             self._writer.close({"reason": end.reason, **counters})
 
     def _stop(self) -> None:
+        if self._box.ident is None or self._state == "link lost":
+            return
         self._state = "stopping"
-        self._command(STOP, may_fail=True, retries=STOP_RETRIES)
-        deadline_ns = self._clock.now_ns() + DRAIN_NS
-        while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
-            self._pump(left_ns)
+        try:
+            self._command(STOP, may_fail=True, retries=STOP_RETRIES)
+            deadline_ns = self._clock.now_ns() + DRAIN_NS
+            while (left_ns := deadline_ns - self._clock.now_ns()) > 0:
+                self._pump(left_ns)
+        except LinkError as exc:  # received data is kept; the next recorder stops the box first
+            if not self._box_gone:
+                self._box_gone = str(exc)
+                self._writer.event("box-gone", self._clock.now_ns(), text=self._box_gone, heard_ns=self._box.spoke_ns)
+
+    def _store_waiting(self) -> None:
+        """Store what was received from the robot; of a robot that never ceases, as much as the time allows."""
+        robot, end_ns = self._robot, self._clock.now_ns() + WAITING_NS
+        while robot is not None and self._clock.now_ns() < end_ns and (arrivals := self._behind or robot.read()):
+            self._behind = []
+            for t_host_ns, data in arrivals:
+                robot.take(t_host_ns, data)
 
     # --- commands
 
