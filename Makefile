@@ -32,7 +32,7 @@ test: .venv/python ## everything that a change must pass; the last line says whi
 # are left out, and build/left-out/$(1) holds the reason, for tests/conftest.py and the last line of make test.
 define fetch
 @mkdir -p build/left-out; rm -f build/left-out/$(1); \
-  { $(2); } 2>build/$(1).log; code=$$?; cat build/$(1).log >&2; [ $$code = 3 ] || exit $$code; \
+  ( $(2) ) 2>build/$(1).log; code=$$?; cat build/$(1).log >&2; [ $$code = 3 ] || exit $$code; \
   echo "$(3) ($$(tail -n 1 build/$(1).log | sed 's/^error: //'))" >build/left-out/$(1)
 endef
 
