@@ -369,6 +369,7 @@ class ObservationTable:
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
         converted("more", self.more, Mapping[str, Any])
+        converted("simulated", self.simulated, bool)
         more = {name: as_column(name, column) for name, column in self.more.items()}
         for name, column in more.items():
             if column.shape[:1] != (n,):
