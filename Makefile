@@ -33,7 +33,7 @@ test: .venv/python ## everything that a change must pass; the last line says whi
 define fetch
 @mkdir -p build/left-out; rm -f build/left-out/$(1); \
   ( $(2) ) 2>build/$(1).log; code=$$?; cat build/$(1).log >&2; [ $$code = 3 ] || exit $$code; \
-  echo "$(3) ($$(tail -n 1 build/$(1).log | sed 's/^error: //'))" >build/left-out/$(1)
+  echo "$(3) ($$(grep -v '^make' build/$(1).log | tail -n 1 | sed 's/^error: //'))" >build/left-out/$(1)
 endef
 
 # What it says comes in one piece, since the tests print beside it.
