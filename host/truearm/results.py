@@ -160,6 +160,7 @@ class Unusable(StrEnum):
     WRONG_INPUTS = "wrong inputs"  # another interpretation of the inputs explains the observations better
     RESIDUALS = "residuals"  # residuals that nothing explains
     SCALE = "robot scale"  # all lengths differ from the described ones by one ratio
+    WORSE = "worse than nominal"  # at poses that were not fitted, than the nominal robot with base and tool placed
 
 
 class Explanation(NamedTuple):
@@ -363,6 +364,23 @@ class MeanError(NamedTuple):
     held_out: bool
 
 
+class Gain(StrEnum):
+    """Whether a calibration reduces the errors of poses that were not fitted (``estimate.gain``)."""
+
+    BETTER = "better"
+    NONE = "no better"  # within the scatter of the poses
+    WORSE = "worse"
+
+
+class MeanChange(NamedTuple):
+    """Mean errors of ``n`` poses that were not fitted: of the nominal robot with base and tool placed, and after the fit."""
+
+    before: float
+    after: float
+    n: int
+    gain: Gain
+
+
 class ResidualParts(NamedTuple):
     """RMS residual of the fitted rows in one SI unit, split into the part due to declared noise and the unexplained part."""
 
@@ -537,6 +555,10 @@ class Estimate:
     scale: RobotScale | None = None  # of its lengths; None: 1 within the tolerances of a drawing
     systematic: SystematicErrors | None = None  # errors beyond chance; None: none found, or not looked for
     unexplained: Mapping[str, MeanError] = field(default_factory=dict)  # by unit, if systematic or χ² above its range
+    # (n,) where a row was not fitted: held out or, if no row is, in a fit without its pose; NaN for others
+    unfitted_error: Residuals = field(default_factory=dict)
+    unfitted_error_before: Residuals = field(default_factory=dict)  # empty if only base and tool were fitted
+    mean_change: Mapping[str, MeanChange] = field(default_factory=dict)  # by unit, from these two
     with_outliers: OtherFit | None = None  # all rows, if outliers were left out (estimate.outliers)
     without_bad_rows: OtherFit | None = None  # these are ``suspect``, but too many to leave out (estimate.bad_rows)
     parts: Mapping[str, ResidualParts] = field(default_factory=dict)  # of ``rms_after``, without rows left out

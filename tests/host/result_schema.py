@@ -59,6 +59,7 @@ OBJECTS = {
     "with_outliers",
     "without_bad_rows",
     "unexplained",
+    "mean_change",
     "pose_error",
     "held_out",
     "held_out_before",

@@ -466,7 +466,7 @@ def advice(document: Document, files: ResultFiles) -> list[str]:
         )
     unusable = document["unusable_because"]
     lines += [] if wrong_first(document) else further_measurements(document)
-    if unusable not in (None, Unusable.NO_FREEDOM):  # which more rows mend
+    if unusable not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend
         lines.append("Next: correct what the first lines name, then identify again.")
     if unusable is None and not document["held_out_by"]:
         lines.append(f"Next: judge the result by held-out rows{_proposal(document)}.")

@@ -27,7 +27,7 @@ from truearm.estimate.identifiability import (
     spread,
     suggested_free,
 )
-from truearm.estimate.information import half, observe, of_rows, spectrum
+from truearm.estimate.information import half, observe, of_rows, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import idle
 from truearm.estimate.mean_error import left_out_errors, mean_errors
 from truearm.estimate.measured_order import measured_order, poses
@@ -48,7 +48,7 @@ from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
 from truearm.model.chain import Chain
 from truearm.progress import step
 from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
-from truearm.types import Floats, ObservationTable, Residuals, Rigs, not_left_out
+from truearm.types import Floats, Indices, ObservationTable, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"
@@ -140,7 +140,7 @@ def identify(
     elif rejects:
         gross, x_raw = gross_rows(problem, of_rig, x_raw)
     raw = observe(problem, x_raw, columns).residual if gross.any() else raw
-    x_before, before = _before(problem, columns, x_raw, raw, gross)
+    x_before, before, mounts = _before(problem, columns, x_raw, raw, gross)
     how_to = Options(options.max_iterations, Loss(options.loss), options.damping == "plain", on_step)
     # Robot and a distant rig together make a curved valley; a rig that was fitted alone is a closer start (decision 19).
     start = x_raw if SOLVERS[options.solver].starts_from_rig else problem.start
@@ -209,13 +209,17 @@ def identify(
     matrix[np.ix_(columns, columns)] = found.covariance if shared is None else shared.covariance
     held_before, error_before = judged(problem, x_before, rig, table, held, modelled)
     held_after, error_after = judged(problem, x, rig, table, held, modelled)
+    if held_after is not None:
+        unfitted, unfitted_before = (merged({}, error, fitted, held) for error in (error_after, error_before))
+    else:
+        inliers = taken if loss is Loss.LINEAR else only(problem, ~beyond)
+        robots = (left_out_errors(inliers, x, columns, half(parts), pose), _left_out(inliers, x_before, mounts, pose))
+        unfitted, unfitted_before = (merged(error, {}, fitted, held) for error in robots)
+    if not np.any(columns & ~mounts):
+        unfitted_before = {}
     unexplained: Mapping[str, MeanError] = {}
     if wrong is not None or not fit_quality.explained:
-        unexplained = mean_errors(error_after, poses(table.select(held)), held_out=True)
-        if not unexplained:
-            inliers = taken if loss is Loss.LINEAR else only(problem, ~beyond)
-            errors = left_out_errors(inliers, x, columns, half(parts), pose)
-            unexplained = mean_errors(errors, pose, held_out=False)
+        unexplained = mean_errors(unfitted, poses(table), held_out=held_after is not None)
     used = not_left_out(found.weight)
     estimate = Estimate(
         status=found.status,
@@ -260,6 +264,8 @@ def identify(
         additions=additions(chain, rig, table.select(fitted), names, data.root, known, *wanting),
         systematic=wrong,
         unexplained=unexplained,
+        unfitted_error=unfitted,
+        unfitted_error_before=unfitted_before,
         with_outliers=None if found is every else with_all_rows(problem, columns, every, found),
         without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
         parts=residual_parts(taken, x, columns, half(parts)),
@@ -316,18 +322,25 @@ def _raw(problem: Problem, max_iterations: int) -> tuple[Floats, Residuals]:
 
 def _before(
     problem: Problem, columns: NDArray[np.bool_], x: Floats, raw: Residuals, gross: NDArray[np.bool_]
-) -> tuple[Floats, Residuals]:
+) -> tuple[Floats, Residuals, NDArray[np.bool_]]:
     """Return x (P,) and residuals of the nominal robot, with base and tool placed by the rows that are not gross.
 
     Starts from the result of ``_raw``. The mounting of base and tool is not an error of the robot either. Only the free
-    parameters that move nothing else are fitted.
+    parameters that move nothing else are fitted; with the rig's unknowns, they are the columns (P,) returned last.
     """
     mounted = mounting(problem.chain, x[: problem.n_robot]).either & columns[: problem.n_robot]
-    if not mounted.any():
-        return x, raw
     mounts = problem.columns(mounted)
+    if not mounted.any():
+        return x, raw, mounts
     x = fit(only(problem, ~gross), mounts, x, Options(ends=idle(WORTH))).x
-    return x, observe(problem, x, mounts).residual
+    return x, observe(problem, x, mounts).residual, mounts
+
+
+def _left_out(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices) -> Residuals:
+    """Return the magnitude (n_rows,) of each row's error in a fit of x[columns] without its pose, by SI unit."""
+    prior = (problem.start - x)[columns], problem.prior_sigma[columns]
+    root = with_prior(observe(problem, x, columns), *prior).root
+    return left_out_errors(problem, x, columns, half(spectrum(root)), pose)
 
 
 def judged(
@@ -350,6 +363,7 @@ def judged(
     solution = fit(problem, columns, problem.at(known), Options())
     error, x = solution.information.residual, solution.x
     judging = has_freedom(problem, columns, x)
+    error = {unit: np.where(judging, of, np.nan) for unit, of in error.items()}
     if not judging.any():
         return None, error
     settled_here, left_out = int(columns.sum()), int((~judging).sum())

@@ -51,6 +51,7 @@ JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
 NULL_ROUNDING = 1e-11  # of the largest eigenvalue of the information on the unknowns
 ERRORS_EXPLAIN = "systematic errors, named above, explain the remaining residuals better than joint laws do; correct or allow them first"
+LARGER_RESIDUALS = "the fit with joint laws leaves larger residuals than the geometry alone"
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
 
 
@@ -94,7 +95,7 @@ def with_joint_laws(
     laws, reasons = candidates(chain, table.q[estimate.fitted], request.mode, gravity, payloads)
     why_none = _why_none(estimate)
     if why_none:
-        laws, reasons = [], [why_none]
+        laws = []
     work = _Work(chain, rig, table, estimate, request)
     steps = [_step(GEOMETRY, estimate)]
     best = None
@@ -106,8 +107,9 @@ def with_joint_laws(
             best = work.fitted(carried, learned) if carried else None
             steps.append(_step(name, best) if best else _step(name, estimate))
     found = work.estimate(best) if best else estimate
-    if not why_none and _errors_explain_better(estimate, found):
-        best, tried, steps, reasons = None, {}, steps[:1], [ERRORS_EXPLAIN]
+    why_none = why_none or _why_dropped(estimate, found)
+    if why_none:
+        best, tried, steps, reasons = None, {}, steps[:1], [why_none]
     kept = best.of.laws if best else ()
     value = found.value if best else estimate.value
     readings = table.q[estimate.fitted], work.anywhere.q
@@ -157,6 +159,14 @@ def _why_none(estimate: Estimate) -> str:
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
+
+
+def _why_dropped(geometry: Estimate, laws: Estimate) -> str:
+    """Return why laws that the evidence supports are not kept; "" if they are."""
+    if _errors_explain_better(geometry, laws):
+        return ERRORS_EXPLAIN
+    # The posterior is linear about what was learned, which may be far away along weakly determined combinations.
+    return LARGER_RESIDUALS if laws.chi2_reduced > geometry.chi2_reduced else ""
 
 
 def _errors_explain_better(geometry: Estimate, laws: Estimate) -> bool:
@@ -250,11 +260,11 @@ class _Work:
         quality = goodness(seen.chi2, seen.n_residuals, np.zeros(round(freedom)))
         how = measured_order(self.table, problem.chain, before.fitted)
         wrong = law_systematic(of, fitted, learned.noise, how, quality, self.table.q[before.fitted])
+        judging = held_out is not None
+        unfitted = merged({} if judging else rows.left_out, error if judging else {}, before.fitted, self.held)
         unexplained: Mapping[str, MeanError] = {}
         if wrong is not None or not quality.explained:
-            unexplained = mean_errors(error, poses(self.table.select(self.held)), held_out=True) or mean_errors(
-                rows.left_out, of.pose, held_out=False
-            )
+            unexplained = mean_errors(unfitted, poses(self.table), held_out=judging)
         if wrong is not None:
             wrong = replace(wrong, moves=moves(problem.chain, x, x + wrong.shift, self.table.q[before.fitted]))
         number = np.cumsum(before.fitted) - 1  # index of each row among the fitted ones
@@ -277,6 +287,7 @@ class _Work:
             chi2_freedom=quality.freedom,
             chi2_band=quality.band,
             unexplained=unexplained,
+            unfitted_error=unfitted,
             distance=np.where(before.fitted, rows.distance[number], np.nan),
             suspect=before.fitted & (rows.beyond[number] | (before.weight == 0.0)),
             outlying=spread(outlying_beside_laws(rows, weight > 0.0), before.fitted),

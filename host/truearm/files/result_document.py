@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm import __version__
+from truearm.estimate.gain import gain_of
 from truearm.files.law_document import law_document
 from truearm.files.result_file import FORMAT, FORMAT_VERSION, Input, RobotFrames, with_checksum
 from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_null
@@ -108,6 +109,7 @@ def document_of(
         "scale": None if estimate.scale is None else estimate.scale._asdict(),
         **systematic_entries(estimate.systematic, table),
         "unexplained": _unexplained(estimate),
+        "mean_change": _mean_change(estimate),
         "with_outliers": _other_fit(estimate, estimate.with_outliers, units),
         "without_bad_rows": _without_bad_rows(estimate, units),
         "held_out_by": list(held_out_by),
@@ -247,6 +249,18 @@ def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
         out |= {key("n", si): error.n}
         if error.held_out:
             out["by"] = "held out"
+    return out
+
+
+def _mean_change(estimate: Estimate) -> dict[str, Any] | None:
+    """Return the mean errors where nothing was fitted, before and after, by unit; None if they are not compared."""
+    gain = gain_of(estimate.mean_change)
+    if gain is None:
+        return None
+    out: dict[str, Any] = {"gain": gain.value, "by": "cross-validation" if estimate.held_out is None else "held out"}
+    for si, change in estimate.mean_change.items():
+        out |= {key(f"mean_{name}", si): shown_or_null(getattr(change, name), si) for name in ("before", "after")}
+        out |= {key("n", si): change.n}
     return out
 
 

@@ -219,7 +219,7 @@ _RESULT = _later(
         Key("chi2_band", Nullable(List(_NUMBER, least=2, most=2)), optional=True),
         Key("systematic", _many(_SYSTEMATIC), optional=True),
         Key("explanations", _many(_later((_text("what"),), dict)), optional=True),
-        *(Key(name, _OBJECT, optional=True) for name in ("unexplained", "held_out", "held_out_before")),
+        *(Key(name, _OBJECT, optional=True) for name in ("unexplained", "mean_change", "held_out", "held_out_before")),
     ),
     dict,
 )

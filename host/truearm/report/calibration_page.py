@@ -13,6 +13,7 @@ from typing import assert_never
 
 import numpy as np
 
+from truearm.estimate.gain import gain_of
 from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.report.calibration_findings import (
@@ -33,7 +34,7 @@ from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import CHI2_DOUBTFUL, before_words, kind_name, parts_words, pose_error_words
 from truearm.report.usability_words import few_freedom, freedom_words
-from truearm.results import Estimate, HeldOut, PredictedError
+from truearm.results import Estimate, Gain, HeldOut, PredictedError
 from truearm.text import counted
 from truearm.types import Floats, ObservationTable
 from truearm.units import symbol, tolerances
@@ -128,10 +129,10 @@ def _verdict(page: CalibrationPage) -> str:
 def verdict(page: CalibrationPage) -> str:
     """Return the result in one line of plain text, with a sentence for each unit of the residuals.
 
-    For a fit that is not usable, the line states this.
+    For a fit that is not usable, or no better than the nominal robot, the line states this.
     """
     e = page.estimate
-    if e.unusable:
+    if _usability_first(e):
         return page.usability[0] if page.usability else "This fit is not usable."
     if few_freedom(e.chi2_freedom, e.rank):
         judged = page.estimate.held_out.figures.items() if page.estimate.held_out else ()
@@ -141,6 +142,11 @@ def verdict(page: CalibrationPage) -> str:
         f"The {_kinds(page, si)}error is {_change(page.estimate, page.estimate.held_out, si)}."
         for si in page.estimate.rms_before
     )
+
+
+def _usability_first(e: Estimate) -> bool:
+    """Return whether the verdict is the first sentence about usability."""
+    return e.unusable is not None or gain_of(e.mean_change) is Gain.NONE
 
 
 def _kinds(page: CalibrationPage, si: str) -> str:
@@ -166,7 +172,7 @@ def _change(e: Estimate, judged: HeldOut | None, si: str) -> str:
 def caveats(page: CalibrationPage) -> list[str]:
     """Return the reasons to distrust the figures, one sentence each."""
     e, judged = page.estimate, page.estimate.held_out
-    found = [*(page.usability[1:] if e.unusable else page.usability), *page.systematic]
+    found = [*(page.usability[1:] if _usability_first(e) else page.usability), *page.systematic]
     if e.status != "converged" and not e.unusable:
         found.append(f"The fit did not converge: {e.message}.")
     if judged is None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from truearm.estimate.gain import gain_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import size
 from truearm.report.result_words import before_words
-from truearm.results import Estimate, HeldOut, PredictedError
+from truearm.results import Estimate, Gain, HeldOut, PredictedError
 from truearm.text import counted, outcome
 from truearm.units import DEGC, US
 
@@ -186,6 +187,8 @@ def _result(e: Estimate, judged: HeldOut | None, predicted: PredictedError | Non
         )
     if e.unusable and e.status == "converged":
         return [*pairs, ("fit", f"NOT USABLE: {e.unusable}")]
+    if gain_of(e.mean_change) is Gain.NONE:
+        return [*pairs, ("fit", "converged, but NO BETTER than the nominal robot")]
     pairs.append(("fit", "converged" if e.status == "converged" else f"NOT USABLE: {outcome(e.status)}"))
     return pairs
 

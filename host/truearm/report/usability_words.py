@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, assert_never
 
 from truearm.report.result_words import scale_sentence
-from truearm.results import Unusable
+from truearm.results import Gain, Unusable
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, size
 
 Document = Mapping[str, Any]
+MORE_POSES = "Measure more poses, in more of the workspace"
 NUMBERED = " (rows numbered from 1 over all inputs)"
 
 
@@ -51,6 +52,8 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
         for joint in () if explanations else document["defaults"]["still"]:
             at = UNITS[joint["unit"]].scale.text(joint["at"], ".2f")
             lines.append(f"{one_line(joint['joint'])} reads {at} in all rows: if it moved, its readings are wrong.")
+    else:
+        lines += no_gain_sentences(document)
     if document["relabelling_search"] == "too many groups":
         lines.append(
             "Labels were not checked: the rows have too many different labels to search them all. Identify fewer at a time."
@@ -72,6 +75,25 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
     return lines
 
 
+def no_gain_sentences(document: Document) -> list[str]:
+    """Return that a calibration is no better than the nominal robot; empty if it is better, or worse."""
+    change = document["mean_change"]
+    if change is None or change["gain"] != Gain.NONE:
+        return []
+    return [
+        f"The calibration is no better than {_errors_against(change)}. The difference is within the scatter of the poses. "
+        f"{MORE_POSES}, or keep the nominal robot."
+    ]
+
+
+def _errors_against(change: Document) -> str:
+    """Return the mean errors where nothing was fitted, of the calibrated robot and of the nominal one."""
+    n = counted(max(change.get(f"n_{suffix}", 0) for suffix in SUFFIXES), "pose")
+    poses = f"{n} held out" if change["by"] == "held out" else f"{n} left out in turn"
+    after, before = (_sizes(change, f"mean_{name}") for name in ("after", "before"))
+    return f"the nominal robot with base and tool placed: mean error {after} against {before}, for {poses}"
+
+
 def _because(unusable: Unusable, document: Document) -> str:
     match unusable:
         case Unusable.NOT_CONVERGED:
@@ -90,6 +112,9 @@ def _because(unusable: Unusable, document: Document) -> str:
             )
         case Unusable.SCALE:
             return scale_sentence(document["scale"])
+        case Unusable.WORSE:
+            against = _errors_against(document["mean_change"])
+            return f"It is worse than {against}. {MORE_POSES}, free fewer parameters, or keep the nominal robot."
         case never:
             assert_never(never)
 

@@ -16,6 +16,7 @@ from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
 from truearm.estimate.displaced_mounts import Displaced, displaced_mounts
+from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
 from truearm.estimate.joint_laws import LawRequest, with_joint_laws
@@ -340,6 +341,7 @@ def identified(
         estimate = checked(estimate)
     else:
         chain, estimate = fitted_without_outliers(estimate, geometry, with_laws)
+    estimate = with_gain(table, estimate)
     if estimate.rank == 0 and estimate.free[: estimate.n_robot_parameters].any():
         raise ProblemError(
             "these observations say nothing about the robot: unknowns of the rig fit each of them exactly; measure more rows, or give the rig's chucks, spheres and sockets the sigma_mm that you know instead of unknown"

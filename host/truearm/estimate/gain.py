@@ -1,0 +1,68 @@
+"""Whether a calibration is better than the nominal robot, with base and tool placed, at poses that were not fitted.
+
+The two robots are compared pose by pose: d is the mean magnitude of a pose's errors after the calibration, less that
+before. |d| is at most the distance between the two predictions, so no outlier dominates. Rows of one pose have
+correlated errors, so poses are the independent samples, and t is the mean of d in its standard errors.
+
+The calibration is worse if t is beyond the quantile of Student's t for LEVEL_WORSE: such a fit is refused, so chance
+must not do it. It is better if t is below that of the normal distribution for LEVEL_BETTER. With residuals in several
+units, a robot that is better in one of them is better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from truearm.estimate.mean_error import LEAST_POSES
+from truearm.estimate.measured_order import poses
+from truearm.results import Estimate, Gain, MeanChange, Unusable
+from truearm.types import Floats, Indices, ObservationTable, Residuals
+
+LEVEL_WORSE = 0.001
+LEVEL_BETTER = 0.05
+
+
+def with_gain(table: ObservationTable, estimate: Estimate) -> Estimate:
+    """Return the estimate with its gain, and as not usable if it is worse than the nominal robot.
+
+    Unchanged if it is not usable already, or did not converge: then its errors say nothing.
+    """
+    if estimate.unusable or estimate.status != "converged":
+        return estimate
+    changes = mean_changes(estimate.unfitted_error_before, estimate.unfitted_error, poses(table))
+    estimate = replace(estimate, mean_change=changes)
+    return replace(estimate, unusable=Unusable.WORSE) if gain_of(changes) is Gain.WORSE else estimate
+
+
+def gain_of(changes: Mapping[str, MeanChange]) -> Gain | None:
+    """Return the gain over all units: that of the best one; None if there is nothing to compare."""
+    gains = {change.gain for change in changes.values()}
+    order = (Gain.BETTER, Gain.WORSE, Gain.NONE)
+    return next((gain for gain in order if gain in gains), None)
+
+
+def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[str, MeanChange]:
+    """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses."""
+    changes = {}
+    for unit in before:
+        some = np.isfinite(before[unit]) & np.isfinite(after[unit])
+        _, number, count = np.unique(pose[some], return_inverse=True, return_counts=True)
+        if count.size < LEAST_POSES:
+            continue
+        means = [np.bincount(number.ravel(), np.abs(error[unit][some])) / count for error in (before, after)]
+        changes[unit] = MeanChange(
+            float(means[0].mean()), float(means[1].mean()), count.size, _gain(means[1] - means[0])
+        )
+    return changes
+
+
+def _gain(change: Floats) -> Gain:
+    """Return the gain for the changes (n,) of the poses' mean errors."""
+    error = float(change.std(ddof=1)) / np.sqrt(change.size)
+    if change.mean() < special.ndtri(LEVEL_BETTER) * error:
+        return Gain.BETTER
+    return Gain.WORSE if change.mean() > special.stdtrit(change.size - 1, 1.0 - LEVEL_WORSE) * error else Gain.NONE
