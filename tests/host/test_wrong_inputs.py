@@ -6,10 +6,11 @@ The worlds are a planned session of the paper's PUMA (fault_worlds): what an ope
 from dataclasses import replace
 from functools import cache
 
+import device_bench as devices
 import fault_worlds as worlds
 import numpy as np
 import pytest
-from puma_bench import SIGMA
+from puma_bench import DESIGN, SIGMA
 from scipy.spatial.transform import Rotation
 from ur10_bench import POSITION_SIGMA, tracked
 from ur10_bench import RIG as UR10_RIG
@@ -20,16 +21,16 @@ from truearm.cli import identify_text
 from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.misread_columns import mirrored
-from truearm.estimate.other_readings import Candidate
+from truearm.estimate.other_readings import Candidate, in_other_units
 from truearm.estimate.trial_fit import tried
 from truearm.estimate.wrong_inputs import absurd, diagnosed, explanations_of
 from truearm.kinds.ball_bar import BallBarRows
 from truearm.model.builtin import builtin_names
-from truearm.model.chain import point_forward
+from truearm.model.chain import joint_frames, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.usability_words import usability_sentences
 from truearm.results import Unusable, WrongInput
-from truearm.types import ObservationTable, thinned
+from truearm.types import ObservationTable, Plane, Rig, thinned
 
 ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
 PUMA = builtin_robot("puma560")
@@ -463,3 +464,44 @@ def test_mirrored_axes_are_named_first_among_all_mistakes(what):
     assert estimate.explanations[0].text == text
     assert estimate.explanations[0].what is WrongInput.AXES
     assert estimate.unusable
+
+
+TABLE = Rig(targets=devices.TARGETS, planes={"table": Plane("table", (0.4, 0.0, 0.3), (0.0, 0.0, 1.0), sigma=3e-5)})
+
+
+def probed(heights, give=0.0, n=60):
+    """Distances from a table that an arm was sent to at ``heights``; it gives way under 10 kg in every other row."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack(
+        [rng.uniform(0.25, 0.65, n), rng.uniform(-0.4, 0.4, n), 0.3 + heights * rng.normal(size=n)]
+    )
+    q = devices.joints_at(points, rng, DESIGN)
+    q = q[np.isfinite(q).all(axis=1)]
+    mass = np.where(np.arange(len(q)) % 2, 10.0, 0.0)
+    frames, sagging = joint_frames(PUMA.chain, DESIGN, q), q.copy()
+    for joint in (1, 2):
+        arm = point_forward(PUMA.chain, DESIGN, q, np.array([0.0, 0.0, 0.12])) - frames[:, joint, :3, 3]
+        sagging[:, joint] -= give * mass * np.cross(frames[:, joint, :3, 2], arm)[:, 2]
+    value = devices.target(sagging, params=DESIGN)[:, 2] - 0.3 + 3e-5 * rng.normal(size=len(q))
+    more = {"payload": mass, "payload_centre": np.tile([0.0, 0.0, 0.12], (len(q), 1))}
+    return devices.rows("plane", q, plane="table", target="ball", value=value, more=more)
+
+
+def other_units(table):
+    """The units that explain touches of the table better than the given ones."""
+    arm = (PUMA.chain, TABLE, table, PUMA.free)
+    found = wrong_inputs._explaining(WrongInput.UNITS, list(in_other_units(*arm)), tried(*arm))
+    return [one.explanation.text for one in found]
+
+
+def test_an_arm_that_sags_on_its_way_along_a_table_was_not_read_in_millimetres():
+    """By a thousandth of the readings the arm would be as described; so would any arm that was to stay on a plane."""
+    touches = probed(heights=0.0, give=1e-3)
+    assert 2e-3 < np.ptp(touches.value) < 2e-2
+    assert other_units(touches) == []
+
+
+def test_heights_above_a_table_in_another_unit_are_named():
+    heights = probed(heights=0.05)
+    read = replace(heights, value=1e3 * heights.value)
+    assert other_units(read) == ["the readings of length are in millimetres, not in metres"]

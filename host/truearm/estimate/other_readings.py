@@ -32,13 +32,17 @@ class Candidate(NamedTuple):
 
 
 class Interpretation(NamedTuple):
-    """Another interpretation of the inputs, and the message if it explains the observations."""
+    """Another interpretation of the inputs, and the message if it explains the observations.
+
+    ``log_jacobian`` is the sum of the logarithms of the factors by which it multiplies measured numbers.
+    """
 
     text: str
     chain: Chain
     rig: Rigs
     table: ObservationTable
     free: Mask
+    log_jacobian: float = 0.0
 
 
 def of_other_robots(
@@ -72,7 +76,9 @@ def in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask)
         inches = [(INCH / MM.scale, "inches", "millimetres")] * (quantity.unit == "m")
         for factor, are, called in (*in_other_unit(quantity.unit), *inches):
             text = f"the readings of {quantity.words} are in {are}, not in {called}"
-            yield Interpretation(text, chain, rig, _with_column(table, quantity.field, factor), free)
+            changed = _with_column(table, quantity.field, factor)
+            numbers = np.isfinite(table.column(quantity.field, np.nan)).sum()
+            yield Interpretation(text, chain, rig, changed, free, float(numbers * math.log(factor)))
     for column, entry in points().items():
         for factor, are, called in in_other_unit("m"):
             scaled = _with_points(rig, entry, factor)

@@ -36,7 +36,7 @@ RECENT = 3  # steps, of which the best one is taken for all those left
 
 
 class Trial(NamedTuple):
-    """A fit of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
+    """A fit of ``n_residuals`` residuals of rows: χ²/ν, ν, RMS by SI unit, and every parameter by name.
 
     ``moved`` is the displacement of base or tool from the described pose, and ``shifted`` that of any other parameter
     of the robot, in tolerances of manual mounting. ``off`` is how far each fitted parameter is from its start.
@@ -51,6 +51,7 @@ class Trial(NamedTuple):
     names: tuple[str, ...]  # k fitted parameters
     off: Mapping[str, float]
     root: Floats  # (k, r): its product with its transpose is their covariance
+    n_residuals: int
 
 
 def placed(chain: Chain, rig: Rigs, table: ObservationTable, goal: float = 0.0) -> Trial:
@@ -117,7 +118,7 @@ def _trial(
     off = dict(zip(problem.names, (found.x - problem.start).tolist(), strict=True))
     names = tuple(problem.names_of(columns))
     moved, shifted = (float(moves[of].max(initial=0.0)) for of in (mounted, ~mounted))
-    return Trial(quality.reduced, quality.freedom, rms, known, moved, shifted, names, off, root)
+    return Trial(quality.reduced, quality.freedom, rms, known, moved, shifted, names, off, root, count)
 
 
 def _options(steps: int, goal: float = 0.0) -> Options:

@@ -24,7 +24,11 @@ Each interpretation is fitted to the same few rows under the same wide prior (``
 whether it explains the observations.
 
 The most probable explanation is listed first. With unknown variances, the logarithm of the evidence is −½ Σ log σ² over
-the residuals; rows that an interpretation leaves out count with the variance of the given one.
+the residuals; rows that an interpretation leaves out count with the variance of the given one. An interpretation that
+multiplies m of n measured numbers by a factor f has the density of the numbers as given only with the Jacobian fᵐ: its
+χ² is therefore multiplied by f^(−2m/n), as if its residuals were converted back. Without it, a thousandth of any
+reading would fit an arm that was to stay on a plane. It never counts in favour: readings that are all alike would fit
+in any larger unit.
 """
 
 from __future__ import annotations
@@ -291,7 +295,9 @@ def _explaining(
 ) -> Iterator[Found]:
     """Return the interpretations that explain the observations and reduce χ² below ``ratio`` of its value."""
     for one in readings:
-        after = tried(one.chain, one.rig, one.table, one.free, goal=ratio * before.reduced)
+        jacobian = max(math.exp(-2.0 * one.log_jacobian / before.n_residuals), 1.0)
+        after = tried(one.chain, one.rig, one.table, one.free, goal=ratio * before.reduced / jacobian)
+        after = after and after._replace(reduced=jacobian * after.reduced)
         if after is not None and explains(before, after, len(readings), ratio):
             yield found_in(what, one.text, len(one.table), before, after, len(readings))
 
