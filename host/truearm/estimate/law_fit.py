@@ -43,6 +43,7 @@ LEARNING = (
     9000,
 )  # poses and residuals: variances and noise are learned from a random selection of at most so many
 FOR_NOISE = (1000, 3000)  # of these, for the noise
+MOST_OF_POSE = 72  # residuals of a pose that count among these: repeats must not take the place of poses
 LEAST_ROUNDS = 3  # without anything learned before
 ROUNDS = 12  # of linearising, learning the variances and learning the noise
 STEPS = 20  # of the variances in a round
@@ -75,9 +76,12 @@ class LawProblem:
 
     def times(self, most: tuple[int, int]) -> float:
         """Return how many times as many poses or residuals there are, whichever is more."""
-        known = [group.sensor_cov for group in self.problem.groups if group.row is not None]
+        residuals = 0
+        for group in (group for group in self.problem.groups if group.row is not None):
+            of_pose = np.unique(self.pose[group.row], return_counts=True)[1] * group.sensor_cov.shape[1]
+            residuals += int(np.minimum(of_pose, MOST_OF_POSE).sum())
         poses = np.unique(self.pose[_rows_used(self.problem)]).size
-        return max(poses / most[0], float(sum(len(cov) * cov.shape[1] for cov in known)) / most[1])
+        return max(poses / most[0], residuals / most[1])
 
     @property
     def shares_poses(self) -> bool:

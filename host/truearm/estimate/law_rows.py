@@ -46,6 +46,7 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         group = poses.group
         if group.row is None:
             continue
+        poses = poses.projected(np.concatenate([poses.rows, poses.by_joints], axis=2))
         w, width = poses.rows.shape[1], group.sensor_cov.shape[1]
         cov, residual = poses.covariances(noise), poses.rows[..., -1]
         spread = spread_of(poses.rows, posterior)
@@ -53,15 +54,16 @@ def law_rows(of: LawProblem, found: Posterior, noise: PoseNoise, fitted: bool = 
         values = np.maximum(values, LEAST_SHARE * cov[:, range(w), range(w)].max(axis=1, keepdims=True))
         weighed = (vectors @ (vectors.swapaxes(1, 2) @ residual[..., None] / values[..., None]))[..., 0]
         root = noise_root(poses.declared)
-        without = _in_units(root, (cov @ weighed[..., None]).reshape(-1, width))
-        with_all = _in_units(root, residual.reshape(-1, width))
-        followed = np.linalg.solve(cov, spread)  # the fit's share of each residual, by the noise that it assumes
-        own = np.maximum(1.0 - followed[:, range(w), range(w)], 0.0).reshape(-1, width)
+        without = _in_units(root, poses.expanded((cov @ weighed[..., None])[..., 0]).reshape(-1, width))
+        with_all = _in_units(root, poses.expanded(residual).reshape(-1, width))
+        followed = np.linalg.solve(cov, spread).astype(float)  # the fit's share of each residual, by the assumed noise
+        own = np.maximum(1.0 - poses.diagonals(followed), 0.0).reshape(-1, width)
         for unit, components in unit_columns(group.COMPONENTS).items():
             left_out[unit][group.row] = np.linalg.norm(without[:, components], axis=1)
             declared = (root[:, components] ** 2 * own[:, None]).sum(axis=(1, 2))
             squares.setdefault(unit, []).append(np.stack([declared, (with_all[:, components] ** 2).sum(axis=1)]))
-        square = np.maximum((residual * weighed).reshape(-1, width).sum(axis=1), 0.0)
+        square = poses.expanded(residual) * poses.expanded(weighed)
+        square = np.maximum(square.reshape(-1, width).sum(axis=1), 0.0)
         distance[group.row], beyond[group.row] = np.sqrt(square), square > gate(width)
         widths[group.row] = width
     means = {unit: np.concatenate(squares[unit], axis=1).mean(axis=1) for unit in UNITS if unit in squares}

@@ -63,9 +63,14 @@ def left_out_errors(
     left = np.concatenate([block.residual.ravel() for block in parts])
     order = np.argsort(numbers, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
-        rest = np.eye(rows.size) - seen[rows] @ seen[rows].T
-        determined = np.linalg.eigvalsh(rest)[0] > ALONE
-        left[rows] = np.linalg.solve(rest, left[rows]) if determined else np.nan
+        own = seen[rows]
+        if rows.size <= own.shape[1]:
+            rest, error = np.eye(rows.size) - own @ own.T, left[rows]
+        else:  # (I − SSᵀ)⁻¹e = e + S(I − SᵀS)⁻¹Sᵀe, with S = own
+            rest, error = np.eye(own.shape[1]) - own.T @ own, own.T @ left[rows]
+        determined = not rest.size or np.linalg.eigvalsh(rest)[0] > ALONE
+        error = np.linalg.solve(rest, error) if determined else np.full(error.shape, np.nan)
+        left[rows] = error if rows.size <= own.shape[1] else left[rows] + own @ error
     at = 0
     for block in parts:
         n, width = block.residual.shape

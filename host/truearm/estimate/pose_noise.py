@@ -5,6 +5,9 @@ T = ∂(rows)/∂(a translation of the end) and C = ∂(rows)/∂(joint readings
 the end shared by all rows of a pose, and q [rad²] that of an independent error of each joint. The three are learned by
 their evidence (``learned_noise``). Without them, a model error shared by the rows of a pose would count as information,
 and noise of the arm would be fitted by joint laws.
+
+R differs from m·I only in the k columns of [T|C]. With an orthonormal basis B (N, k) of these, a pose of N > k residuals
+has Bᵀ R B as its only matrix to invert; the other N − k directions have the noise m alone.
 """
 
 from __future__ import annotations
@@ -29,7 +32,6 @@ SMALLEST_SHARE = 0.01  # of the rows kept for a part of the noise, however much 
 SETTLED = 1e-3  # relative change of the variances from step to step
 MAX_STEPS = 30
 LEAST_FACTOR = 1e-6  # on the declared variances
-LARGEST_POSE = 24  # observations of one pose; of more, each run of this many counts as one
 FORCE = (0, 2, 4)  # of a wrench's first six numbers, those that depend on a translation of the end
 
 
@@ -48,6 +50,36 @@ class RowsByPose(NamedTuple):
     declared: Floats  # (n·rows a pose, …) the rows' covariances, as ``residual_noise`` has them
     rows: Floats  # (n, w, b + r + 1) wrenches, by the rig's unknowns, residual
     by_joints: Floats  # (n, w, j)
+    basis: Floats | None = None  # (n, N, w), of w of N residuals, if the poses are projected
+
+    def projected(self, columns: Floats) -> RowsByPose:
+        """Return the poses on an orthonormal basis of ``columns`` (n, N, k), unless these are as many as residuals."""
+        if columns.shape[2] >= columns.shape[1]:
+            return self
+        basis = np.linalg.qr(columns)[0]
+        turn = basis.swapaxes(1, 2)
+        return self._replace(rows=turn @ self.rows, by_joints=turn @ self.by_joints, basis=basis)
+
+    def split(self) -> tuple[RowsByPose, Floats]:
+        """Return the poses on a basis of [T|C], and their rows beyond it (n, N, b + r + 1); N is 0 if none are."""
+        shared = self.projected(np.concatenate([self.translation, self.by_joints], axis=2))
+        beyond = self.rows[:, :0] if shared.basis is None else self.rows - shared.basis @ shared.rows
+        return shared, beyond
+
+    @property
+    def spare(self) -> int:
+        """Return the number of a pose's directions beyond the basis."""
+        return 0 if self.basis is None else self.basis.shape[1] - self.basis.shape[2]
+
+    def expanded(self, vectors: Floats) -> Floats:
+        """Return vectors (n, N) of the residuals from those on the basis (n, w)."""
+        return vectors if self.basis is None else (self.basis @ vectors[..., None])[..., 0]
+
+    def diagonals(self, matrices: Floats) -> Floats:
+        """Return diagonals (n, N) by residual of matrices on the basis (n, w, w)."""
+        if self.basis is None:
+            return np.diagonal(matrices, axis1=1, axis2=2)
+        return np.asarray(((self.basis @ matrices) * self.basis).sum(axis=2))
 
     @property
     def translation(self) -> Floats:
@@ -95,9 +127,7 @@ def _pieces(group: Group, pose: Indices, width: int, every: int) -> Iterator[tup
     _, first, size = np.unique(mine[order], return_index=True, return_counts=True)
     parts: dict[int, list[Indices]] = {}
     for start, count in zip(first[::every].tolist(), size[::every].tolist(), strict=True):
-        for at in range(start, start + count, LARGEST_POSE):
-            own = order[at : min(at + LARGEST_POSE, start + count)]
-            parts.setdefault(len(own), []).append(own)
+        parts.setdefault(count, []).append(order[start : start + count])
     for count, some in sorted(parts.items()):
         each = max(1, CHUNK // (count * w * width))
         for at in range(0, len(some), each):
@@ -141,11 +171,14 @@ def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose:
     mix = unknowns_of_rows(problem, x, columns)
     total, logdet = np.zeros((mix.shape[0], mix.shape[0])), 0.0
     for poses in pose_rows(problem, x, pose):
-        root = np.linalg.cholesky(poses.covariances(noise))
+        shared, beyond = poses.split()
+        root = np.linalg.cholesky(shared.covariances(noise))
         logdet += 2.0 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
-        rows = poses.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ poses.rows
-        flat = rows.reshape(-1, rows.shape[2])
-        total += flat.T @ flat
+        logdet += len(root) * shared.spare * math.log(noise.sensor)
+        rows = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
+        for whole in (rows, beyond / math.sqrt(noise.sensor)):
+            flat = whole.reshape(-1, whole.shape[2])
+            total += flat.T @ flat
     return Normals(np.asarray((mix.T @ (mix.T @ total).T).T), logdet)
 
 
@@ -174,12 +207,16 @@ def spread_of(rows: Floats, posterior: Floats) -> Floats:
 
 
 class PoseSample(NamedTuple):
-    """Poses with equal numbers of rows, in the form that the evidence of their noise needs."""
+    """Poses with equal numbers of rows, in the form that the evidence of their noise needs: on a basis of [T|C].
+
+    ``beyond`` are the number of the other directions, and the sums of e² and of J P Jᵀ over them.
+    """
 
     residual: Floats  # (n, w) at the estimate
     spread: Floats  # (n, w, w) J P Jᵀ
     translation: Floats  # (n, w, 3)
     by_joints: Floats  # (n, w, j)
+    beyond: tuple[int, float, float] = (0, 0.0, 0.0)
 
 
 def pose_samples(
@@ -192,8 +229,11 @@ def pose_samples(
     out = []
     for poses in pose_rows(problem, x, pose, every):
         if poses.group.row is not None:
-            spread = spread_of(poses.rows, posterior)
-            out.append(PoseSample(poses.rows @ step, spread, poses.translation.copy(), poses.by_joints.copy()))
+            shared, beyond = poses.split()
+            own = (shared.rows @ step, spread_of(shared.rows, posterior), shared.translation.copy())
+            square, spread = ((beyond @ step) ** 2).sum(), ((beyond @ posterior) * beyond).sum()
+            sums = len(beyond) * shared.spare, float(square), float(spread)
+            out.append(PoseSample(*own, shared.by_joints.copy(), sums))
     return out
 
 
@@ -224,7 +264,8 @@ def noise_change(samples: Sequence[PoseSample], old: PoseNoise, new: PoseNoise) 
     for sample in samples:
         change = np.linalg.solve(_covariances(sample, new), _covariances(sample, PoseNoise(*np.subtract(new, old))))
         square += float((change * change.swapaxes(1, 2)).sum())
-        count += sample.residual.size
+        square += sample.beyond[0] * (new.sensor / old.sensor - 1.0) ** 2
+        count += sample.residual.size + sample.beyond[0]
     return math.sqrt(square / max(count, 1))
 
 
@@ -253,6 +294,10 @@ def _parts(samples: Sequence[PoseSample], noise: PoseNoise) -> _Parts:
             gain[k] += float((e * (part @ e[..., None])[..., 0]).sum())
             rows[k] += float((inverse * part).sum())
             spent[k] += float((used * part).sum())
+        n, square, spread = sample.beyond
+        gain[0] += square / noise.sensor**2
+        rows[0] += n / noise.sensor
+        spent[0] += spread / noise.sensor**2
     return _Parts(gain, rows, np.divide(spent, rows, out=np.zeros(3), where=rows > 0.0))
 
 

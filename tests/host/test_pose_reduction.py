@@ -1,0 +1,95 @@
+"""A pose counts once for joint laws, however many rows it has: the reduction of its rows is exact, and repeats decide nothing."""
+
+import numpy as np
+import pytest
+from ur10_bench import RIG, ROBOT
+
+from truearm.estimate.law_candidates import candidates, gravity_of
+from truearm.estimate.law_fit import GATE, law_problem, learn, posterior
+from truearm.estimate.law_rows import law_rows
+from truearm.estimate.mean_error import left_out_errors
+from truearm.estimate.measured_order import poses
+from truearm.estimate.pose_noise import PoseNoise, RowsByPose
+from truearm.estimate.problem import build_problem
+from truearm.estimate.solvers import LawMode
+from truearm.model.chain import point_forward
+from truearm.model.law_chain import with_laws
+from truearm.types import ObservationTable, Point, Rig
+
+NOISE = 5e-5  # m
+JOINT_ERROR = 2e-4  # rad, of each joint at a pose: the arm's own, which no repeat averages
+POINTS = {"a": (0.0, 0.02, 0.109), "b": (0.05, 0.0, 0.15), "c": (-0.04, 0.03, 0.2)}
+TARGETS = Rig(targets={name: Point(name, xyz, None) for name, xyz in POINTS.items()}, trackers=RIG.trackers)
+CHAIN = ROBOT.chain
+
+
+def repeated(repeats, n_poses=18):
+    """Three targets of a UR10 at each pose, again and again; nothing but noise and the joints' errors."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.5, 1.5, (n_poses, 6)) + np.array([0.0, -1.5, 1.5, 0.0, 1.5, 0.0])
+    true_q = q + JOINT_ERROR * rng.normal(size=q.shape)
+    pose = np.repeat(np.arange(n_poses), len(POINTS) * repeats)
+    target = np.resize(list(POINTS), pose.size)
+    xyz = point_forward(CHAIN, CHAIN.params_nominal, true_q[pose], np.array([POINTS[name] for name in target]))
+    return ObservationTable(
+        q=q[pose],
+        kind=np.full(pose.size, "position"),
+        xyz=xyz + NOISE * rng.normal(size=xyz.shape),
+        tracker=np.full(pose.size, "tracker"),
+        target=target,
+        source=np.array([f"world row {i + 1}" for i in range(pose.size)]),
+    )
+
+
+def curves_of(table):
+    """The problem of the first and the third joint's error curves, with the nominal geometry free."""
+    laws = candidates(CHAIN, table.q, LawMode.CURVE, gravity_of(table, None), [])[0]
+    laws = [law for law in laws if law.joint in (0, 2)]
+    problem = build_problem(with_laws(CHAIN, laws), TARGETS, table)
+    columns = np.ones(len(problem.names), dtype=bool)
+    columns[: CHAIN.params_nominal.size] = ROBOT.free
+    return law_problem(problem, columns, problem.start, laws, poses(table))
+
+
+def test_the_reduction_of_a_pose_is_exact(monkeypatch):
+    of = curves_of(repeated(repeats=8, n_poses=8))
+    results = []
+    for _ in range(2):
+        learned = learn(of, PoseNoise(1.0, 0.0, 1e-8))
+        results.append((learned, law_rows(of, posterior(of, learned), learned.noise)))
+        monkeypatch.setattr(RowsByPose, "projected", lambda poses, columns: poses)
+    (learned, rows), (dense, dense_rows) = results
+    assert learned.evidence == pytest.approx(dense.evidence, rel=1e-7)
+    assert learned.noise == pytest.approx(dense.noise, rel=1e-4)
+    assert list(learned.nats.values()) == pytest.approx(list(dense.nats.values()), rel=1e-3, abs=1e-3)
+    np.testing.assert_allclose(rows.left_out["m"], dense_rows.left_out["m"], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(rows.distance, dense_rows.distance, rtol=1e-3, atol=1e-6)
+    assert rows.parts["m"] == pytest.approx(dense_rows.parts["m"], rel=1e-3)
+
+
+@pytest.mark.parametrize("repeats", [2, 10, 60])
+def test_repeats_of_few_poses_are_no_evidence_of_curves(repeats):
+    """When 24 rows counted as a pose of their own, ten repeats made curves of the errors that the joints have at 18 poses."""
+    learned = learn(curves_of(repeated(repeats)), PoseNoise(1.0, 0.0, 1e-8))
+    assert max(learned.nats.values()) < GATE
+    assert 0.3 < np.sqrt(learned.noise.joint) / JOINT_ERROR < 1.3
+    assert learned.noise.sensor == pytest.approx(1.0, abs=0.25)  # its standard deviation is 0.1 with two repeats
+
+
+def test_errors_without_a_pose_of_many_rows_are_those_of_the_full_matrix():
+    """More residuals than parameters: (I − H)⁻¹e by the smaller matrix."""
+    table = repeated(repeats=30, n_poses=6)
+    problem = build_problem(CHAIN, TARGETS, table)
+    columns = problem.columns(np.isin(np.arange(CHAIN.params_nominal.size), np.flatnonzero(ROBOT.free)[:4]))
+    root = 1e-6 * np.random.default_rng(1).normal(size=(int(columns.sum()), 3))
+    errors = left_out_errors(problem, problem.start, columns, root, poses(table))["m"]
+    (group,) = (group for group in problem.groups if group.row is not None)
+    lin = group.evaluate(CHAIN, problem.start)
+    expected = np.zeros(len(table))
+    for pose in range(6):
+        rows = np.flatnonzero(poses(table)[group.row] == pose)
+        own = np.ravel(3 * rows[:, None] + np.arange(3))
+        jac = lin.jac_params[own][:, columns] @ root / 5e-5
+        left = np.linalg.solve(np.eye(own.size) - jac @ jac.T, lin.residual.ravel()[own])
+        expected[group.row[rows]] = np.linalg.norm(left.reshape(-1, 3), axis=1)
+    np.testing.assert_allclose(errors, expected, rtol=1e-9)
