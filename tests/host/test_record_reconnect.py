@@ -51,21 +51,28 @@ class TestRobot:
         joints = joints_of(path)
         assert (joints.lost, joints.restarts, len(joints.clocks)) == (len(missing), 1, 2)
 
-    def test_a_close_in_order_is_a_loss_too(self, lab, path):
-        """So a controller that is started again closes its connection, and so does the kernel those of a program that crashed."""
+    def test_a_close_in_order_is_not_called_a_loss(self, lab, path):
+        """So a program that ends closes its connection, and a controller that is started again. The next one is recorded too."""
         robot = Robot(lab, 6.0, link=ComingBack)
         lose(lab, robot.link, 2.0, 4.0, LinkClosed("closed"))
         summary = run(lab, Box(lab), path, None, robot=robot.link)
         assert summary.reason == "robot closed"
         assert summary.duration_s == pytest.approx(6.0, abs=0.1)
-        assert summary.counters.robot_losses == 1
-        assert events(path) == ["start", "robot-lost", "robot-back", "robot-closed", "stop"]
+        assert summary.counters.robot_losses == 0
+        assert events(path) == ["start", "robot-closed", "robot-back", "robot-closed", "stop"]
         assert joints_of(path).restarts == 1
         assert [m.data for m in topics(path)["/robot/console"]] == [END]
 
     def test_a_close_in_order_that_was_the_end(self, lab, path):
         robot = Robot(lab, 2.0, LinkClosed("closed"), link=ComingBack)
-        summary = run(lab, Box(lab), path, None, robot=robot.link, options=RecordOptions(patience_s=5.0))
+        seen = []
+        summary = run(
+            *(lab, Box(lab), path, None),
+            robot=robot.link,
+            options=RecordOptions(patience_s=5.0),
+            hooks=Hooks(progress=lambda status: seen.append((status.robot_ok, status.robot_closed))),
+        )
+        assert set(seen) == {(True, False), (False, True)}
         assert (summary.reason, summary.text) == ("robot closed", "closed; it did not come back within 5 s")
         assert summary.duration_s == pytest.approx(7.0, abs=0.1)
 

@@ -105,6 +105,38 @@ class TestTravel:
         session.state.block(session.t, Data(0, 0, 0, 0, 983_040, b"", counts.tobytes(), 0))
         assert "saturated" in session.row("lvdt").text
 
+    def test_the_rail_is_an_alarm_only_where_a_bar_must_be_on(self):
+        """At a dwell of the plan, but not on the way, while another bar is mounted, or once the plan is complete."""
+        session = Session(plan(("b46", "c1"), ("b61", "c1")))
+        railed = Data(0, 0, 0, 0, 983_040, b"", np.full((1300, 4), 2**23 - 1, "<i4").tobytes(), 0)
+
+        def alarm():
+            session.state.block(session.t, railed)
+            text = session.row("lvdt").text
+            assert ("wire is broken" in text) == session.row("lvdt").alarm
+            assert ("while the bar is detached" in text) != session.row("lvdt").alarm
+            return session.row("lvdt").alarm
+
+        session.run(1.0)  # at pose 0, too short for a dwell so far
+        assert alarm()
+        session.run(2.0)  # the dwell is counted, and the next pose needs another bar
+        assert not alarm()
+        session.state.command("")  # it is mounted; the robot still stands at pose 0
+        session.run(0.3, q_speed=1.0)
+        assert not alarm()  # on the way
+        session.run(0.2, q_speed=1.0)
+        session.run(1.0)
+        assert alarm()  # at pose 1
+        session.run(2.0)
+        assert not alarm()  # the plan is complete
+
+    @pytest.mark.parametrize("mounted", [{}, {"bar": "b46"}])
+    def test_the_rail_without_a_plan(self, mounted):
+        session = Session(mounted=mounted, robot=False)
+        counts = np.full((13, 4), 2**23 - 1, "<i4")
+        session.state.block(session.t, Data(0, 0, 0, 0, 983_040, b"", counts.tobytes(), 0))
+        assert session.row("lvdt").alarm == bool(mounted)
+
     def test_a_stream_that_has_run_dry(self):
         """The converter has died, the box's heartbeats go on."""
         session = Session()
@@ -189,6 +221,29 @@ class TestView:
             "warning: the robot was lost; trying to reach it again",
             "the robot is back",
         ]
+
+    def test_a_robot_that_ends_its_program_is_not_lost(self):
+        view = View(LiveState(SessionProgress(), None, True), Purpose())
+        session, said = Session(), []
+        for ok, closed in ((True, False), (False, True), (True, False), (False, False)):
+            status = dataclasses.replace(session.status(), robot_ok=ok, robot_closed=closed)
+            view.status(status)
+            said += view.take()[0]
+            (row,) = (row for row in view.rows(status) if row.name == "robot")
+            assert row.alarm == (not ok and not closed)
+        assert [text.startswith("warning") for text in said] == [False, False, True]
+        assert "lost" not in said[0]
+
+    def test_a_robot_that_stops_sending_after_the_plan_is_no_warning(self):
+        state = LiveState(SessionProgress(plan(*PAIRS[:1])), None, True)
+        state.session_progress.visit(np.zeros(2))
+        view = View(state, Purpose())
+        session, said = Session(), []
+        for age_s, ok in ((0.1, True), (5.0, True), (6.0, False)):
+            view.status(dataclasses.replace(session.status(robot_age_s=age_s), robot_ok=ok))
+            said += view.take()[0]
+        assert len(said) == 2
+        assert not any(text.startswith("warning") for text in said)
 
     def test_a_box_that_is_refused(self):
         view = View(LiveState(SessionProgress(), None, False), Purpose(ball_bar=True))

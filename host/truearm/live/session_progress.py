@@ -107,6 +107,10 @@ class SessionProgress:
         self.next = rows[0] + 1
         return rows[0]
 
+    def is_pose(self, q: Floats | None) -> bool:
+        """Return whether joints ``q`` are those of a dwell of the plan."""
+        return q is not None and self._row(q) is not None
+
     def _row(self, q: Floats | None) -> int | None:
         if q is None:
             return next((k for k in self._dwells if k >= self.next), None)

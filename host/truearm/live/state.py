@@ -34,6 +34,7 @@ NEAR_END = 0.1  # of the travel, at each end
 POSITION_BLOCKS = 8  # a tenth of a second: the bar may be moving
 BAR_CELLS = 31
 DRY_S = 2.0  # a stream without samples for this long is reported
+SATURATED = "saturated: the bar is detached or a wire is broken"
 CONTRADICTION = "contradiction"  # begins a line about a conflict between plan and operator
 MOUNT_NEXT = (
     "at the next pose, mount"  # begins what to mount next: the arm still stands at the old pose when it is said
@@ -249,7 +250,7 @@ class LiveState:
             return None, ""
         counts = np.concatenate(list(window.blocks)[-POSITION_BLOCKS:])[:, index]
         if railed(counts).any():
-            return None, "saturated: the bar is detached or a wire is broken"
+            return None, SATURATED
         return float(extension(counts, channel).mean()), ""
 
     def _position(self) -> tuple[float | None, float | None, str]:
@@ -257,6 +258,15 @@ class LiveState:
         position, wrong = self._place(LVDT)
         bar = None if self._rig is None else self._rig.bars.get(self.session_progress.mounted.get("bar", ""))
         return position, None if bar is None else 0.5 * bar.travel, wrong
+
+    def _needs_bar(self) -> bool:
+        """Return whether a bar must be on now: at a dwell of the plan, or, if nothing shows dwells, once one is mounted."""
+        session_progress = self.session_progress
+        if not self._with_robot or not session_progress.planned:
+            return bool(session_progress.mounted.get("bar"))
+        if session_progress.complete or session_progress.change() is not None or self._dwells.standing_ns is None:
+            return False
+        return session_progress.is_pose(self._dwells.q)
 
     def _within_travel(self) -> bool:
         position, half, wrong = self._position()
@@ -321,6 +331,8 @@ class LiveState:
     def travel(self, drawn: bool = True) -> ViewLine:
         """Return the position of the LVDT within its travel."""
         position, half, wrong = self._position()
+        if wrong == SATURATED and not self._needs_bar():
+            return ViewLine("lvdt", "saturated, as it is while the bar is detached")
         if position is None:
             return ViewLine("lvdt", wrong or "no calibrated LVDT", bool(wrong))
         text = MM.text(position, "+.4f")
@@ -374,8 +386,12 @@ class LiveState:
     def robot(self, status: Status) -> ViewLine:
         """Return the state of the robot's link, its rate, and the age of its last reading."""
         age = status.robot_age_s
+        if not status.robot_ok and status.robot_closed:
+            return ViewLine("robot", f"closed its stream, last reading {_age(age)}")
         if not status.robot_ok:
-            return ViewLine("robot", f"lost, last reading {_age(age)}; trying to reach it again", True)
+            return ViewLine(
+                "robot", f"lost, last reading {_age(age)}; trying to reach it again", not self.session_progress.complete
+            )
         if status.robot_waits and age is not None and age > LATE_S:
             return ViewLine("robot", f"sends more than can be stored; the reading stored last came {_age(age)}", True)
         times = self._readings
@@ -385,7 +401,7 @@ class LiveState:
             else "no readings yet"
         )
         late = age is None or age > LATE_S
-        return ViewLine("robot", f"{rate}, last {_age(age)}", late)
+        return ViewLine("robot", f"{rate}, last {_age(age)}", late and not self.session_progress.complete)
 
     def progress(self, status: Status) -> ViewLine:
         """Return the number of dwells and lines taken, and whether the robot may move on."""

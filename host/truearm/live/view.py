@@ -136,7 +136,7 @@ class View(Operator):
                 messages.append(*values)
             elif kind == "status":
                 self._status = values[0]
-                messages += self._watch.events(self._status)
+                messages += self._watch.events(self._status, self._state.session_progress.complete)
                 self._state.look()
             elif kind == "exchange":
                 self._exchanges().add(*values)
@@ -189,7 +189,8 @@ class _Watch:
         self._robot_silent = self._robot_floods = self._robot_junk = self._robot_foreign = False
         self._lost = 0
 
-    def events(self, status: Status) -> list[str]:
+    def events(self, status: Status, complete: bool) -> list[str]:
+        """Return what is new. A robot that ends its program, or sends nothing more once the plan is ``complete``, is usual."""
         messages = [
             f"warning: {fault}; its samples are recorded anyway" for fault in status.faults if fault not in self._said
         ]
@@ -203,14 +204,13 @@ class _Watch:
             messages.append("warning: the link to the box was lost for a moment")
         self._link_losses = losses
         if self._robot_ok is not None and status.robot_ok != self._robot_ok:
-            messages.append(
-                "the robot is back" if status.robot_ok else "warning: the robot was lost; trying to reach it again"
-            )
+            messages.append("the robot is back" if status.robot_ok else _robot_words(status, complete))
         self._robot_ok = status.robot_ok
         silent = bool(status.robot_ok) and (status.robot_age_s or 0.0) > SILENCE_S and not status.robot_waits
         if silent != self._robot_silent and status.robot_ok:
+            warning = "" if complete else "warning: "
             messages.append(
-                f"warning: the robot has been silent for {SILENCE_S:g} s" if silent else "the robot sends again"
+                f"{warning}the robot has been silent for {SILENCE_S:g} s" if silent else "the robot sends again"
             )
         self._robot_silent = silent
         if status.counters.robot_held_up and not self._robot_floods:
@@ -231,6 +231,14 @@ class _Watch:
             )
         self._lost = lost
         return messages
+
+
+def _robot_words(status: Status, complete: bool) -> str:
+    if status.robot_closed:
+        return "the robot closed its stream, as a program that ends does"
+    if complete:
+        return "the robot's connection has ended; the plan is complete"
+    return "warning: the robot was lost; trying to reach it again"
 
 
 def _box_words(status: Status) -> str:

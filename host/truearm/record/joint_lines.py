@@ -143,7 +143,7 @@ class RobotIntake:
             return
         else:
             self.lost_ns = now_ns
-            self._counters.robot_losses += 1
+            self._counters.robot_losses += not isinstance(error, LinkClosed)
         self.lost = error
         self._writer.event("robot-closed" if self.closed else "robot-lost", now_ns, text=str(error))
 
@@ -172,8 +172,8 @@ class RobotIntake:
 
     @property
     def closed(self) -> bool:
-        """Whether the robot ended its stream deliberately."""
-        return isinstance(self.end, LinkClosed)
+        """Whether the robot ended its stream deliberately, as a program that ends does, and has not come back."""
+        return isinstance(self.end or (None if self.lost_ns is None else self.lost), LinkClosed)
 
     def take(self, t_host_ns: int, data: bytes) -> None:
         """Store bytes that arrived."""

@@ -456,4 +456,5 @@ class _Recorder:
             None if robot is None else robot.age_s(now_ns),
             tuple(self._writer.losses),
             robot is not None and robot.waiting > 0,
+            robot is not None and robot.closed,
         )

@@ -50,6 +50,7 @@ class Status:
     robot_age_s: float | None = None  # of the last stored reading
     file_losses: tuple[str, ...] = ()  # what happened to the session's file, one sentence each
     robot_waits: bool = False  # readings are waiting to be stored
+    robot_closed: bool = False  # it ended its stream deliberately
 
 
 @dataclass(frozen=True)
