@@ -14,7 +14,7 @@ from truearm.results import Unusable
 
 COMMANDS = {
     "export": ["--format", "dh-hayati", "--out", "robot.toml"],
-    "correct": ["targets.csv", "--own-frames", "--out", "corrected.csv"],
+    "correct": ["targets.csv", "--home", "0,-45,90,0,45,0", "--own-frames", "--out", "corrected.csv"],
     "map": ["--cell", "60", "--out", "map.csv"],
 }
 
