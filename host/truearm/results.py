@@ -78,6 +78,9 @@ class HeldOut:
     n_left_out: int = 0
 
 
+EXACT_FIT = 1e-9  # χ² per degree of freedom, of residuals that are the rounding of computed data
+
+
 @dataclass(frozen=True)
 class NullDirection:
     """A combination of free parameters that the observations cannot determine: names and weights (the largest is 1)."""
@@ -100,6 +103,11 @@ def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Flo
 def largest_terms(weights: Iterable[float], names: Iterable[str]) -> list[tuple[float, str]]:
     """Return the terms of a direction in descending order; those that are equal but for rounding, in their own order."""
     return sorted(zip(weights, names, strict=True), key=lambda term: -round(abs(term[0]), 6))
+
+
+def chi2_text(reduced: float) -> str:
+    """Return χ² per degree of freedom in words: "1.03", or "0 within rounding" for exact data."""
+    return f"{reduced:.3g}" if reduced >= EXACT_FIT else "0 within rounding"
 
 
 class Observability(NamedTuple):

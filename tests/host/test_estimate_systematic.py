@@ -9,11 +9,13 @@ import pytest
 from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, lengths, random_poses, random_table, table
 
 import truearm
+from truearm.cli.identify_text import chi2_notes
 from truearm.errors import InputError
 from truearm.estimate import systematic_candidates
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.information import observe
 from truearm.estimate.measured_order import measured_order
+from truearm.estimate.prediction import predicted_point_error
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.systematic import systematic_errors
 from truearm.estimate.systematic_candidates import in_all_rows
@@ -23,10 +25,12 @@ from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
 from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.systematic_document import systematic_entries
 from truearm.model.chain import point_forward
+from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.report.systematic_words import systematic_sentences
 from truearm.results import Effect
 from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.selection import parse_effect
 
 EVERY_WORLD = 40
@@ -363,6 +367,36 @@ def test_a_drift_needs_what_it_is_linear_in():
     np.testing.assert_allclose(
         worlds.identified(timed, [parse_effect("bar.bar46.zero.drift")]).value, by_order.value, rtol=1e-6, atol=1e-9
     )
+
+
+@pytest.mark.parametrize("what", ["base", "joint2"])
+def test_a_drift_of_base_or_joint_leaves_the_constant_to_the_robot(what):
+    """A second constant, degenerate with the robot's, would add 10 mm and 3° to the uncertainty of every position."""
+    plan, rng = worlds.plan(), np.random.default_rng(3)
+    drift = 0.2e-3 * np.linspace(-0.5, 0.5, len(plan))
+    off = {"base": {"chuck_off": np.outer(-drift, [1.0, 0.0, 0.0])}, "joint2": {"q_off": np.outer(drift, np.eye(6)[1])}}
+    length = worlds.lengths(plan, **off[what])
+    rows = worlds.table(plan, length + worlds.SIGMA * rng.normal(size=len(plan)))
+    e = worlds.identified(rows, [parse_effect(f"{what}.drift")])
+    first = e.n_robot_parameters
+    assert all(name.endswith(".drift") for name in e.parameter_names[first:])
+    assert abs(e.value[first] - 0.2e-3) < 3.0 * e.sigma[first] < 0.3e-3
+    assert predicted_point_error(worlds.CHAIN, worlds.RIG, rows, e).rms < 0.12e-3
+
+
+@pytest.mark.parametrize("mode", ["auto", "curve"])
+def test_laws_are_not_fitted_to_rounding(mode):
+    """Computed lengths with a tiny declared noise, and a chuck allowed to be off: the covariance was not definite."""
+    plan = worlds.plan()
+    bars = {name: replace(bar, sigma=1e-7) for name, bar in worlds.RIG.bars.items()}
+    rows = worlds.table(plan, worlds.lengths(plan))
+    rig = replace(worlds.RIG, bars=bars)
+    robot = builtin_robot("puma560")
+    options = IdentifyOptions(joint_laws=mode, allow=("chuck.c1",))
+    found = identified(robot, rig, rows, Selection(robot.free), options)
+    assert found.estimate.status == "converged"
+    assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
+    assert chi2_notes(found.document)[0].startswith("χ² per degree of freedom 0 within rounding, below its 95 % range")
 
 
 def test_a_drift_is_a_drift_and_not_a_step():

@@ -38,7 +38,7 @@ from truearm.report.result_words import (
 from truearm.report.suspect_words import bad_row_sentences
 from truearm.report.systematic_words import hardly_matters, systematic_sentences
 from truearm.report.usability_words import few_freedom, freedom_words, usability_sentences, wrong_first
-from truearm.results import MeanError, PoseError, ResidualParts, Unusable, largest_terms
+from truearm.results import MeanError, PoseError, ResidualParts, Unusable, chi2_text, largest_terms
 from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, one_line, outcome
 from truearm.units import MM, SUFFIXES, UNITS, from_shown, size, title
@@ -402,7 +402,7 @@ def chi2_notes(document: Document) -> list[str]:
         weighted = "" if document["loss"] == Loss.LINEAR else f" (rows weighted by the {document['loss']} loss)"
         less = ": the rows scatter less than their declared noise" if chi2 < low else ""
         lines.append(
-            f"χ² per degree of freedom {chi2:.3g}{weighted}, {where} its 95 % range of {low:.3g} to {high:.3g}{less}."
+            f"χ² per degree of freedom {chi2_text(chi2)}{weighted}, {where} its 95 % range of {low:.3g} to {high:.3g}{less}."
         )
     parts = {}
     for unit in (SUFFIXES[suffix] for suffix in document["residual_units"]):

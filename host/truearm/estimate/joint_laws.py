@@ -42,7 +42,18 @@ from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
-from truearm.results import Effect, Estimate, HeldOut, JointLaws, LawStep, MeanError, PoseError, TriedLaw, weights_of
+from truearm.results import (
+    EXACT_FIT,
+    Effect,
+    Estimate,
+    HeldOut,
+    JointLaws,
+    LawStep,
+    MeanError,
+    PoseError,
+    TriedLaw,
+    weights_of,
+)
 from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals, Rigs, thinned
 from truearm.units import UNITS
 
@@ -140,6 +151,8 @@ def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
     others, and laws would follow their noise.
     """
     low, high = estimate.chi2_band
+    if estimate.chi2_reduced < EXACT_FIT:
+        return True
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
     too_large = estimate.chi2_reduced < low and of_one
     explained = (estimate.chi2_reduced <= high and not too_large) or estimate.without_bad_rows is not None
@@ -156,6 +169,8 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
+    if estimate.chi2_reduced < EXACT_FIT:
+        return "the geometry leaves only the rounding of the numbers"
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""

@@ -86,17 +86,19 @@ def modelled_effects(causes: Sequence[Cause], effects: Sequence[Effect], rows: C
     """
     out = []
     for effect in effects:
-        known = [cause for cause in causes if cause.name == effect.what]
-        if not known:
+        cause = next((cause for cause in causes if cause.name == effect.what), None)
+        if cause is None:
             names = ", ".join(cause.name for cause in causes)
             raise InputError(
                 Argument("allow"),
                 f" {effect}: no systematic error of {effect.what!r} can be estimated here; name one of {names}",
             )
-        # The moment at which a drifting item was correct is unknown, so it also has an offset.
-        offset = (Effect(effect.what),) if effect.drifts_with and effect.drifts_with.has_offset else ()
+        # The moment at which a drifting item was correct is unknown, so it also has an offset. That of base, tool or
+        # joint is a parameter of the robot already.
+        drifts = effect.drifts_with is not None and effect.drifts_with.has_offset
+        offset = (Effect(effect.what),) if drifts and cause.fault.constant else ()
         for part in (effect, *offset):
-            out += [Modelled(part, number, profile(part, rows)) for number in known[0].numbers]
+            out += [Modelled(part, number, profile(part, rows)) for number in cause.numbers]
     return out
 
 

@@ -17,7 +17,7 @@ from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.result_words import OBSERVABILITY, gain_words, kind_name, residual_words
-from truearm.results import Addition, Estimate, Figures, PredictedError
+from truearm.results import EXACT_FIT, Addition, Estimate, Figures, PredictedError, chi2_text
 from truearm.text import counted
 from truearm.types import ObservationTable
 from truearm.units import shown, symbol, title, tolerances
@@ -56,7 +56,8 @@ def chi2_words(e: Estimate) -> str:
     low, high = e.chi2_band
     if not math.isfinite(e.chi2_reduced):
         return ""
-    text = f"χ² per degree of freedom is {figures(e.chi2_reduced)}"
+    reduced = figures(e.chi2_reduced) if e.chi2_reduced >= EXACT_FIT else chi2_text(e.chi2_reduced)
+    text = f"χ² per degree of freedom is {reduced}"
     if not math.isfinite(low + high):
         return text + "."
     text += f"; if the declared σ and the model are right, it is between {figures(low)} and {figures(high)} (95 %). "

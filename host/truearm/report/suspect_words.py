@@ -7,6 +7,7 @@ from typing import Any
 
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import Loss
+from truearm.results import chi2_text
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, size
 
@@ -24,7 +25,7 @@ def bad_row_sentences(document: Mapping[str, Any], argument: Callable[[str], str
     n, fitted = others["n"], document["n_observations"]
     return [
         f"{n} of {counted(fitted, 'row')} are bad: they disagree significantly with all others, which the declared noise "
-        f"explains (without the bad rows: RMS {_rms(document, others)}, χ² per degree of freedom {others['chi2_reduced']:.3g}).",
+        f"explains (without the bad rows: RMS {_rms(document, others)}, χ² per degree of freedom {chi2_text(others['chi2_reduced'])}).",
         f"Bad rows: {named_rows(document['suspect'])}.",
         f"They are more than {MOST:.0%} of the rows, so they are still in the fit, and everything below is for all rows. "
         f"Find their cause, then leave them out, or give {argument('loss')} {Loss.CAUCHY}.",

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, assert_never
 
-from truearm.results import DriftWith, ErrorForm
+from truearm.results import DriftWith, ErrorForm, chi2_text
 from truearm.text import counted, one_line
 from truearm.units import DEGC, MM, UNITS
 
@@ -35,9 +35,9 @@ def systematic_sentences(document: Mapping[str, Any], argument: Callable[[str], 
     chi2, moves = would_be["chi2_reduced"], would_be["tool_moves_mm"]
     them = "it" if len(found) == 1 else "all of them"
     if argument is None:
-        would = "" if chi2 is None else f" Without {them}, χ² per degree of freedom would be {chi2:.3g}."
+        would = "" if chi2 is None else f" Without {them}, χ² per degree of freedom would be {chi2_text(chi2)}."
         return [*lines, f"Correct the error at its source, or judge the result by rows without it.{would}"]
-    after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2:.3g}"
+    after = "" if chi2 is None else f" χ² per degree of freedom is then {chi2_text(chi2)}"
     moved = "" if moves is None else f", and the tool moves by {MM.text(MM.to_si(moves), '.3f')} RMS"
     held = (
         ""

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from truearm.report.result_words import FAR_OFF, SIMULATED, copy_sentences
 from truearm.report.systematic_words import systematic_sentences
+from truearm.results import chi2_text
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
 
@@ -121,7 +122,7 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append('"Without" is the nominal robot, with base and tool as described.')
     if document["chi2_reduced"] is not None:
         lines.append(
-            f"χ² per degree of freedom {document['chi2_reduced']:.3g}; declared noise alone leaves it below {document['chi2_limit']:.3g} (99 %)."
+            f"χ² per degree of freedom {chi2_text(document['chi2_reduced'])}; declared noise alone leaves it below {document['chi2_limit']:.3g} (99 %)."
         )
     lines += systematic_sentences(document)
     if document["settled"]:
