@@ -7,7 +7,7 @@
 import { extractEndpointNumbers, setup } from './emulator.mjs';
 
 const PACKET = 64;
-const PACKET_NS = 53_000; // 19 packets of 64 bytes a frame of 1 ms: what full-speed bulk transfers reach at best
+const PACKET_NS = 53_000; // 19 packets of 64 bytes a frame of 1 ms: what full-speed bulk transfers reach at best (latency.py knows it)
 const FRAME_NS = 1_000_000;
 const AVAILABLE = 1 << 10;
 const FULL = 1 << 15;

@@ -19,6 +19,7 @@ from typing import Any
 from . import node
 from .box import COMMAND, LATER_US, POWER, RX_MAX, WATCHDOG, Answer, BoxDied, end_process
 from .hardware import BAD_CRC, CONVERTER_RESET, CRASH, STALL, Boot, Edge
+from .latency import USB_PACKET_NS
 
 SCRIPT = node.SOURCES / "box.mjs"
 STORE = "flash.bin"
@@ -42,7 +43,9 @@ QUERY = struct.Struct("<BHQQQ")
 CLOSED, STALLED = 1, 2  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # free space reported by a link that is never full; USB then accepts everything
-ANSWERS_WITHIN_US = 3000  # most requests: whoever grants time then receives the answer without delay
+# After a request whoever grants time looks often for its answer, which comes at the end of a grant.
+LOOK_US = 100
+ANSWERED_US = 10_000  # a clock request has its answer by then
 SETTLING = 6  # conversions after a start that the driver discards (firmware/drivers/ads131m04.py)
 _FAULTS: dict[int, dict[str, Any]] = {
     CRASH: {"pico": "crash"},
@@ -84,6 +87,7 @@ class ChipBox:
     """A running box (``Hardware``). ``host_gone`` closes the host's port until it is set to False."""
 
     boot_ns = 0
+    link_ns = USB_PACKET_NS
 
     def __init__(self, boot: Boot, *, image: Path | None = None, start_us: int = 0) -> None:
         """``start_us``: hardware timer value at power-on, for tests of its wrap-around; device times count from there.
@@ -106,6 +110,7 @@ class ChipBox:
         self.host_gone = False
         self._told: tuple[tuple[bytes, int], ...] = ()
         self._output = False
+        self._answered_us = 0  # when the latest request has its answer
         self._first_ns: list[int | None] = [None, None]
         self._stderr = tempfile.TemporaryFile()
         self._process = subprocess.Popen(
@@ -138,7 +143,9 @@ class ChipBox:
             self._answer_query()
         if kind != b"D":
             raise BoxDied(f"the chip emulator wrote {kind!r}")
-        yield self._answer(ANSWERS_WITHIN_US if rx else LATER_US)
+        if rx:
+            self._answered_us = device_us + ANSWERED_US
+        yield self._answer(LOOK_US if device_us < self._answered_us else LATER_US)
 
     def control(self, message: dict[str, Any]) -> None:
         """Send a message to the emulator or one of its parts (box.mjs), mostly to cause faults."""
@@ -182,7 +189,15 @@ class ChipBox:
         end = "boot loader" if flags & BOOT_LOADER else _ENDS[cause] if flags & (RESET | POWER_CUT) else ""
         first_ns = (self._first_ns[0], self._first_ns[1])
         return Answer(
-            tx, bool(flags & SAMPLING), 0, end, RX_MAX, output=self._output, first_ns=first_ns, toggles=toggles
+            tx,
+            bool(flags & SAMPLING),
+            0,
+            end,
+            RX_MAX,
+            output=self._output,
+            first_ns=first_ns,
+            wake_us=wake_us,
+            toggles=toggles,
         )
 
     def _write(self, data: bytes) -> None:

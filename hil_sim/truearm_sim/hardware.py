@@ -75,9 +75,13 @@ class Boot:
 
 
 class Hardware(Protocol):
-    """A box from one boot to its end. ``boot_ns``: duration of a reset before it, if booting itself takes no time."""
+    """A box from one boot to its end. ``boot_ns``: duration of a reset before it, if booting itself takes no time.
+
+    ``link_ns``: time that its link takes each way within a grant.
+    """
 
     boot_ns: int
+    link_ns: int
 
     def advance(
         self, device_us: int, rx: bytes, edges: Sequence[Edge], tx_room: int, flags: int, temperature_mdegc: int

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 
 from truearm.errors import LinkClosed, LinkError
 
+from .latency import FROM_BOX, FROM_ROBOT, TO_BOX
 from .simbox import SimulatedBox
 from .world import World
 
@@ -23,28 +23,6 @@ STEP_NS = 200_000_000  # the box runs at least this often, and whenever it reque
 ROBOT_AHEAD_NS = 1_000_000_000  # the robot's lines are computed one second at a time
 HOST_AT_START_NS = 12_345_678_901_234
 UTC_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z: the virtual lab's calendar
-
-
-@dataclass(frozen=True)
-class Latency:
-    """The latency of a link in one direction: at least ``least``, plus an exponential part, sometimes a stall; in ns."""
-
-    least: float
-    mean_extra: float
-    stall: float = 0.0
-    stall_probability: float = 0.0
-
-    def draw(self, rng: np.random.Generator) -> int:
-        extra = self.mean_extra * rng.standard_exponential()
-        if self.stall_probability and rng.random() < self.stall_probability:
-            extra += self.stall * rng.standard_exponential()
-        return int(self.least + extra)
-
-
-# full-speed USB with frames of 1 ms, of which the controller wastes little on bulk transfers; and a quiet local network
-TO_BOX = Latency(125e3, 80e3, 5e6, 0.01)
-FROM_BOX = Latency(150e3, 120e3, 8e6, 0.01)
-FROM_ROBOT = Latency(300e3, 200e3, 20e6, 0.005)
 
 
 class Lab:
@@ -91,7 +69,7 @@ class Lab:
 
     def write(self, data: bytes) -> int:
         """Send bytes from the host to the box; they arrive in order."""
-        at = self._in_order("to box", self.now_ns + TO_BOX.draw(self._rng))
+        at = self._in_order("to box", self.now_ns + TO_BOX.draw(self._rng) - self.box.link_ns)
         self._order += 1
         heapq.heappush(self._to_box, (at, self._order, data))
         return self.host_ns(self.now_ns)
@@ -118,7 +96,7 @@ class Lab:
         wanted = self.box.wake_ns is not None and t_ns >= self.box.wake_ns
         if rx or wanted or t_ns >= self._next_step_ns:
             for tx in self.box.advance(t_ns, rx):
-                at = self._in_order("box", t_ns + FROM_BOX.draw(self._rng))
+                at = self._in_order("box", t_ns + FROM_BOX.draw(self._rng) - self.box.link_ns)
                 self._arrivals["box"].append((at, t_ns, tx))
             if self.world.robot_input is not None:
                 self._forget_readings()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import socket
 from dataclasses import dataclass, field
 
@@ -56,6 +57,10 @@ class Port:
         if not data:
             self.drop()
         return data
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until there is something to receive, at most for ``timeout_s``."""
+        select.select([self.listener if self.client is None else self.client], [], [], timeout_s)
 
     def send(self, data: bytes) -> None:
         self.pending += data
@@ -111,6 +116,10 @@ class Terminal:
             return os.read(self._master, RX_BYTES)
         except BlockingIOError:
             return b""
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until there is something to receive, at most for ``timeout_s``."""
+        select.select([self._master], [], [], timeout_s)
 
     def send(self, data: bytes) -> None:
         self.pending += data

@@ -113,6 +113,11 @@ class SimulatedBox:
         """The folder that is its file system."""
         return Path(self._flash.name)
 
+    @property
+    def link_ns(self) -> int:
+        """Time that its link takes each way within a step."""
+        return 0 if self._hardware is None else self._hardware.link_ns
+
     def device_us(self, t_ns: int) -> int:
         """Return the time on the box's hardware timer [µs since its boot] at true time ``t_ns``."""
         return self._device_ns(t_ns) // 1000

@@ -48,6 +48,7 @@ class VmBox:
     """A running box (``Hardware``). ``interpreter`` None: CPython instead of MicroPython."""
 
     boot_ns = 1_500_000_000
+    link_ns = 0
 
     def __init__(self, interpreter: Interpreter | None, boot: Boot) -> None:
         self._process = BoxProcess(interpreter, boot.setup, boot.boot_id, boot.cause, flash=boot.flash)

@@ -8,6 +8,8 @@ import pytest
 from tests.end_to_end.levels import LEVELS, MAG_PERIOD_NS, lab_of, record_lab, samples
 
 from truearm.session.box_ident import find_channel
+from truearm.session.observations import survey
+from truearm.session.session_file import open_session
 from truearm_sim import sensors
 from truearm_sim.hardware import Edge
 from truearm_sim.simbox import Fault
@@ -71,6 +73,16 @@ def test_every_shot_is_the_worlds_rounded_to_a_tick(session):
     assert flagged == [bool((np.frombuffer(b.samples, "<i4") == 0).any()) for b in blocks]
     counted = session.counters()["missing_stops"]
     assert counted <= missing <= counted + 20, "what came after the last heartbeat is not in it"
+
+
+def test_the_levels_agree_on_the_bound_of_the_clock(recorded, seconds):
+    """Within a factor of two: all assume the same link and host (latency.py). A session of the demo has about that of the VM."""
+    bounds_us = {}
+    for level in LEVELS:
+        (report,) = survey(open_session(recorded(level, seconds).path).batches).clock_reports
+        bounds_us[level] = report.bound_ns / 1000
+    assert max(bounds_us.values()) < 2 * min(bounds_us.values()), bounds_us
+    assert 100 < min(bounds_us.values()) < 400, bounds_us
 
 
 @pytest.mark.parametrize("stream", [0, 1])

@@ -13,7 +13,7 @@ from truearm.workflows.session_observations import attached_rig, observations_of
 from truearm_sim.line_plan import drawn_line_plan, line_rig
 
 DELAY_S = 8e-3
-LATENCY_S = 0.3e-3  # lab.FROM_ROBOT's least: it cannot be told from the delay
+LATENCY_S = 0.3e-3  # latency.FROM_ROBOT's least: it cannot be told from the delay
 
 
 @pytest.mark.soak

@@ -19,7 +19,8 @@ from truearm.record.session_writer import SessionWriter
 from truearm.types import ObservationTable
 from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
-from truearm_sim.lab import FROM_ROBOT, Lab
+from truearm_sim.lab import Lab
+from truearm_sim.latency import FROM_ROBOT
 from truearm_sim.line_device import Flaws, drive_errors
 from truearm_sim.line_plan import TARGETS, drawn_line_plan, line_rig
 from truearm_sim.simbox import SimulatedBox

@@ -4,6 +4,7 @@ import json
 import socket
 import struct
 import threading
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -76,6 +77,12 @@ class Cable:
 
     def receive(self):
         return b"" if self._terminal is None else self._terminal.receive()
+
+    def wait(self, timeout_s):
+        if self._terminal is None:
+            time.sleep(timeout_s)
+        else:
+            self._terminal.wait(timeout_s)
 
     def send(self, data):
         if self._terminal is not None:

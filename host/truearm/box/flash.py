@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _ASK_AGAIN_S = 0.5
 _SHORT = 4  # attempts of half a second, repeated
 
-# bounds of the clock's error while the box streams, on the emulated chip (tests/chip/test_exchanges.py)
+# bounds of the clock's error while the box streams, on the emulated chip and a host without latency (tests/chip/test_exchanges.py)
 STOCK_BOUND_US = 1200
 IMAGE_BOUND_US = 100
 
@@ -169,8 +169,8 @@ def _copy_files(device: str, stop: bool) -> Iterator[str]:
     copy_firmware(device, firmware, wire, mpremote, compiler)
     yield f"{device}: the firmware's files are copied; the box restarts"
     yield (
-        f"clock: with stock MicroPython, the error bound of the box's clock is up to {STOCK_BOUND_US} µs; with the image it is "
-        f"{IMAGE_BOUND_US} µs, because the image stamps requests in the USB interrupt"
+        f"clock: besides the host's latency, the error bound of the box's clock is up to {STOCK_BOUND_US} µs with stock MicroPython, and "
+        f"{IMAGE_BOUND_US} µs with the image, which stamps requests in the USB interrupt"
     )
 
 

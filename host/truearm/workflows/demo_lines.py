@@ -148,7 +148,7 @@ def write_page(
 
 def delay_words(estimate: Estimate) -> str:
     """Describe τ and its standard deviation, next to the truth, which includes the shortest network delay."""
-    from truearm_sim.lab import FROM_ROBOT
+    from truearm_sim.latency import FROM_ROBOT
 
     k = estimate.parameter_names.index("time_offset")
     truth = ROBOT_DELAY_S + NS.to_si(FROM_ROBOT.least)
