@@ -89,6 +89,11 @@ class NullDirection:
     weights: tuple[float, ...]
 
 
+# m, rad by which a null direction, of the largest weight 1, may move a point that it leaves at rest. Complete directions move
+# it by 1e-10 at most, stored ones, which lack up to a hundred parts of 1e-6, by up to this.
+MOVES = 1e-4
+
+
 def weights_of(directions: Sequence[NullDirection], names: Sequence[str]) -> Floats:
     """Return the weights (k, d) of k parameters in d directions; 0 for those that a direction does not contain."""
     at = {name: i for i, name in enumerate(names)}

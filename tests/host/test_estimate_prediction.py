@@ -11,12 +11,19 @@ from puma_bench import CHAIN, CHUCKS, FREE, RIG, SIGMA, SPHERES, TRUTH, random_t
 from truearm.estimate import prediction
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
-from truearm.estimate.prediction import MOST_POSES, point_covariance, predicted_point_error
+from truearm.estimate.prediction import (
+    MOST_POSES,
+    ParametersKnown,
+    end_sigmas,
+    point_covariance,
+    predicted_point_error,
+)
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
+from truearm.results import weights_of
 from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
@@ -82,6 +89,13 @@ def test_six_constants_a_joint_do_not_move_the_tool(seed):
     predicted = [predicted_point_error(chain, rig, table, each) for each in (estimate, few)]
     assert not predicted[0].relative
     assert predicted[0].rms == pytest.approx(predicted[1].rms, rel=1e-3)
+    stored = weights_of(estimate.null_space, chain.parameter_names)
+    known = ParametersKnown(
+        chain, estimate.value[: truth.size], estimate.covariance[: truth.size, : truth.size], stored
+    )
+    sigmas = end_sigmas(known, q, np.tile(spheres["s1"], (n, 1)))
+    assert sigmas is not None
+    assert not sigmas.relative
 
 
 def test_about_one_chuck_the_arm_may_turn_as_one_body(bars):

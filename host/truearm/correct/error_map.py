@@ -24,13 +24,13 @@ from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
+from truearm.results import MOVES
 from truearm.types import Floats, rms
 
 SAMPLES = 100  # of each of the two joints: initial cells
 MOST_CELLS = 250_000
 NEWTON_STEPS = 6  # from a neighbour one cell away they square the error, 25 mm, down to rounding
 LARGEST_STEP = 0.3  # rad
-MOVES = 1e-6  # m by a null direction with a largest weight of 1
 ROUNDING = 1e-9  # m, at the edge of a cell
 STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distinguishable
 

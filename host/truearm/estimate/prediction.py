@@ -29,13 +29,12 @@ from numpy.typing import NDArray
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
-from truearm.results import Effect, Estimate, PredictedError, SystematicErrors
+from truearm.results import MOVES, Effect, Estimate, PredictedError, SystematicErrors
 from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
 from truearm.units import UNITS
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
 FIRST_ORDER = 0.2  # of the farthest point's distance from the base: a tenth of the result is then neglected
-MOVES = 1e-6  # m, rad by a direction whose largest weight is 1; complete ones move by 1e-10 at most
 
 
 class PointCovariance(NamedTuple):

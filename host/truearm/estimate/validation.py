@@ -35,7 +35,6 @@ from truearm.estimate.fit import fit
 from truearm.estimate.information import RANK_TOLERANCE, fold, half, observe, seen, spectrum, with_prior
 from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.measured_order import measured_order
-from truearm.estimate.prediction import MOVES
 from truearm.estimate.problem import Problem, build_problem, settled, without_knowledge
 from truearm.estimate.solution import Options
 from truearm.estimate.systematic import systematic_errors
@@ -45,11 +44,12 @@ from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
 from truearm.model.chain import Chain
-from truearm.results import Effect, SystematicErrors
+from truearm.results import MOVES, Effect, SystematicErrors
 from truearm.types import Floats, ObservationTable, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # probability that a consistent session is reported as consistent
+FELT = 1e-6  # of the effect of a single parameter
 LEAST_FREEDOM = 1e-6  # share of a row's residuals that must remain for validation; rounding leaves 1e-12
 
 
@@ -206,13 +206,13 @@ def consistency(
 def _felt(root: Floats, unseen: Floats, rig: Floats) -> Floats:
     """Return combinations (d, e) of ``unseen`` directions (k, d) that move the rows unlike the rig's unknowns (k, s) can.
 
-    They do so by more than MOVES times the effect of a single parameter, in the information's ``root`` (k, k).
+    They do so by more than FELT times the effect of a single parameter, in the information's ``root`` (k, k).
     """
     basis, weight, _ = np.linalg.svd(root @ rig, full_matrices=False)
     basis = basis[:, weight > RANK_TOLERANCE * weight.max(initial=0.0)]
     moves = root @ unseen
     _, size, vt = np.linalg.svd(moves - basis @ (basis.T @ moves), full_matrices=False)
-    return np.asarray(vt[size > MOVES * np.linalg.norm(root, axis=0).max(initial=0.0)].T)
+    return np.asarray(vt[size > FELT * np.linalg.norm(root, axis=0).max(initial=0.0)].T)
 
 
 def _taken(jac: Floats, prior_sigma: Floats) -> Floats:

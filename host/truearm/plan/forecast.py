@@ -20,7 +20,7 @@ from truearm.errors import PlanError
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identifiability import hardly_seen, identifiability
 from truearm.estimate.information import covariance, of_rows, seen, spectrum, with_prior
-from truearm.estimate.prediction import MOVES, body_motion
+from truearm.estimate.prediction import body_motion
 from truearm.estimate.prior import prior_named, robot_prior, weak_prior, wide_prior
 from truearm.estimate.problem import Problem, build_problem, settled
 from truearm.estimate.solvers import Prior
@@ -31,7 +31,7 @@ from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
-from truearm.results import Defaults, NullDirection
+from truearm.results import MOVES, Defaults, NullDirection
 from truearm.types import Floats, ObservationTable, Plan, Rig, rms
 from truearm.units import UNITS
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from truearm.estimate.frame_choice import mounting
 from truearm.model.chain import point_jacobians
-from truearm.results import NullDirection, largest_terms, weights_of
+from truearm.results import MOVES, NullDirection, largest_terms, weights_of
 from truearm.text import listed, one_line
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration
 
-MOVES = 1e-6  # m of motion by an unseen direction with a largest weight of 1
 SHOWN, TERMS = 3, 3  # combinations, and parameters of each
 NAMES = 8  # of held parameters
 SMALLEST = 0.005  # weight in a combination that is shown
