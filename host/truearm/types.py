@@ -307,7 +307,7 @@ class ObservationTable:
       the rig that a row belongs to.
     - ``source``: where a row comes from, for messages ("poses.csv row 17"; by default "table[16]").
     - ``more``: columns that only other kinds have, (n,) or (n, c), by the name that the kind declares.
-    - ``simulated``: whether any row was recorded with a simulated box.
+      "simulated" is "yes" in rows that were recorded with a simulated box.
 
     Columns that are not given are filled with NaN or "". Raises TypeError or InputError for a column of the wrong type
     or shape. ``select(rows)`` returns the rows of a mask or of indices, ``joined(tables)`` one table of several.
@@ -344,7 +344,6 @@ class ObservationTable:
     plane: Strings = field(default_factory=_absent)  # (n,)
     rig: Strings = field(default_factory=_absent)  # (n,)
     more: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-    simulated: bool = False
 
     def __post_init__(self) -> None:
         for name in ("q", "kind"):
@@ -369,7 +368,6 @@ class ObservationTable:
             if getattr(self, name).shape != shape:
                 raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
         converted("more", self.more, Mapping[str, Any])
-        converted("simulated", self.simulated, bool)
         more = {name: as_column(name, column) for name, column in self.more.items()}
         for name, column in more.items():
             if column.shape[:1] != (n,):
@@ -379,10 +377,15 @@ class ObservationTable:
     def __len__(self) -> int:
         return int(self.q.shape[0])
 
+    @property
+    def simulated(self) -> bool:
+        """Whether any row was recorded with a simulated box."""
+        return bool(np.any(self.column("simulated") != ""))
+
     @classmethod
     def fields(cls) -> tuple[str, ...]:
         """Return the columns that every table has."""
-        return tuple(column.name for column in fields(cls) if column.name not in ("more", "simulated"))
+        return tuple(column.name for column in fields(cls) if column.name != "more")
 
     def column(self, name: str, absent: float | str = "") -> NDArray[Any]:
         """Return a column, including those in ``more``; filled with ``absent`` if the table does not have it."""
@@ -408,8 +411,7 @@ class ObservationTable:
         if np.array_equal(index, every):
             return self
         columns: dict[str, Any] = {name: getattr(self, name)[index] for name in self.fields()}
-        more = {name: column[index] for name, column in self.more.items()}
-        return ObservationTable(**columns, more=more, simulated=self.simulated)
+        return ObservationTable(**columns, more={name: column[index] for name, column in self.more.items()})
 
     @classmethod
     def joined(cls, tables: Sequence[ObservationTable]) -> ObservationTable:
@@ -427,7 +429,7 @@ class ObservationTable:
             name: np.concatenate([_like(column, table.more.get(name), len(table)) for table in tables])
             for name, column in {name: column for table in tables for name, column in table.more.items()}.items()
         }
-        return cls(**columns, more=more, simulated=any(table.simulated for table in tables))
+        return cls(**columns, more=more)
 
 
 def as_column(name: str, given: Any, text: bool | None = None) -> NDArray[Any]:

@@ -21,7 +21,7 @@ from truearm.files.observation_table import parse_table
 from truearm.files.result_document import document_of
 from truearm.files.result_file import RobotFrames, format_document, input_of, with_checksum, write_result
 from truearm.files.stored_result import read_result, stored_result
-from truearm.kinds.registry import identifiers
+from truearm.kinds.registry import ORIGINS, identifiers
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, Relabelling
 
 ROBOT = RobotFrames("arm", "base", "tip", ("rad",))
@@ -130,7 +130,7 @@ def test_rows_are_counted_by_kind(estimate: Estimate) -> None:
     )
     (counts,) = document_of(estimate, TABLE, ROBOT, [])["observations"]
     found = {key: counts.pop(key) for key in list(counts) if key.startswith("rms_")}
-    names = {f"{column}s": 0 for column in identifiers() if column != "rig"} | {"places": 1, "sockets": 1}
+    names = {f"{column}s": 0 for column in identifiers() if column not in ORIGINS} | {"places": 1, "sockets": 1}
     assert counts == {"rig": "", "kind": "seat", "fitted": 2, "held_out": 1, **names}
     assert found == {
         "rms_before_mm": 1000.0,  # of the rows that have a residual

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from truearm.files.observation_table import read_table
 from truearm.session.session_file import open_session
 from truearm.types import ObservationTable
 from truearm.workflows.export_session import ExportSession, export_session_files
@@ -54,13 +55,16 @@ class TestOldSessions:
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_they_are_known_as_simulated(name):
-    """By the uid of the simulated box, and also in a selection and beside rows without a mark."""
-    table = observations_of_session(SESSIONS / f"{name}.mcap").table
-    assert table.simulated
-    unmarked = replace(table, simulated=False)
-    assert ObservationTable.joined([unmarked, table.select(slice(0, 1))]).simulated
-    assert not unmarked.select(slice(0, 1)).simulated
+def test_they_are_known_as_simulated(name, tmp_path):
+    """By the uid of the simulated box: also in a selection, beside rows without a mark, and as an exported table."""
+    export_session_files(ExportSession(SESSIONS / f"{name}.mcap", tmp_path / "tables"))
+    exported = read_table(tmp_path / "tables" / "observations.csv")
+    for table in (observations_of_session(SESSIONS / f"{name}.mcap").table, exported):
+        assert table.simulated
+        first = table.select(slice(0, 1))
+        unmarked = replace(first, more={})
+        assert not unmarked.simulated
+        assert ObservationTable.joined([unmarked, first]).simulated
 
 
 def test_events_of_the_operator():

@@ -25,7 +25,8 @@ NAMES = (  # in the order of their unknowns in a parameter vector
     "plane",
 )
 GROUPS = ("place", "shell")  # identifiers of groups that a row of any kind may belong to
-ANYWHERE = (*GROUPS, "rig")  # identifiers that a row of any kind may have
+ORIGINS = ("rig", "simulated")  # identifiers of where a row comes from: its session, and whether a box was simulated
+ANYWHERE = (*GROUPS, *ORIGINS)  # identifiers that a row of any kind may have
 T = TypeVar("T")
 
 

@@ -237,9 +237,9 @@ def observations(
     at = (1e9 * table.time).astype(np.int64)
     read = {name: found.thermometers[name].between(at) for name in THERMOMETERS if name in found.thermometers}
     more = {**table.more, **{THERMOMETERS[name]: degc for name, degc in read.items()}}
-    table = replace(
-        table, temperature=found.temperature.at(at), more=more, simulated=ident is not None and ident.simulated
-    )
+    if any(box.simulated for box in found.idents.values()):
+        more["simulated"] = np.full(len(table), "yes")
+    table = replace(table, temperature=found.temperature.at(at), more=more)
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
