@@ -84,6 +84,7 @@ def map_(
     """
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
+    from truearm.report.result_words import SIMULATED
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
@@ -97,9 +98,14 @@ def map_(
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
     found = map_files(calibration, files, section, wanted)
     written = [str(path) for path in (out, picture) if path is not None]
+    origin = [SIMULATED] if calibration.simulated else []
     print_result(
-        {**document(found, section.cell), "written": written},
-        [*lines(found, section.cell, task, within is not None), *(f"Written: {one_line(path)}" for path in written)],
+        {"simulated": calibration.simulated, **document(found, section.cell), "written": written},
+        [
+            *origin,
+            *lines(found, section.cell, task, within is not None),
+            *(f"Written: {one_line(path)}" for path in written),
+        ],
         as_json,
     )
 

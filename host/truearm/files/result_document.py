@@ -175,7 +175,11 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
         if estimate.left_out.size:
             held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        entry |= {f"{what}s": _distinct(table, what, fitted) for what in registry.identifiers() if what not in registry.ORIGINS}
+        entry |= {
+            f"{what}s": _distinct(table, what, fitted)
+            for what in registry.identifiers()
+            if what not in registry.ORIGINS
+        }
         entry |= _by_unit("rms_before", _rms(estimate.residual_before, fitted), units)
         entry |= _by_unit("rms_after", _rms(estimate.residual, fitted), units)
         entry |= _by_unit("rms_held_out", _rms(estimate.residual, held_out), units)

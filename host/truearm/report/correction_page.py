@@ -32,7 +32,7 @@ class CorrectionPage:
     rad] the sizes of the shifts. ``before`` (n,) [m] is the error of ``error_point`` without correction, ``expected`` (n, 2) [m, rad] the
     expanded uncertainty with it, NaN where unknown. ``limits`` are the margins to joint limits in words,
     ``singular_value`` is (n,). ``moves`` are rows of cells for straight moves: from, to, deviation, margins, and a
-    remark. ``refused`` has line, statement, reason.
+    remark. ``refused`` has line, statement, reason. ``simulated``: a watermark says that the calibration is.
     """
 
     title: str
@@ -51,6 +51,7 @@ class CorrectionPage:
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     facts: tuple[tuple[str, str], ...]
+    simulated: bool
 
 
 def render(page: CorrectionPage) -> str:
@@ -65,7 +66,8 @@ def render(page: CorrectionPage) -> str:
         section("Straight moves", _rows(_MOVES, page.moves, "straight moves")) if page.moves else "",
         section("How it was made", fact_list(page.facts)),
     ]
-    return html_page("truearm correct", page.title, page.subtitle, sections)
+    watermark = "simulated" * page.simulated
+    return html_page("truearm correct", page.title, page.subtitle, sections, watermark=watermark)
 
 
 _MOVES = ("to", "from", "deviation [mm]", "nearest joint limit", "singular value", "")

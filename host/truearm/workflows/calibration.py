@@ -98,6 +98,11 @@ class Calibration:
         return "\n".join([head, *(line.rstrip() for line in table)])
 
     @property
+    def simulated(self) -> bool:
+        """Whether any session that it was identified from is of a simulated box."""
+        return bool(self.document.get("simulated"))
+
+    @property
     def parameters(self) -> Mapping[str, ParameterEstimate]:
         """All parameters by name, the robot's first, then the rig's."""
         stored = self.stored

@@ -136,7 +136,7 @@ def _number(entry: Any, name: str) -> float:
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
     """Return what the operator must know before the program is run."""
     before, after = (rms(error[:, 0]) for error in (targets.correction.before, targets.correction.after))
-    said = [SIMULATED] if calibration.document.get("simulated") else []
+    said = [SIMULATED] if calibration.simulated else []
     if after > before:
         said.append(
             f"The corrected targets are farther off than the uncorrected ones, {MM.text(after, '.4f')} RMS and not {MM.text(before, '.4f')}: use another method."

@@ -54,6 +54,7 @@ def page_of(
         warnings=tuple(said),
         notes=tuple(notes),
         facts=facts,
+        simulated=calibration.simulated,
     )
 
 

@@ -19,6 +19,7 @@ from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
+from truearm.report.result_words import SIMULATED
 from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms, thinned
 from truearm.units import DEG, MM, MRAD
@@ -54,8 +55,8 @@ class ExportOptions(NamedTuple):
 class ExportedRobot:
     """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
-    ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool. ``fitted`` holds the
-    written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
+    ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool; if the calibration is
+    from a simulated box, a line that says so precedes them. ``fitted`` holds the written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
     against the identified robot over n poses.
 
     Examples
@@ -180,7 +181,8 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
     fitted = _fitted(calibration, options, over)
-    mountings = tuple(_mountings(calibration, fitted.params, options))
+    simulated = [SIMULATED] if calibration.simulated else []
+    mountings = (*simulated, *_mountings(calibration, fitted.params, options))
     robot = RobotToWrite(
         chain=calibration.chain,
         nominal=calibration.nominal,

@@ -164,7 +164,9 @@ def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
 def _picture(found: ErrorMap, region: BestRectangle | None, calibration: Calibration) -> str:
     task = None if region is None else MM.of(np.array([*region.u, *region.v])).tolist()
     labels = [f"{axis(direction)} [mm]" for direction in found.axes]
-    title = f"Error of {one_line(calibration.chain.name)[:40]} without calibration"
+    title = (
+        "Simulated: " * calibration.simulated + f"Error of {one_line(calibration.chain.name)[:40]} without calibration"
+    )
     outside = np.zeros(found.error.shape, dtype=bool) if found.outside is None else found.outside
     cells = Cells(MM.of(found.u), MM.of(found.v), MM.of(found.error), MM.of(found.sigma), outside)
     return map_picture(cells, title, task, labels)

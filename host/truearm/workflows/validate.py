@@ -183,7 +183,7 @@ def validated(
     n_unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
     due_rms, due_entries = _expected(errors)
     document: dict[str, Any] = {
-        "simulated": every.simulated or bool(calibration.document.get("simulated")),
+        "simulated": every.simulated or calibration.simulated,
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
         "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
