@@ -6,6 +6,7 @@ import resource
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.stats import chi2
 
@@ -53,7 +54,8 @@ def test_an_arm_is_rehearsed_by_commands_alone(arm, tmp_path, monkeypatch, capsy
     confirmed = re.search(r"(\d+) mounted", run("inspect", "first/session.mcap"))
     run("identify", "first/session.mcap", "--out", "result.json")
     Path("targets.csv").write_text("name,x_mm,y_mm,z_mm\na,400,50,350\n")
-    run("correct", "result.json", "targets.csv", "--out", "corrected.csv")
+    home = ",".join(f"{angle:.1f}" for angle in np.rad2deg(read_plan(Path("plan.csv")).q[0]))
+    run("correct", "result.json", "targets.csv", f"--home={home}", "--out", "corrected.csv")
     verdict = json.loads(run("validate", "result.json", "second/session.mcap", "--json"))
     spent = cpu_s() - begun
 

@@ -194,7 +194,8 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
         code, _, err = run(way, tmp_path / "r.json", *more, "--model", urdf, "--tip", "panda_link8", *out)
         assert code == 2
         assert "--model, with --base panda_link0 and --tip ball_link" in err
-    code, said, err = run("correct", tmp_path / "r.json", targets, "--model", urdf, "--out", tmp_path / "c.csv")
+    home = "--home=0,-45,0,-135,0,90,45"
+    code, said, err = run("correct", tmp_path / "r.json", targets, home, "--model", urdf, "--out", tmp_path / "c.csv")
     assert code == 0, err
     assert "the mountings of robot and tool were held at their nominal values, so they are not corrected." in said
     code, _, err = run("report", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--out", tmp_path / "r.html")

@@ -24,6 +24,7 @@ from truearm.types import Floats, Indices, ObservationTable, Residuals
 
 LEVEL_WORSE = 0.001
 LEVEL_BETTER = 0.05
+SMALLEST = 1e-9  # m, rad: rounding of exact data is less
 
 
 def with_gain(table: ObservationTable, estimate: Estimate) -> Estimate:
@@ -65,4 +66,5 @@ def _gain(change: Floats) -> Gain:
     error = float(change.std(ddof=1)) / np.sqrt(change.size)
     if change.mean() < special.ndtri(LEVEL_BETTER) * error:
         return Gain.BETTER
-    return Gain.WORSE if change.mean() > special.stdtrit(change.size - 1, 1.0 - LEVEL_WORSE) * error else Gain.NONE
+    least = max(special.stdtrit(change.size - 1, 1.0 - LEVEL_WORSE) * error, SMALLEST)
+    return Gain.WORSE if change.mean() > least else Gain.NONE
