@@ -72,6 +72,7 @@ def program(n=30):
             warnings=(LONG,),
             notes=(LONG,),
             facts=(("expected error", LONG),),
+            simulated=True,
         )
     )
 
