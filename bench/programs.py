@@ -33,14 +33,17 @@ FRAMES = ("--work", "0,0,0,0,0,0", "--flange", "0,0,0,0,0,0")
 READ_ALONE = """
 import sys
 from pathlib import Path
-from truearm.files.programs.corrected_text import changed_text, changes_of, solved
-from truearm.files.programs.program import Surroundings, read_program
-from truearm.files.programs.target_poses import poses_of
-from truearm.files.programs.targets import targets_of
-program = read_program(Path(sys.argv[1]), Surroundings())
-poses = targets_of(program, True, False).poses
-told = poses_of(poses)[0]
-Path(sys.argv[2]).write_bytes(changed_text(program, changes_of(program, poses, told, solved(poses, told))))
+from truearm.correct.programs.census import Census
+from truearm.correct.programs.corrected_text import changed_files, changes_of
+from truearm.correct.programs.languages import read_programs
+from truearm.correct.programs.program import Surroundings
+from truearm.correct.programs.reread import target_poses
+from truearm.correct.programs.tokens import Source
+(program,) = read_programs("rapid", [Source("p.mod", Path(sys.argv[1]).read_bytes())], Surroundings())
+census = Census(program, True)
+goals = [goal for move in program.moves for goal in move.goals]
+census.settle(wanted := dict(zip(goals, target_poses(goals))))
+Path(sys.argv[2]).write_bytes(changed_files(program, changes_of(census, wanted, {}, True))[0])
 """
 
 

@@ -33,6 +33,7 @@ COMMON = {
         "interrupt",
         "collector",
         "progress",
+        "findings",
     ),
     "option_defaults",
     "__version__",
@@ -74,6 +75,7 @@ ROOMS = {
     "interrupt": set(),
     "collector": set(),
     "progress": set(),
+    "findings": set(),
     "units": set(),
     "schema": set(),
 }

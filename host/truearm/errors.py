@@ -9,7 +9,6 @@
     │   ├── RobotError        a robot file (TOML or URDF)
     │   ├── PlanError         a plan of poses (CSV)
     │   ├── TargetError       a table of targets (CSV), or a target that cannot be corrected
-    │   ├── ProgramError      a robot's program (RAPID or URScript)
     │   ├── SessionError      a session file (MCAP)
     │   ├── ConfigError       a box's configuration (TOML)
     │   └── ImageError        an image for the box's chip (UF2)
@@ -131,10 +130,6 @@ class TargetError(InputError):
     >>> issubclass(truearm.TargetError, truearm.InputError)
     True
     """
-
-
-class ProgramError(InputError):
-    """A robot's program cannot be read, or a target in it cannot be corrected; the text names file and line."""
 
 
 class SessionError(InputError):

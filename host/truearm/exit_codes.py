@@ -26,7 +26,7 @@ class ExitCode(IntEnum):
     FAILED = 1, "the box or the robot is missing or failed, or the disk or the program that reads the output failed"
     INPUT = 2, "an option, a file or the data in it is wrong"
     UNUSABLE = 3, "the fit is not usable (the result is written anyway, marked as not usable)"
-    INCOMPLETE = 4, "the recording is incomplete (the received data are kept)"
+    INCOMPLETE = 4, "incomplete: the recording or the correction (what there is was kept)"
     INTERRUPTED = 130, "interrupted"
 
 

@@ -2,7 +2,7 @@
 
 It follows ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers
 have at most 32 characters, strings 80; words are case-insensitive; names in a module are unique; arrays count from 1.
-It is independent of ``truearm.plan.route_rapid`` and of ``truearm.files.programs``: statements become closures over a
+It is independent of ``truearm.plan.route_rapid`` and of ``truearm.correct.programs``: statements become closures over a
 frame of variables, and the values choose the program's branches.
 """
 

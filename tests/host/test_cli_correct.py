@@ -254,7 +254,7 @@ def test_other_files_are_not_read_as_tables(bench, tmp_path, capsys):
     robot.write_text((bench.folder / "targets.csv").read_text())  # a table in all but its name
     code, _, err = run(capsys, "correct", bench.folder / "result.json", robot, "--out", tmp_path / "out.csv")
     assert code == 2
-    suffixes = ".mod, .prg, .modx, .sys, .sysx, .script, .urscript"
+    suffixes = ".mod, .prg, .modx, .sys, .sysx, .script, .urscript, .src, .dat, .sub, .ls"
     told = f"robot.urdf: is neither a table of targets (.csv) nor a program ({suffixes})"
     assert told in " ".join(err.split())
     assert not (tmp_path / "out.csv").exists()
@@ -345,9 +345,9 @@ def test_nothing_is_overwritten(bench, capsys):
 
 BAD_PROGRAMS = {
     "a.mod": (b"\xff\xfe\x00binary", "NUL"),
-    "b.mod": (b"MODULE m\nPROC main()", "the file ends where ENDPROC"),
-    "d.script": (b"movel(p[nan,0,0,0,0,0])", "line 1: movel(p[nan,0,0,0,0,0]): nan has no value"),
-    "e.script": (b"[" * 100_000, "nested more than"),
+    "b.mod": (b"MODULE m\nPROC main()", "nothing to correct"),
+    "d.script": (b"movel(p[nan,0,0,0,0,0])", "line 1: movel(p[nan,0,0,0,0,0]): it is computed at run time"),
+    "e.script": (b"[" * 100_000, "nothing to correct"),
     "f.mod": (b" " * (64 * 2**20 + 1), "larger than 64 MiB"),
     "g.script": (b"", "nothing to correct"),
     "h.script": (b"movej([0,0,0,0,0,0])", "to keep or to correct these, give --joint-moves keep or correct"),
@@ -366,35 +366,72 @@ def test_bad_programs_are_one_line(bench, tmp_path, capsys, name):
 
 
 def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, capsys):
-    """With line, statement and reason; with --partial the rest is corrected, the count comes first and a comment stands there."""
+    """With line, statement and reason; with --partial the rest is corrected, and a comment stands there."""
     text = (bench.folder / "program.script").read_bytes().decode("latin-1")
-    text = text.replace("  sleep(0.5)", "  grip(3)\n  sleep(0.5)")
+    text = text.replace("  sleep(0.5)", "  grip(3)\n  movel(get_target_tcp_pose())\n  sleep(0.5)")
     (tmp_path / "p.script").write_bytes(text.encode("latin-1"))
     given = ("correct", bench.folder / "result.json", tmp_path / "p.script", "--home", home(bench), *FRAMES, "--out")
     code, said, err = run(capsys, *given, tmp_path / "o.script")
-    line = text[: text.index("grip(3)")].count("\n") + 1
+    line = text[: text.index("movel(get")].count("\n") + 1
     assert (code, said) == (2, "")
-    assert f"line {line}: grip(3): grip is not defined in this file; it may move the robot" in err
-    last = err.rstrip().splitlines()[-1]
-    assert (
-        "nothing was written; change these lines as their reasons say, or correct the others alone with --partial"
-        in last
-    )
+    assert f"p.script line {line}: movel(get_target_tcp_pose()): it is computed at run time" in err
+    n = N + 1  # the last one twice
+    assert f"{n} of {n + 1} moves can be corrected; the other one cannot, so nothing was written" in err
     assert not (tmp_path / "o.script").exists()
     code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
     document = json.loads(said)
-    assert (code, document["out"], [one["line"] for one in document["refused"]]) == (2, None, [line])
+    refused = [(move["file"], move["line"], move["code"]) for move in document["refused"]]
+    assert (code, document["out"], refused) == (2, None, [("p.script", line, "run-time")])
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
-    assert code == 0, err
-    assert said.startswith("1 statement not corrected:\n")
+    assert code == 4, err
+    assert said.startswith("1 move not corrected:\n")
+    assert "None of the files defines grip: taken not to displace the program" in said
     out = (tmp_path / "o.script").read_bytes().decode("latin-1")
     assert [row for row in out.splitlines() if "# truearm: not corrected" in row] == [
-        "  grip(3) # truearm: not corrected: grip is not defined in this file; it may move the robot"
+        "  movel(get_target_tcp_pose()) # truearm: not corrected: it is computed at run time"
     ]
-    q = driven(out.replace("  grip(3)", "  #"), "o.script", bench.q[0])
-    assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
-    code, _, err = run(capsys, *given, tmp_path / "o2.script", "--harmless", "grip")
+    plain = out.replace("  grip(3)", "  #").replace("  movel(get_target", "  # movel(get_target")
+    assert miss(lands(driven(plain, "o.script", bench.q[0])), bench.targets[[*range(N), N - 1]]) < 0.35e-3
+    for removed, says in (("--split", "always get their own"), ("--harmless=grip", "give --unchanged NAME")):
+        code, _, err = run(capsys, *given, tmp_path / "o2.script", removed)
+        assert (code, says in err) == (2, True)
+
+
+def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
+    """Data in one module, moves in another, a third without a target; every file is in the new folder, or none."""
+    lines = rapid(bench.targets, bench.q).replace(b"\xe9", b"").split(b"\r\n")
+    data = [b"MODULE Data", *(line for line in lines if b"CONST" in line), b"ENDMODULE", b""]
+    moves = [line for line in lines if b"CONST" not in line]
+    other = b"MODULE Other(SYSMODULE)\r\n! nothing \xff\r\nENDMODULE\r\n"
+    files = {"a/Data.mod": b"\r\n".join(data), "Work.mod": b"\r\n".join(moves), "Other.sys": other}
+    for name, text in files.items():
+        (tmp_path / "cell" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "cell" / name).write_bytes(text)
+    (tmp_path / "cell" / "notes.txt").write_text("no program")
+    out = tmp_path / "corrected"
+    given = ("correct", bench.folder / "result.json", tmp_path / "cell", *FRAMES[:4], "--home", home(bench), "--out")
+    code, said, err = run(capsys, *given, out)
     assert code == 0, err
+    assert "a/Data.mod:2" in said
+    after = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert after.keys() == files.keys()
+    assert after["Other.sys"] == other
+    assert after["a/Data.mod"] != files["a/Data.mod"]
+    whole = b"\r\n".join(
+        [b"MODULE Work", *after["a/Data.mod"].split(b"\r\n")[1:-2], *after["Work.mod"].split(b"\r\n")[1:]]
+    )
+    q = driven(whole.decode("latin-1"), "w.mod", bench.q[0])
+    assert miss(lands(q), bench.targets[[*range(N), N - 1]]) < 0.35e-3
+    for place, says in (
+        (out, "exists; give the name of a new folder"),
+        (tmp_path / "cell" / "new", "give a folder elsewhere"),
+    ):
+        code, _, err = run(capsys, *given, place)
+        assert (code, says in err) == (2, True)
+    (tmp_path / "cell" / "p.script").write_text("movej(p[0,0,0,0,0,0])")
+    code, _, err = run(capsys, *given, tmp_path / "new")
+    assert (code, "several languages" in err, (tmp_path / "new").exists()) == (2, True, False)
+    assert not list(tmp_path.glob(".new*"))
 
 
 def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys):
@@ -403,15 +440,6 @@ def test_frames_that_the_names_do_not_tell_are_asked_for(bench, tmp_path, capsys
         code, _, err = run(capsys, *given, *more)
         assert (code, err.count("\n")) == (2, 1)
         assert says in err
-
-
-def test_an_error_of_the_program_is_said_before_its_frames_are_asked_for(bench, tmp_path, capsys):
-    (tmp_path / "bad.script").write_text("def p():\n  movej(\nend\n")
-    given = ("correct", bench.folder / "result.json", tmp_path / "bad.script", "--out", tmp_path / "o.script")
-    code, _, err = run(capsys, *given)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "bad.script line 3: expected" in err
-    assert "--work" not in err
 
 
 def test_what_was_not_seen_is_said(tmp_path, capsys):

@@ -271,9 +271,9 @@ def test_targets_near_each_other_have_the_solutions_of_each_alone(name, monkeypa
     lower, upper = chain.limits
     q = np.repeat(rng.uniform(lower, upper, (10, 6)), 10, axis=0) + rng.uniform(-0.05, 0.05, (100, 6))
     targets = forward(chain, chain.params_nominal, q)
-    found = inverse_kinematics._solutions(chain, chain.params_nominal, targets, True)
+    found = inverse_kinematics.solutions(chain, chain.params_nominal, targets, True)
     monkeypatch.setattr(inverse_kinematics, "CELL", 1e-9)
-    alone = inverse_kinematics._solutions(chain, chain.params_nominal, targets, True)
+    alone = inverse_kinematics.solutions(chain, chain.params_nominal, targets, True)
     assert found.reached.sum() > 0.99 * alone.reached.sum()
     reached = forward(chain, chain.params_nominal, found.q)
     np.testing.assert_allclose(
@@ -373,3 +373,32 @@ def test_rotation_vectors_are_in_base_axes():
     there = moved(start, np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]]))
     expected = Rotation.from_rotvec([0.3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 1.0])
     np.testing.assert_allclose(there[0, :3, :3], expected.as_matrix(), atol=1e-15)
+
+
+def check_configurations(name, n):
+    """The arm stays in its configuration, and the identified robot reaches the target to rounding."""
+    chain, rng = builtin_robot(name).chain, np.random.default_rng(7)
+    nominal = chain.params_nominal
+    truth = nominal + rng.uniform(-1e-3, 1e-3, nominal.size)
+    lower, upper = np.clip(chain.limits, -np.pi, np.pi)
+    q = rng.uniform(lower + 0.2, upper - 0.2, (6 * n, len(lower)))
+    arms = ModelPair(chain, nominal, truth)
+    q = q[np.minimum(*(singular_value(chain, params, q) for params in (nominal, truth))) > 0.1][:n]
+    assert len(q) == n
+    near = q + rng.uniform(-0.05, 0.05, q.shape)
+    done = correct(arms, forward(chain, nominal, q), configuration=Configuration(q_start=near))
+    assert not any(done.problem)
+    assert np.abs(done.q - done.q_nominal).max() < 0.2
+    assert np.abs(done.q_nominal - q).max() < (1e-9 if len(lower) <= 6 else 0.2)
+    assert done.after[:, 0].max() < 1e-12
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_no_random_target_is_corrected_in_another_configuration(name):
+    check_configurations(name, 43)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", builtin_names())
+def test_none_of_three_thousand_random_targets_is(name):
+    check_configurations(name, 429)

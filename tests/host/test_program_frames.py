@@ -10,19 +10,33 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from tests.host import correct_bench
+from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, matrix, mm, module, robtarget, six
 
 from truearm.cli import main as cli
 from truearm.correct.correction import MARGIN
+from truearm.correct.inverse import inverse
+from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
-from truearm.errors import ProgramError
+from truearm.correct.programs.languages import language_of
 from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.findings import FindingError
 from truearm.model.chain import forward
 from truearm.model.robot import builtin_robot
+from truearm.workflows import correct_program as workflow
 from truearm.workflows.correct import tool0_in_flange
-from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramOptions, correct_program
+from truearm.workflows.correct_program import CalibrationFrames, HowCorrected, ProgramOptions
 
 # base_link and base
+
+
+def correct_program(path, how, names, options):
+    return workflow.correct_program({path.name: path.read_bytes()}, language_of([path.name]), how, names, options)
+
+
+def text_of(done):
+    (data,) = done.programs.values()
+    return data.decode("latin-1")
 
 
 def numbers(script):
@@ -51,7 +65,7 @@ def test_a_calibration_in_base_link_corrects_a_script_as_one_in_base_does(tmp_pa
     ):
         how = HowCorrected(ModelPair(chain, nominal + turned, truth + turned), "newton", 1, q[0], MARGIN)
         done = correct_program(given, how, names, ProgramOptions(tool=(0.0,) * 6))
-        texts.append(numbers(done.text.decode()))
+        texts.append(numbers(text_of(done)))
         notes.append(done.notes[0])
     np.testing.assert_allclose(texts[1:], [texts[0]] * 3, atol=2e-9)
     assert "half a turn about z from base_link" in notes[1]
@@ -147,7 +161,7 @@ def test_an_irb_120_computed_here_goes_where_it_should(abb):
     assert ((LIMITS[:, 0] < q) & (q < LIMITS[:, 1])).all()
     np.testing.assert_allclose(irb120(np.zeros(6))[:3, 3], [0.374, 0.0, 0.630], atol=1e-12)
     before = [np.abs(off(true_irb120(one), goal)).max() for one, goal in zip(q, targets, strict=True)]
-    told = robtargets(done.text.decode())
+    told = robtargets(text_of(done))
     reached = np.array([true_irb120(solved(pose, near)) for pose, near in zip(told, q, strict=True)])
     after = [np.abs(off(pose, goal)).max() for pose, goal in zip(reached, targets, strict=True)]
     assert min(before) > 1e-3
@@ -157,7 +171,7 @@ def test_an_irb_120_computed_here_goes_where_it_should(abb):
 def test_how_straight_the_irb_120_moves_is_what_is_said(abb):
     """The controller drives its own model along the line; the true tool bends off it by what truearm computes."""
     q, _, done = abb
-    told = robtargets(done.text.decode())
+    told = robtargets(text_of(done))
     bends = []
     for k in range(1, len(told)):
         start, end, near = told[k - 1], told[k], solved(told[k - 1], q[k - 1])
@@ -220,11 +234,67 @@ def test_the_geometry_of_a_urdf_decides_what_its_flange_is(tmp_path, turn, tool0
     names = CalibrationFrames("base_link", "flange", brought=False, own=False, tool0=found)
     assert (found is not None) == tool0
     if turn == "z out" and not tool0:
-        with pytest.raises(ProgramError, match="frame flange; the pose of the controller's flange"):
+        with pytest.raises(FindingError, match="frame flange; the pose of the controller's flange"):
             correct_program(tmp_path / "p.mod", how, names, ProgramOptions())
         return
     done = correct_program(tmp_path / "p.mod", how, names, ProgramOptions())
     np.testing.assert_allclose(done.targets.correction.q[0], q, atol=1e-6)
+
+
+# KUKA and Fanuc
+
+
+def angles(pose):
+    """Return X, Y, Z [mm] and A, B, C [deg] about z, the new y and the new x; W, P, R are C, B, A."""
+    return [*(1e3 * pose[:3, 3]), *Rotation.from_matrix(pose[:3, :3]).as_euler("ZYX", degrees=True)]
+
+
+def krl_program(poses):
+    data = [f"DECL E6POS XP{k}={{X {x:.6f},Y {y:.6f},Z {z:.6f},A {a:.8f},B {b:.8f},C {c:.8f},E1 0.0}}" for k, (x, y, z, a, b, c) in enumerate(map(angles, poses))]  # fmt: skip
+    moves = [f"LIN XP{k} C_DIS ;{k}" for k in range(len(poses))]
+    home = ",".join(f"A{k} {value:.8f}" for k, value in enumerate(np.rad2deg(Q[1]), start=1))
+    code = ["DEF p()", "BAS(#TOOL,1)", "$BASE=$NULLFRAME", f"PTP {{{home}}}", *moves, "END", ""]
+    frames = "TOOL_DATA[1]={X 0,Y 5,Z 20,A 0,B 0,C 0}\r\n"
+    return {"p.src": "\r\n".join(code), "p.dat": "\r\n".join(["DEFDAT p", *data, "ENDDAT", ""]), "$config.dat": frames}
+
+
+def ls_program(poses):
+    data = [f"P[{k}]{{\n   GP1:\n\tUF : 0, UT : 1,\t\tCONFIG : 'N U T, 0, 0, 0',\n\tX = {x:.6f}  mm,\tY = {y:.6f}  mm,\tZ = {z:.6f}  mm,\n\tW = {c:.8f} deg,\tP = {b:.8f} deg,\tR = {a:.8f} deg\n}};" for k, (x, y, z, a, b, c) in enumerate(map(angles, poses))]  # fmt: skip
+    home = ",\t".join(f"J{k}= {value:.8f} deg" for k, value in enumerate(np.rad2deg(Q[1]), start=1))
+    data.append(f"P[90]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t{home}\n}};")
+    lines = ["J P[90] 100% FINE", *(f"L P[{k}] 100mm/sec FINE" for k in range(len(poses)))]
+    code = [f"   {k}:{line} ;" for k, line in enumerate(lines, start=1)]
+    return {"p.ls": "\n".join(["/PROG P", "/MN", *code, "/POS", *data, "/END", ""])}
+
+
+@pytest.mark.parametrize("language", ["krl", "ls"])
+def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
+    """The poses that are written bring the true arm's tool to the targets."""
+    tool = matrix((0.0, 0.005, 0.02, 0.0, 0.0, 0.0))
+    asked = POSES[1:5] @ tool
+    files = {"krl": krl_program, "ls": ls_program}[language](asked)
+    how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, None, MARGIN)
+    names = CalibrationFrames("base", "tool0", brought=True, own=False)
+    options = ProgramOptions(
+        joint_moves=JointMoves.KEEP, tools={} if language == "krl" else {"ut1": (0.0, 0.005, 0.02, 0.0, 0.0, 0.0)}
+    )
+    contents = {name: text.encode() for name, text in files.items()}
+    done = workflow.correct_program(contents, language, how, names, options)
+    text = done.programs["p.dat" if language == "krl" else "p.ls"].decode()
+    order = "XYZABC" if language == "krl" else "XYZRPW"
+    pattern = r"\b%s (-?[\d.]+)" if language == "krl" else r"\b%s = (-?[\d.]+)"
+    columns = [re.findall(pattern % name, text) for name in order]
+    told = np.array(columns, dtype=float).T
+    pose = np.tile(np.eye(4), (4, 1, 1))
+    pose[:, :3, 3], pose[:, :3, :3] = (
+        1e-3 * told[:, :3],
+        Rotation.from_euler("ZYX", told[:, 3:], degrees=True).as_matrix(),
+    )
+    q = inverse(CHAIN, DESIGN, pose @ np.linalg.inv(tool), Q[1:5]).q
+    assert np.abs(forward(CHAIN, TRUTH, q) @ tool - asked).max() < 1e-6
+    assert np.abs(forward(CHAIN, TRUTH, Q[1:5]) @ tool - asked).max() > 1e-3
+    kept = [name for name in contents if name not in ("p.dat", "p.ls")]
+    assert all(done.programs[name] == contents[name] for name in kept)
 
 
 # tools and work objects by name
@@ -237,12 +307,12 @@ def test_tools_and_work_objects_by_name_at_the_command_line(tmp_path, capsys):
     part = "\n".join(line for line in whole.split("\r\n") if not re.match(r"  PERS \w+ [tw][12]:=", line))
     assert len(DATA) - 4 == part.count("PERS")
 
-    def text_of(pose):
+    def six_text(pose):
         numbers = [*(1e3 * pose[:3, 3]), *np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())]
         return ",".join(f"{number:.12g}" for number in numbers)
 
     named = [option for k in (1, 2) for option in (
-        "--tool", f"T{k}={text_of(matrix(TOOLS[k]))}", "--work", f"w{k}={text_of(matrix(OBJECTS[k][0]) @ matrix(OBJECTS[k][1]))}",
+        "--tool", f"T{k}={six_text(matrix(TOOLS[k]))}", "--work", f"w{k}={six_text(matrix(OBJECTS[k][0]) @ matrix(OBJECTS[k][1]))}",
     )]  # fmt: skip
     correct_bench.write(tmp_path / "result.json", correct_bench.identified())
     home = ",".join(map(repr, np.rad2deg(Q[0]).tolist()))

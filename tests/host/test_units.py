@@ -103,7 +103,6 @@ PHYSICAL = {
     "session/device_clock.py": "µs and ns as in clock_windows",
     "session/losses.py": "µs and ns as in clock_windows",
     "session/trigger_edges.py": "s as whole µs of the box's timer",
-    "files/programs/numeric_functions.py": "RAPID's functions of angles, which the language gives in degrees",
     "correct/inverse.py": "a penalty that makes one solution worse than another",
     "correct/error_map.py": "a share of a cell's width",
     "estimate/systematic.py": "a share of the largest part of a direction",

@@ -26,7 +26,7 @@ from truearm.cli.output import print_json, print_result
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
-from truearm.files.programs.suffixes import RAPID_SUFFIXES, SCRIPT_SUFFIXES
+from truearm.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from truearm.model.poses import Six
@@ -40,10 +40,10 @@ def correct(
         Path,
         typer.Argument(
             metavar="TARGETS",
-            help=f"Targets (.csv), a RAPID module ({', '.join(RAPID_SUFFIXES)}) or a URScript ({', '.join(SCRIPT_SUFFIXES)}).",
+            help="Targets (.csv), a program or a folder of programs: RAPID (.mod, .prg, .sys …), URScript (.script), KRL (.src with .dat), Fanuc (.ls).",
         ),
     ],
-    out: Annotated[Path, out_file("the corrected table or program")],
+    out: Annotated[Path, out_file("the corrected table or program; of a folder, a new folder with every program file")],
     robot: IdentifiedRobotOption = None,
     base: IdentifiedBaseOption = None,
     tip: IdentifiedTipOption = None,
@@ -82,27 +82,31 @@ def correct(
             help="Moves of a program to joint values: keep them or correct them too. Needed if the program has any."
         ),
     ] = None,
-    split: Annotated[
+    partial: Annotated[
         bool,
         typer.Option(
-            "--split",
-            help="If two moves use one target, such as p1 and Offs(p1,0,0,50), but need different corrections: "
-            "write a separate target into the move.",
+            "--partial", help="Correct the other moves of a program if some cannot be corrected; the exit code is 4."
         ),
-    ] = False,
-    partial: Annotated[
-        bool, typer.Option("--partial", help="Correct the other moves of a program if some cannot be corrected.")
     ] = False,
     mark: Annotated[
         bool, typer.Option("--mark", help="With --partial: mark each move that is not corrected with a comment.")
     ] = False,
-    harmless: Annotated[
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Routines in none of the files may displace the program and change its data, so refuse what depends on that.",
+        ),
+    ] = False,
+    unchanged: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ROUTINE",
-            help="Routine declared elsewhere, instruction, or external axis (eax_a) that does not move the robot. Repeatable.",
+            metavar="NAME",
+            help="Tool, work object, target or other datum that nothing outside these files changes, or external axis (eax_a) that does not move the robot. Repeatable.",
         ),
     ] = None,
+    split: Annotated[bool, typer.Option("--split", hidden=True)] = False,
+    harmless: Annotated[list[str] | None, typer.Option(hidden=True)] = None,
     home: Annotated[
         str | None,
         typer.Option(
@@ -138,12 +142,13 @@ def correct(
 ) -> None:
     """Correct targets so that the real robot reaches them.
 
-    In a program, only the numbers of targets change. Every move is traced through names, lists, routines, features, tools and work objects to the
-    numbers that define it. If a move, or a call that may move the robot, cannot be corrected with certainty, nothing is written, and every such statement is listed with its line and the reason.
+    In a program, only the numbers of targets change. Numbers change only if every use of every name that leads to them is the target of a corrected move; other moves get numbers of their own.
+    If a move cannot be corrected with certainty, nothing is written, and each such move is listed with its line and the reason.
 
     \b
-    Example:
+    Examples:
       truearm correct result.json program.mod --own-frames --out corrected.mod
+      truearm correct result.json cell/ --own-frames --out corrected/
     """
     from truearm.cli.correct_text import lines, refused_lines
     from truearm.files.robot_file import RobotChoice
@@ -153,6 +158,12 @@ def correct(
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
     from truearm.workflows.correction_findings import refusal_of
 
+    if split:
+        raise InputError("--split: moves that need different numbers of one target always get their own; leave it out")
+    if harmless:
+        raise InputError(
+            "--harmless: routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis that nothing outside changes, give --unchanged NAME"
+        )
     if mark and not partial:
         raise InputError("--mark needs --partial: it marks what --partial leaves uncorrected")
     shown = numbers_of("--home", home)
@@ -160,7 +171,7 @@ def correct(
     own_work, own_tool = works.pop("", None), tools.pop("", None)
     program = ProgramOptions(
         joint_moves=joint_moves,
-        split=split,
+        strict=strict,
         partial=partial,
         mark=mark,
         base=own_work,
@@ -168,7 +179,7 @@ def correct(
         tool=own_tool,
         tools=tools,
         works=works,
-        harmless=frozenset(harmless or ()),
+        unchanged=frozenset(unchanged or ()),
     )
     files = CorrectFiles(result, RobotChoice(robot, base, tip), targets, out, residuals, report, force)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
@@ -193,6 +204,8 @@ def correct(
         raise
     further = [f"Written: {one_line(str(path))}" for path in (residuals, report) if path is not None]
     print_result(found.document, [*lines(found), *further], as_json)
+    if found.refused:
+        raise typer.Exit(ExitCode.INCOMPLETE)
 
 
 def _named(option: str, given: list[str] | None) -> dict[str, Six]:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from truearm.files.programs.program import Refused
 from truearm.model.robot_mounting import mountings
 from truearm.text import counted, one_line
 from truearm.types import Floats, rms_of_columns
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import Calibration, mounting_lines
 from truearm.workflows.correct import SHOWN, CorrectedFile
+from truearm.workflows.correction_findings import Refused
 
 MOST_REFUSED = 30  # shown one by one
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
@@ -22,9 +22,8 @@ _REMEDIES = {
     "tool": "; give --tool X,Y,Z,RX,RY,RZ",
     "tools": "; give --tool NAME=X,Y,Z,RX,RY,RZ",
     "works": "; give --work NAME=X,Y,Z,RX,RY,RZ",
-    "split": "; --split writes a separate target into this move",
     "home": "; give --home Q1,Q2,... or, in a URScript, qnear of get_inverse_kin",
-    "harmless": "; give --harmless NAME if it does not",
+    "unchanged": "; give --unchanged NAME if it does not",
 }
 
 
@@ -63,12 +62,11 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
     if not refused:
         return []
     rows = [
-        f"  line {one.line}: {one_line(one.statement)}: {one_line(one.why)}{_REMEDIES[one.remedy]}"
-        for one in refused[:MOST_REFUSED]
+        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {one_line(move.why)}{_REMEDIES[move.remedy]}"
+        for move in refused[:MOST_REFUSED]
     ]
-    more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more reason')}"] * (len(refused) > MOST_REFUSED)
-    statements = len({(one.line, one.statement) for one in refused})
-    return [f"{counted(statements, 'statement')} not corrected:", *rows, *more]
+    more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)
+    return [f"{counted(len(refused), 'move')} not corrected:", *rows, *more]
 
 
 def _cells(before: Floats, after: Floats) -> str:

@@ -3,7 +3,7 @@
 Universal Robots' controllers express poses in ``base``, rotated by half a turn about z from ur_description's
 ``base_link``; their flange is ``tool0``. ABB's controllers use the base frame, ROS-Industrial's ``base`` or
 ``base_link``, and their ``tool0`` is the flange with z pointing out of it. ROS's ``flange`` has x pointing out of the
-flange (REP 199). Robots that are not URDFs, such as truearm's built-in ones, use the controller's own frames. Other
+flange (REP 199). Robots that are not URDFs, such as truearm's built-in ones, use the controller's own frames. ROS-Industrial's ``base`` of KUKA and Fanuc arms is the controller's world frame. Other
 names do not determine the pose of a frame.
 """
 
@@ -44,6 +44,8 @@ BASES = {
         "base_link_inertia": _turn("base (the same frame as base_link_inertia)"),
     },
     "rapid": {"base": SAME, "base_link": _turn("base (the same frame as base_link)")},
+    "krl": {"base": SAME},
+    "ls": {"base": SAME},
 }
 FLANGES = {
     "urscript": {
@@ -51,6 +53,8 @@ FLANGES = {
         "flange": _turn("tool0 (z out of the flange)", roll=_QUARTER, yaw=_QUARTER),
     },
     "rapid": {"tool0": SAME, "flange": _turn("tool0 (z out of the flange)", pitch=_QUARTER)},
+    "krl": {"tool0": SAME},
+    "ls": {"tool0": SAME},
 }
 
 OUT = {"tool0": 2, "flange": 0}  # which of a frame's axes points out of the flange

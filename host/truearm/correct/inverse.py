@@ -164,7 +164,7 @@ def search(
     (n, j), NaN where it does not matter, has priority: the quarter turn in which a reading must lie, as ⌊q/90°⌋. For a
     target that is not reached, the nearest result is returned.
     """
-    stock, (lower, upper) = _solutions(chain, params, targets, oriented), _sampled_range(chain)
+    stock, (lower, upper) = solutions(chain, params, targets, oriented), _sampled_range(chain)
     n, _, j = stock.q.shape
     first = 0.5 * (lower + upper) if home is None else home
     asked = np.full((n, j), np.nan) if quadrants is None else quadrants
@@ -191,7 +191,7 @@ def several_fit(
     chain: Chain, params: Floats, targets: Floats, quadrants: Floats, oriented: bool = True
 ) -> NDArray[np.bool_]:
     """Return for which targets (n, 4, 4) several solutions within the joint limits fit the quarter turns (n, j) best, as in ``search``."""
-    stock = _solutions(chain, params, targets, oriented)
+    stock = solutions(chain, params, targets, oriented)
     found = np.zeros(len(targets), dtype=bool)
     for i, asked in enumerate(quadrants):
         q = turned(chain, params, stock.q[i], np.where(np.isnan(asked), 0.0, 0.5 * np.pi * (asked + 0.5)))
@@ -200,7 +200,7 @@ def several_fit(
     return found
 
 
-def _solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
+def solutions(chain: Chain, params: Floats, targets: Floats, oriented: bool) -> Inverse:
     """Return solutions (n, k) for targets, ignoring limits; those of targets near another start from its solutions."""
     lower, upper = _sampled_range(chain)
     q_seeds = np.random.default_rng(0).uniform(lower, upper, (N_SAMPLES, len(lower)))

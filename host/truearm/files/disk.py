@@ -9,7 +9,7 @@ import re
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -97,6 +97,41 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
         os.replace(temporary, path)
     except BaseException as exc:
         Path(temporary).unlink(missing_ok=True)
+        if isinstance(exc, OSError):
+            raise _failure(f"{path}: cannot be written", exc) from exc
+        raise
+
+
+def check_new_folder(path: Path, source: Path) -> None:
+    """Raise InputError if ``path`` cannot become a new folder, or would be within the folder ``source``."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise InputError(f"{path}: exists; give the name of a new folder")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written; choose another one")
+    if _real(path).is_relative_to(_real(source)):
+        raise InputError(f"{path}: is within {source}, whose files it would join; give a folder elsewhere")
+
+
+def write_folder(path: Path, contents: Mapping[str, bytes]) -> None:
+    """Write files by their paths within a new folder, all of them or none.
+
+    Raises InputError if the folder cannot be written, WriteError if the disk is full or fails.
+    """
+    temporary = None
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:100]}.", dir=path.parent))
+        for name, data in contents.items():
+            file = temporary / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with file.open("wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+        os.chmod(temporary, 0o777 & ~_umask())
+        os.replace(temporary, path)
+    except BaseException as exc:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
         if isinstance(exc, OSError):
             raise _failure(f"{path}: cannot be written", exc) from exc
         raise

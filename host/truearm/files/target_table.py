@@ -19,7 +19,6 @@ from truearm.errors import TableError, TargetError
 from truearm.files.csv_cells import Row, identifiers, numbers, read_cells
 from truearm.files.disk import read_text
 from truearm.files.observation_columns import Column
-from truearm.files.programs.suffixes import RAPID_SUFFIXES, SCRIPT_SUFFIXES
 from truearm.model.poses import pose_of
 from truearm.schema import IDENTIFIER, Key, Number, hint, quoted
 from truearm.types import Floats, Strings
@@ -44,13 +43,11 @@ class Targets(NamedTuple):
     source: tuple[str, ...]  # "targets.csv row 3"
 
 
-def check_is_table(path: Path) -> None:
-    """Raise TargetError unless the name of a file is that of a table."""
+def check_is_table(path: Path, programs: Sequence[str] = ()) -> None:
+    """Raise TargetError unless the name of a file is that of a table; ``programs``: suffixes that are possible too."""
     if path.suffix.lower() != ".csv":
-        raise TargetError(
-            f"{path}: is neither a table of targets (.csv) nor a program ({', '.join((*RAPID_SUFFIXES, *SCRIPT_SUFFIXES))}); "
-            "give one of these"
-        )
+        other = f"neither a table of targets (.csv) nor a program ({', '.join(programs)})"
+        raise TargetError(f"{path}: is {other if programs else 'no table of targets (.csv)'}; give one of these")
 
 
 def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:

@@ -7,17 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.correct.programs.reasons import TEXTS
 from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.units import DEG
 
 MOST_NAMED = 6  # quarter turns
-UNDETERMINED = (
-    "nothing determines in which of its configurations the arm reaches this target, and each needs another correction"
-)
+UNDETERMINED = TEXTS["configuration"]
 
 
-def _other_quarters(lines: Sequence[int], q: Floats, quarters: Floats, wrong: NDArray[np.bool_]) -> list[str]:
+def _other_quarters(lines: Sequence[str], q: Floats, quarters: Floats, wrong: NDArray[np.bool_]) -> list[str]:
     """Return "line 2: cf4 is 0, axis 4 at -95° needs -2" for the first wrong quarter turns (n, j)."""
     found = np.argwhere(wrong)
     said = [
@@ -33,7 +32,7 @@ def _in_its_quarter(angle: float) -> str:
     return next((text for text in shown if float(text) // 90.0 == angle // 90.0), f"{angle:.3g}")
 
 
-def configuration_notes(q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[int]) -> list[str]:
+def configuration_notes(q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[str]) -> list[str]:
     """Return the arm configurations to check: those that only ``home`` determines, and those that contradict the
     program's own data.
 
@@ -45,7 +44,7 @@ def configuration_notes(q: Floats, quarters: Floats, determined: NDArray[np.bool
         f"The configuration data of {counted(n, 'robtarget')} {'differs' if n == 1 else 'differ'} from the quarter turns of the axes by this model: "
         f"{'; '.join(_other_quarters(lines, q, quarters, wrong))}. Correct the data before you run the program, or the controller may stop."
     )
-    unknown = listed([str(line) for line, is_told in zip(lines, determined, strict=False) if not is_told])
+    unknown = listed([line for line, is_told in zip(lines, determined, strict=False) if not is_told])
     return [
         f"The program does not determine the position from which the robot moves to line {unknown}. The arm's configuration there is the one nearest to home."
     ] * bool((~determined).any()) + [check] * bool(wrong.any())

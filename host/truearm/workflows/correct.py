@@ -16,8 +16,6 @@ from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
-from truearm.files.programs.program import Refused
-from truearm.files.programs.suffixes import is_program, suffixes_like
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
 from truearm.model.chain import Chain, forward
@@ -27,12 +25,7 @@ from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
 from truearm.types import Floats
 from truearm.units import DEG, MM
-from truearm.workflows.calibration import (
-    Calibration,
-    check_joints,
-    check_names,
-    chosen_mountings,
-)
+from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings
 from truearm.workflows.configuration_notes import UNDETERMINED
 from truearm.workflows.correct_program import (
     CalibrationFrames,
@@ -41,13 +34,15 @@ from truearm.workflows.correct_program import (
     ProgramOptions,
     correct_program,
 )
-from truearm.workflows.correction_findings import (
-    CorrectedTargets,
-    document_of,
-    findings,
-    warnings,
-)
+from truearm.workflows.correction_findings import CorrectedTargets, Refused, document_of, findings, warnings
 from truearm.workflows.correction_report import page_of
+from truearm.workflows.program_files import (
+    ALL_SUFFIXES,
+    check_program_out,
+    is_program,
+    read_program_files,
+    write_program_files,
+)
 from truearm.workflows.undetermined import undetermined
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -113,15 +108,14 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     """
     check_names(files.targets, files.out, files.residuals, files.report)
     _refuse_steps(options)
-    program = is_program(files.targets)
-    if not program:
-        check_is_table(files.targets)
-        _refuse_for_table(files.targets, options.program)
     read = [files.result, files.targets, *files.robot.files]
-    ours, suffixes = (None, suffixes_like(files.targets)) if program else (looks_like_targets, (".csv",))
-    check_writable(files.out, program or files.force, inputs=read, ours=ours, suffixes=suffixes)
-    if program and files.out.exists():
-        raise InputError(f"{files.out}: exists; give a new name, a corrected program never replaces a file")
+    programs = read_program_files(files.targets) if is_program(files.targets) else None
+    if programs is None:
+        check_is_table(files.targets, ALL_SUFFIXES)
+        _refuse_for_table(files.targets, options.program)
+        check_writable(files.out, files.force, inputs=read, ours=looks_like_targets, suffixes=(".csv",))
+    else:
+        check_program_out(files.out, programs, read)
     how = _how(calibration, options)
     written = [*read, files.out]
     for path, known, suffix in (
@@ -131,12 +125,16 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         if path is not None:
             check_writable(path, files.force, inputs=written, ours=known, suffixes=[suffix])
             written.append(path)
-    done = _correct_program(files, how, options) if program else _correct_table(files.targets, how, options)
+    if programs is None:
+        done = _correct_table(files.targets, how, options)
+    else:
+        frames = _calibration_frames(files.robot, how.pair.chain, options)
+        done = correct_program(programs.contents, programs.language, how, frames, options.program)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
-    texts: dict[Path, str | bytes] = {files.out: done.text}  # written once all is computed
+    texts: dict[Path, str] = {}  # written once all is computed
     if files.residuals is not None:
-        texts[files.residuals] = _residuals(correction, places, "line" if program else "row")
+        texts[files.residuals] = _residuals(correction, places, "row" if programs is None else "line")
     said = tuple(warnings(calibration, done.targets, done.moves))
     caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
     document: Mapping[str, Any] = {}
@@ -146,6 +144,10 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
             texts[files.report] = render(page_of(found, calibration, names, said, caveats, done.refused))
+    if programs is None:
+        write_atomic(files.out, done.table)
+    else:
+        write_program_files(files.out, programs, done.programs)
     for path, text in texts.items():
         write_atomic(path, text)
     point = done.targets.error_point(calibration.chain.end_frame)
@@ -166,9 +168,9 @@ def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
     """Raise InputError for an option that would have no effect on a table."""
     of_programs = {
         "joint_moves": given.joint_moves is not None,
-        "split": given.split,
+        "strict": given.strict,
         "partial": given.partial,
-        "harmless": bool(given.harmless),
+        "unchanged": bool(given.unchanged),
         "flange": given.flange is not None,
     }
     named = {"tool": given.tools, "work": given.works}
@@ -231,14 +233,12 @@ def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Co
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)
-    return Corrected(text, corrected)
+    return Corrected(corrected, table=text)
 
 
-def _correct_program(files: CorrectFiles, how: HowCorrected, options: CorrectOptions) -> Corrected:
-    chain = how.pair.chain
-    brought, tool0 = not files.robot.is_urdf, tool0_in_flange(files.robot, chain)
-    names = CalibrationFrames(chain.base_frame, chain.end_frame, brought, options.own_frames, tool0)
-    return correct_program(files.targets, how, names, options.program)
+def _calibration_frames(robot: RobotChoice, chain: Chain, options: CorrectOptions) -> CalibrationFrames:
+    tool0 = tool0_in_flange(robot, chain)
+    return CalibrationFrames(chain.base_frame, chain.end_frame, not robot.is_urdf, options.own_frames, tool0)
 
 
 def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:

@@ -1,9 +1,9 @@
-"""Correct a robot's program: every move to a target, or none of them."""
+"""Correct the programs of a robot: every move to a target, or none of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,72 +11,68 @@ from numpy.typing import NDArray
 
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
-from truearm.correct.inverse import Origins, several_fit
+from truearm.correct.inverse import Origins, several_fit, solutions, within
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
+from truearm.correct.programs.census import Census
+from truearm.correct.programs.corrected_text import CONFIGURED, Joints, changed_files, changes_of, marks_of
+from truearm.correct.programs.languages import ProgramLanguage, read_programs
+from truearm.correct.programs.order import preceding
+from truearm.correct.programs.poses import readings_of
+from truearm.correct.programs.program import Goal, Move, Place, Program, Surroundings
+from truearm.correct.programs.reasons import reason_text, remedy_of
+from truearm.correct.programs.reread import difference, target_poses
+from truearm.correct.programs.tokens import Source
 from truearm.correct.straight_moves import straight_moves
-from truearm.errors import Argument, ProgramError
-from truearm.files.programs.corrected_text import changed_text, changes_of, joint_changes, marks_of, solved
-from truearm.files.programs.program import (
-    Program,
-    Refused,
-    Surroundings,
-    parse_program,
-    read_program,
-    refused_at,
-)
-from truearm.files.programs.reread import Wanted, check_reread
-from truearm.files.programs.suffixes import ProgramLanguage, language_of
-from truearm.files.programs.syntax import Taught
-from truearm.files.programs.target_poses import PoseTarget, literal_poses, nears_of, poses_of, quarters_of, readings_of
-from truearm.files.programs.target_users import users_of
-from truearm.files.programs.targets import ProgramTargets, targets_of
-from truearm.files.programs.values import Pose, fixed_six
+from truearm.errors import Argument
+from truearm.findings import Finding, FindingError
 from truearm.model.chain import joint_jacobian
-from truearm.model.poses import Six, apart, for_each, frame_of, inverted
-from truearm.text import counted
+from truearm.model.poses import Six, apart, frame_of, inverted
+from truearm.text import counted, listed
 from truearm.types import Floats
-from truearm.workflows.configuration_notes import UNDETERMINED, configuration_notes
-from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets
-from truearm.workflows.given_tools import check_names, check_used
+from truearm.units import MM
+from truearm.workflows.configuration_notes import configuration_notes
+from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets, Refused
+from truearm.workflows.given_tools import check_mentioned, check_names
 
-N_READINGS = 6  # of a program's joint readings
+N_JOINTS = 6  # of a robot that a pose in a program determines
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
-MOST_REREAD = 20_000  # targets of a program that is read again: about 0.05 ms each
+MOST_GOALS = 100_000  # of all moves
+MOST_COMPARED = 20  # targets whose correction is computed in all configurations of the arm
+MOST_ORIGINS = 4  # from which a move may come; more count as unknown
 
 
 class ProgramOptions(NamedTuple):
-    """How to correct a program.
+    """How to correct programs.
 
-    ``joint_moves``: what to do with moves to joint readings, None to refuse a program with any. ``split``: write
-    separate numbers into a move that would need different numbers from another move. ``partial``: write the file even
-    if some moves cannot be corrected; ``mark`` marks these with a comment. ``base``: the controller's base in the
-    calibration's base frame, and ``flange``: its flange in the calibration's end frame, if their names do not show
-    this. ``tool``: the tool in force before a URScript sets one. ``tools`` and ``works``: tools and work objects
-    declared elsewhere, by name. Poses are positions [m] and rotation vectors [rad]. ``harmless``: external routines
-    that do not move the robot.
+    ``joint_moves``: what to do with moves to joint readings, None to refuse programs with any. ``partial``: correct the
+    other moves if some cannot be corrected; ``mark`` marks these with a comment. ``strict``: routines in none of the
+    files may displace the program and change data. ``base``: the controller's base in the calibration's base frame, and
+    ``flange``: its flange in the calibration's end frame, if their names do not show this. ``tool``: the tool in force
+    before a URScript sets one. ``tools`` and ``works``: those declared elsewhere, by name in lower case. Poses are
+    positions [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
     """
 
     joint_moves: JointMoves | None = None
-    split: bool = False
     partial: bool = False
     mark: bool = False
+    strict: bool = False
     base: Six | None = None
     flange: Six | None = None
     tool: Six | None = None
     tools: Mapping[str, Six] = {}
     works: Mapping[str, Six] = {}
-    harmless: frozenset[str] = frozenset()
+    unchanged: frozenset[str] = frozenset()
 
 
-class ProgramRefused(ProgramError):
-    """A program with moves that cannot be corrected with certainty; ``refused`` names them."""
+class ProgramRefused(FindingError):
+    """Programs with moves that cannot be corrected with certainty; ``refused`` names them."""
 
     def __init__(self, text: Sequence[str], refused: Sequence[Refused]) -> None:
-        super().__init__(*text)
+        super().__init__(Finding("uncertain-moves", {"refused": len(refused)}), *text)
         self.refused = tuple(refused)
 
 
@@ -106,195 +102,464 @@ class HowCorrected(NamedTuple):
     def correct(self, ends: Floats, configuration: Configuration, oriented: bool = True) -> Correction:
         """Return the correction of poses (n, 4, 4) of the end."""
         return correct(
-            self.pair,
-            ends,
-            self.method,
-            self.steps,
-            oriented=oriented,
-            configuration=configuration,
-            margin=self.margin,
+            self.pair, ends, self.method, self.steps, oriented=oriented, configuration=configuration, margin=self.margin
         )
 
 
 class Corrected(NamedTuple):
-    """A corrected file's text, its targets and straight moves. ``refused``: what was left unchanged; ``notes``: remarks."""
+    """Corrected targets and straight moves, with the text of a table or the program files by name.
 
-    text: str | bytes
+    ``refused``: what was left unchanged; ``notes``: remarks.
+    """
+
     targets: CorrectedTargets
     moves: CorrectedMoves = CorrectedMoves()
     refused: tuple[Refused, ...] = ()
     notes: tuple[str, ...] = ()
+    table: str = ""
+    programs: Mapping[str, bytes] = {}
 
 
-def correct_program(path: Path, how: HowCorrected, names: CalibrationFrames, options: ProgramOptions) -> Corrected:
-    """Correct a program. Raises ProgramRefused if a move cannot be corrected, ProgramError if it is not a valid
-    program.
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """A goal of a move that comes from ``origin``, None if that is unknown."""
+
+    program: Program
+    move: Move
+    goal: Goal
+    origin: Goal | None
+
+
+def correct_program(
+    files: Mapping[str, bytes],
+    language: ProgramLanguage,
+    how: HowCorrected,
+    names: CalibrationFrames,
+    options: ProgramOptions,
+) -> Corrected:
+    """Correct the program files of one robot, by name.
+
+    Raises ProgramRefused if a move cannot be corrected, FindingError if the files are no valid program.
     """
-    language = language_of(path)
-    check_names(path, language, options.tool, options.tools, options.works)
-    tool = None if options.tool is None and language == "urscript" else fixed_six(options.tool or (0.0,) * 6)
-    tool_of, work_of = ({name.lower(): six for name, six in of.items()} for of in (options.tools, options.works))
-    surroundings = Surroundings(tool, tool_of, work_of, options.harmless)
-    program = read_program(path, surroundings)
-    check_used(path, program, options.works)
+    surroundings = _surroundings(files, language, options)
+    sources = [Source(name, data) for name, data in files.items()]
+    programs = read_programs(language, sources, surroundings)
+    moves = [move for program in programs for move in program.moves]
+    title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
+    _check_moves(title, programs, moves, how.pair, options)
+    check_mentioned(title, language, programs, options.tools, options.works)
     base, flange = _placed(language, names, options, _last_axis(how.pair))
-    at_joints = [m.start for m in program.motions if any(not isinstance(goal.target, Pose) for goal in m.goals)]
-    if at_joints and options.joint_moves is None:
-        lines = sorted({program.source.line(at) for at in at_joints})
-        raise ProgramError(
-            f"{path} line {lines[0]}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
+    work = _Work(programs, how, base.pose, flange.pose, options.joint_moves is JointMoves.CORRECT)
+    work.solve()
+    refused = _refused(programs)
+    if refused and not options.partial:
+        raise ProgramRefused(_refusal(title, len(moves), refused), refused)
+    if not work.targets.places:
+        raise ProgramRefused((f"{title}: no move can be corrected, so nothing was written",), refused)
+    written = work.written(language, surroundings, options.mark)
+    absent = list(dict.fromkeys(name for program in programs for name in program.absent))
+    n_kept = sum(goal.target.literal.form.is_joints for move in moves if move.reason is None for goal in move.goals)
+    notes = [f"The controller's base is {base.called(names.base)}. Its flange is {flange.called(names.end)}."]
+    if absent and not options.strict:
+        notes.append(
+            f"None of the files defines {listed(absent)}: taken not to displace the program and not to change its data."
+        )
+    if n_kept and not work.joints_change:
+        notes.append(f"{counted(n_kept, 'move')} to joint values kept as {'it is' if n_kept == 1 else 'they are'}.")
+    return Corrected(work.targets, work.moves, tuple(refused), (*notes, *work.notes), programs=written)
+
+
+def _surroundings(files: Mapping[str, bytes], language: ProgramLanguage, options: ProgramOptions) -> Surroundings:
+    """Return what defines the programs from outside. Raises FindingError for tools that the language cannot use."""
+    check_names(next(iter(files)), language, options.tool, options.tools, options.works)
+    frames = {name.lower(): frame_of(six) for name, six in [*options.tools.items(), *options.works.items()]}
+    tool = None if options.tool is None else frame_of(options.tool)
+    unchanged = frozenset(name.lower() for name in options.unchanged)
+    return Surroundings(tool, frames, unchanged, options.strict)
+
+
+def _check_moves(
+    title: str, programs: Sequence[Program], moves: Sequence[Move], pair: ModelPair, options: ProgramOptions
+) -> None:
+    """Raise FindingError for programs without moves, for a redundant robot, and for joint moves without an option."""
+    if not moves:
+        raise FindingError(Finding("no-move"), f"{title}: contains no move; there is nothing to correct")
+    n_goals = sum(len(move.goals) for move in moves)
+    if n_goals > MOST_GOALS:
+        raise FindingError(
+            Finding("many-targets"), f"{title}: has {n_goals} targets, the maximum is {MOST_GOALS}; give fewer files"
+        )
+    n_joints = len(pair.chain.joints)
+    if n_joints != N_JOINTS:
+        raise FindingError(
+            Finding("redundant", {"joints": n_joints}),
+            f"{title}: its targets have {N_JOINTS} coordinates, which do not determine the {n_joints} joints of the robot; "
+            "correct a table of targets with joints (q1_deg, q2_deg, …)",
+        )
+    lines = {
+        program.where(move.place): None
+        for program in programs
+        for move in program.moves
+        if any(goal.target.literal.form.is_joints for goal in move.goals)
+    }
+    if lines and options.joint_moves is None:
+        raise FindingError(
+            Finding("joint-moves", {"lines": len(lines)}),
+            f"{next(iter(lines))}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
             Argument("joint_moves"),
             " keep or correct",
         )
-    targets = targets_of(program, options.joint_moves is JointMoves.CORRECT, options.split)
-    literals = literal_poses(targets.poses)
-    place, frame, tools = poses_of(targets.poses, literals)
-    n_joints = len(how.pair.chain.joints)
-    goals = [*(one.goal for one in targets.poses), *(one.goal for one in targets.revisits)]
-    near, quarters = nears_of(goals, n_joints), quarters_of(goals, n_joints)
-    ends = _ends(base, flange, (place, frame, tools), targets)
-    determined = _determined(how.pair, ends, targets, near, quarters)
-    users = users_of(program, targets)
-    if how.home is None and not determined.all():
-        open_moves = [
-            refused_at(program, at, UNDETERMINED, "home")
-            for i in np.flatnonzero(~determined).tolist()
-            for at in users.poses[i]
-        ]
-        message = f"{path}: the program does not determine the arm's configuration at {counted(int((~determined).sum()), 'target')}, so nothing was written; give joints near those of the first target with "
-        raise ProgramRefused((message, Argument("home")), sorted(set(open_moves)))
-    every = _corrected_poses(how, ends, near, quarters, targets)
-    done = _rows(every, range(len(targets.poses)))
-    readings = [literal for literal, _ in targets.joints]
-    joints = _corrected_joints(how, readings)
-    refused = [*targets.refused, *_problems(program, done, users.poses)]
-    refused += _other_configurations(program, targets, every)
-    refused += _problems(program, joints, users.joints)
-    good = [i for i, problem in enumerate(done.problem) if not problem]
-    poses = [targets.poses[i] for i in good]
-    frames = for_each(lambda one: np.asarray(inverted(one) @ inverted(base.pose)), _taken(frame, good))
-    asked = frames @ _taken(done.commanded, good) @ flange.pose @ _taken(tools, good)
-    new = solved(poses, asked, literals)
-    index_of = dict(zip(poses, good, strict=True)) if new.circular else {}
-    refused += [
-        refused_at(program, at, "its target and another's depend on each other", "" if options.split else "split")
-        for one in new.circular
-        for at in users.poses[index_of[one]]
-    ]
-    refused = sorted(set(refused))
-    if refused and not options.partial:
-        count, total = len({(one.line, one.statement) for one in refused}), len(program.motions)
-        said = f"{path}: {count} of {counted(total, 'statement')} that may move the robot cannot be corrected, so nothing was written; change these lines as their reasons say"
-        others = (", or correct the others alone with ", Argument("partial")) if count < total else ()
-        raise ProgramRefused((said, *others), refused)
-    kept = [i for i, one in enumerate(poses) if one not in new.circular]
-    moved = [i for i, problem in enumerate(joints.problem) if not problem]
-    told = _taken(asked, kept)
-    changes = changes_of(program, [poses[i] for i in kept], told, new)
-    changes += joint_changes([readings[i] for i in moved], joints.q[moved])
-    if not changes:
-        raise ProgramRefused((f"{path}: holds no target that can be corrected, so nothing was written",), refused)
-    del literals, new  # 26 MB for 100,000 targets
-    changes += marks_of(program, refused) if options.mark else []
-    lines_of = [program.source.line(_place(targets.poses[good[i]])) for i in kept]
-    lines_of += [program.source.line(readings[i].start) for i in moved]
-    rows = [good[i] for i in kept]
-    whole = np.tile(np.eye(4), (len(moved), 1, 1))  # joint readings have no tool
-    at_end = _stacked(for_each(lambda tool: np.asarray(flange.pose @ tool), _taken(tools, rows)), whole)
-    correction = at_tools(how.pair, joined([_rows(done, rows), _rows(joints, moved)]), at_end)
-    of_pose = {i: k for k, i in enumerate(rows)}
-    of_joints = {readings[i].start: len(rows) + k for k, i in enumerate(moved)}
-    corrected = CorrectedTargets(
-        tuple(f"line {line}" for line in lines_of),
-        np.arange(len(lines_of)) >= len(rows),
-        _stacked(_taken(place, rows), believed(how.pair, joints.q_nominal[moved])),
-        _stacked(told, joints.commanded[moved]),
-        at_end,
-        correction,
-    )
-    text = changed_text(program, changes)
-    if len(targets.indices) + len(readings) <= MOST_REREAD:
-        wanted = Wanted(
-            {goal: of_pose[i] for goal, i in targets.indices.items() if i in of_pose},
-            corrected.told[: len(rows)],
-            {readings[i]: joints.q[i] for i in moved},
-            options.joint_moves is not JointMoves.CORRECT,
-            frozenset(one.line for one in refused),
+
+
+def _refused(programs: Sequence[Program]) -> list[Refused]:
+    """Return the moves that are not corrected."""
+    return [
+        Refused(
+            program.files[move.place.file].name,
+            program.files[move.place.file].line(move.place.offset),
+            _shortened(program.statement(move)),
+            move.reason.code,
+            reason_text(move.reason),
+            remedy_of(move.reason),
         )
-        check_reread(program, parse_program(text, language, surroundings, str(path)), wanted)
-    return Corrected(
-        text,
-        corrected,
-        _straight_moves(how.pair, program, targets, of_pose, of_joints, corrected),
-        tuple(refused),
-        (
-            f"The controller's base is {base.called(names.base)}. Its flange is {flange.called(names.end)}.",
-            *_joints_kept(len(at_joints) if options.joint_moves is JointMoves.KEEP else 0),
-            *configuration_notes(
-                correction.q[: len(kept)],
-                quarters[rows],
-                determined[rows],
-                lines_of,
-            ),
-        ),
-    )
+        for program in programs
+        for move in program.moves
+        if move.reason is not None
+    ]
 
 
-def _determined(
-    pair: ModelPair, ends: Floats, targets: ProgramTargets, near: Floats, quarters: Floats
-) -> NDArray[np.bool_]:
-    """Return for which targets (n,) the program determines the arm's configuration: by joints, by the robot's previous
-    position, or by quarter turns or joint limits that only one configuration fits.
+def _shortened(statement: str) -> str:
+    return statement if len(statement) <= 60 else f"{statement[:57]}..."
+
+
+def _refusal(title: str, n_moves: int, refused: Sequence[Refused]) -> tuple[str, ...]:
+    """Return the message for programs of which nothing was written."""
+    n_good = n_moves - len(refused)
+    others = "the other one" if len(refused) == 1 else f"the other {len(refused)}"
+    if not n_good:
+        return (f"{title}: none of {counted(n_moves, 'move')} can be corrected, so nothing was written",)
+    counts = f"{title}: {n_good} of {counted(n_moves, 'move')} can be corrected; {others} cannot, so nothing was written; change them as their reasons say, or correct the {n_good} alone with "
+    return counts, Argument("partial")
+
+
+@dataclass(eq=False)
+class _Work:
+    """The correction of programs: what each goal needs, what was settled, and what is expected of it.
+
+    ``base`` and ``flange`` (4, 4): the controller's frames in those of the calibration. ``rows``: the row in ``done`` of
+    each goal's first visit.
     """
-    n = len(targets.poses)
-    determined = np.isfinite(near[:n]).any(axis=1) | np.array([one is not None for one in targets.origins], dtype=bool)
-    searched = np.flatnonzero(~determined)
-    if searched.size:
-        determined[searched] = ~several_fit(pair.chain, pair.nominal, ends[searched], quarters[searched])
-    return determined
 
+    programs: Sequence[Program]
+    how: HowCorrected
+    base: Floats
+    flange: Floats
+    joints_change: bool
+    censuses: list[Census] = field(default_factory=list)
+    visits: list[tuple[Visit, int]] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+    rows: dict[Goal, int] = field(default_factory=dict)
+    wanted: dict[Goal, Floats] = field(default_factory=dict)
+    joints: dict[Goal, Joints] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    moves: CorrectedMoves = field(default_factory=CorrectedMoves)
 
-def _straight_moves(
-    pair: ModelPair,
-    program: Program,
-    targets: ProgramTargets,
-    of_pose: Mapping[int, int],
-    of_joints: Mapping[int, int],
-    corrected: CorrectedTargets,
-) -> CorrectedMoves:
-    """Simulate the straight moves between corrected targets.
+    def solve(self) -> None:
+        """Correct all goals, and settle which numbers change."""
+        self.censuses = [Census(program, self.joints_change) for program in self.programs]
+        for census in self.censuses:
+            self.refuse_computed_joints(census)
+        visits = self.unique_visits()
+        goals = self.goals[: len(visits)]
+        self.asked = target_poses(goals)
+        frames, tools = (_stacked([getattr(goal, name) for goal in goals]) for name in ("frame", "tool"))
+        ends = self.base @ frames @ self.asked @ inverted(tools) @ inverted(self.flange)
+        near, quarters = _near(goals), _quarters(goals)
+        determined = self.determined(visits, ends, near, quarters)
+        done = self.corrected_poses(visits, ends, near, quarters)
+        told = inverted(frames) @ inverted(self.base) @ done.commanded @ self.flange @ tools
+        self.done = joined([done, self.corrected_joints()])
+        self.tools = np.concatenate([self.flange @ tools, np.tile(np.eye(4), (len(self.goals) - len(goals), 1, 1))])
+        for goal, row in self.rows.items():
+            self.joints[goal] = Joints(self.done.q_nominal[row], self.done.q[row])
+            if row < len(goals):
+                self.wanted[goal] = told[row]
+        self.refuse_unsolved(told, determined)
+        for census in self.censuses:
+            census.settle(self.wanted)
+        self.describe(quarters, determined)
 
-    ``of_pose`` maps a pose's index to its row in ``corrected``, ``of_joints`` the place of joint readings to theirs.
-    """
-    starts: list[Floats] = []
-    ends: list[int] = []
-    places: list[tuple[str, str]] = []
-    unchecked = len(targets.loose)
-    for move in targets.lines:
-        if isinstance(move.start, int):
-            begin = of_pose.get(move.start)
-            q, where = (
-                (None, 0) if begin is None else (corrected.correction.q[begin], _place(targets.poses[move.start]))
+    def unique_visits(self) -> list[Visit]:
+        """Return the different visits of poses. The rows of joint readings that change follow theirs.
+
+        Visits of one target from one target have one row, however often the program goes there.
+        """
+        every = [visit for program in self.programs for visit in _visits(program)]
+        kinds: dict[Goal | None, object] = {None: None}
+        for visit in every:
+            kinds.setdefault(visit.goal, _kind(visit.goal))
+        rows: dict[object, int] = {}
+        unique: list[Visit] = []
+        posed = [visit for visit in every if not visit.goal.target.literal.form.is_joints]
+        for visit in posed:
+            row = rows.setdefault((kinds[visit.goal], kinds.get(visit.origin)), len(unique))
+            if row == len(unique):
+                unique.append(visit)
+            self.visits.append((visit, row))
+        self.goals = [visit.goal for visit in unique]
+        for visit in every if self.joints_change else ():
+            if visit.goal.target.literal.form.is_joints:
+                row = rows.setdefault(kinds[visit.goal], len(self.goals))
+                if row == len(self.goals):
+                    self.goals.append(visit.goal)
+                self.visits.append((visit, row))
+        for visit, row in self.visits:
+            self.rows.setdefault(visit.goal, row)
+        return unique
+
+    def refuse_computed_joints(self, census: Census) -> None:
+        """Refuse moves to joint readings that should change and are not written as numbers."""
+        for move in census.program.moves if self.joints_change else ():
+            if any(g.target.literal.form.is_joints and not g.target.literal.spans for g in move.goals):
+                census.refuse(move, Finding("joints"))
+
+    def determined(self, posed: Sequence[Visit], ends: Floats, near: Floats, quarters: Floats) -> NDArray[np.bool_]:
+        """Return for which visits (n,) the program determines the arm's configuration.
+
+        It does by joints, by the move before, or by quarter turns or joint limits that only one configuration fits.
+        """
+        determined = np.isfinite(near).any(axis=1) | np.array([v.origin is not None for v in posed], dtype=bool)
+        searched = np.flatnonzero(~determined)
+        if searched.size:
+            pair = self.how.pair
+            determined[searched] = ~several_fit(pair.chain, pair.nominal, ends[searched], quarters[searched])
+        return determined
+
+    def corrected_poses(self, posed: Sequence[Visit], ends: Floats, near: Floats, quarters: Floats) -> Correction:
+        """Correct poses: those with joints nearby from these, the others by a search from where the robot comes from."""
+        is_near: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
+        at_near = self.corrected(ends[is_near], Configuration(q_start=near[is_near]))
+        far = np.abs(at_near.q_nominal - near[is_near]).max(axis=1, initial=0.0) > NEAR
+        by_near = np.array(is_near)
+        by_near[np.flatnonzero(is_near)[far]] = False  # descent from so far may end in another configuration
+        at_near = _selected(at_near, np.flatnonzero(~far))
+        place = np.where(by_near, np.cumsum(by_near), np.cumsum(~by_near)) - 1
+        origins = Origins(np.full(len(ends), -1), near.copy())
+        for row, visit in enumerate(posed):
+            origin = visit.origin
+            if is_near[row] or origin is None:
+                continue
+            if origin.target.literal.form.is_joints:
+                origins.q[row] = readings_of(origin.target.literal)
+            elif (before := self.rows.get(origin)) is not None and before < len(posed):
+                if by_near[before]:
+                    origins.q[row] = at_near.q_nominal[place[before]]
+                else:
+                    origins.target[row] = place[before]
+        others = Origins(origins.target[~by_near], origins.q[~by_near])
+        by_search = self.corrected(
+            ends[~by_near], Configuration(home=self.how.home, quadrants=quarters[~by_near], origins=others)
+        )
+        order = np.concatenate([np.flatnonzero(by_near), np.flatnonzero(~by_near)])
+        return _selected(joined([at_near, by_search]), np.argsort(order))
+
+    def corrected_joints(self) -> Correction:
+        """Correct joint readings: the true robot shall be where a perfect robot would be with them."""
+        literals = [goal.target.literal for goal in self.goals if goal.target.literal.form.is_joints]
+        q = np.array([readings_of(literal) for literal in literals]).reshape(-1, N_JOINTS)
+        return self.corrected(believed(self.how.pair, q), Configuration(q_start=q))
+
+    def corrected(self, ends: Floats, configuration: Configuration) -> Correction:
+        """Correct poses (n, 4, 4) of the end, which may be none."""
+        if len(ends):
+            return self.how.correct(ends, configuration)
+        q, errors = np.zeros((0, N_JOINTS)), np.zeros((0, 2))
+        return Correction(q, q, np.zeros((0, 4, 4)), errors, errors, ())
+
+    def refuse_unsolved(self, told: Floats, determined: NDArray[np.bool_]) -> None:
+        """Refuse moves with a goal that cannot be corrected, or needs different numbers on different visits."""
+        census_of = {id(census.program): census for census in self.censuses}
+        for visit, row in self.visits:
+            problem, first = self.done.problem[row], self.rows[visit.goal]
+            finding = None
+            if row < len(determined) and not determined[row] and self.how.home is None:
+                finding = Finding("configuration")
+            elif problem:
+                finding = Finding("solution", {"problem": problem})
+            elif row != first and np.abs(apart(told[first][None], told[row][None])).max() > SAME_TARGET:
+                finding = Finding("other-configuration")
+            elif not _turns_fit(visit, self.done.q_nominal[row], self.done.q[row]):
+                finding = Finding("turns")
+            if finding is not None:
+                census_of[id(visit.program)].refuse(visit.move, finding)
+
+    # what was settled
+
+    def describe(self, quarters: Floats, determined: NDArray[np.bool_]) -> None:
+        """Describe the corrected targets and straight moves."""
+        places: dict[tuple[int, Place], tuple[str, int]] = {}
+        for number, census in enumerate(self.censuses):
+            for move, goal in _corrected_goals(census, self.joints_change):
+                is_own = move in census.own and goal.argument is not None
+                place = (
+                    Place(move.place.file, goal.argument[0]) if is_own and goal.argument else goal.target.literal.place
+                )
+                settled = census.poses.get(place)
+                row = self.rows[settled[0] if settled and not is_own else goal]
+                places.setdefault((number, place), (self.label(census.program, place), row))
+        labels, rows = [label for label, _ in places.values()], np.array([row for _, row in places.values()], dtype=int)
+        n_posed = len(determined)
+        told = np.array([self.wanted.get(self.goals[row], np.eye(4)) for row in rows]).reshape(-1, 4, 4)
+        by_joints = rows >= n_posed
+        asked = np.concatenate([self.asked, believed(self.how.pair, self.done.q_nominal[n_posed:])])[rows]
+        told[by_joints] = self.done.commanded[rows[by_joints]]
+        correction = at_tools(self.how.pair, _selected(self.done, rows), self.tools[rows])
+        self.targets = CorrectedTargets(tuple(labels), by_joints, asked, told, self.tools[rows], correction)
+        self.moves = self.straight_moves()
+        posed = rows[~by_joints]
+        numbers = [
+            label.removeprefix("line ") for label, is_joint in zip(labels, by_joints, strict=True) if not is_joint
+        ]
+        open_rows = posed[~determined[posed]]
+        if self.how.home is not None and open_rows.size:
+            self.notes.append(self.configuration_spread(open_rows[:MOST_COMPARED]))
+        self.notes += configuration_notes(self.done.q_nominal[posed], quarters[posed], determined[posed], numbers)
+
+    def configuration_spread(self, rows: NDArray[np.int_]) -> str:
+        """Return how far apart [mm] the corrections of targets are in the arm's configurations."""
+        pair, spread = self.how.pair, 0.0
+        ends = believed(pair, self.done.q_nominal[rows])
+        stock = solutions(pair.chain, pair.nominal, ends, oriented=True)
+        for end, row, q, is_reached in zip(ends, rows, stock.q, stock.reached, strict=True):
+            q_start = q[is_reached & within(pair.chain, q)]
+            other = self.corrected(np.broadcast_to(end, (len(q_start), 4, 4)), Configuration(q_start=q_start))
+            distances = np.linalg.norm((other.commanded - self.done.commanded[row])[:, :3, 3], axis=1)
+            spread = max(spread, float(distances.max(initial=0.0)))
+        return f"Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {MM.text(spread, '.3f')}."
+
+    def label(self, program: Program, place: Place) -> str:
+        """Return "line 12", or "line part.mod:12" among several files."""
+        source = program.files[place.file]
+        several = len(self.programs) > 1 or len(program.files) > 1
+        return f"line {source.name}:{source.line(place.offset)}" if several else f"line {source.line(place.offset)}"
+
+    def straight_moves(self) -> CorrectedMoves:
+        """Simulate the straight moves between corrected targets."""
+        starts: list[Floats] = []
+        rows: list[int] = []
+        labels: list[tuple[str, str]] = []
+        unchecked = 0
+        for visit, row in self.visits:
+            if not visit.move.straight or visit.move.reason is not None or row >= len(self.asked):
+                continue
+            origin = visit.origin
+            if origin is None or (origin not in self.rows and not origin.target.literal.form.is_joints):
+                unchecked += 1
+                continue
+            place = origin.target.literal.place
+            starts.append(self.done.q[self.rows[origin]] if origin in self.rows else readings_of(origin.target.literal))
+            rows.append(row)
+            labels.append((self.label(visit.program, visit.move.place), self.label(visit.program, place)))
+        if not rows or len(rows) > MOST_MOVES:
+            return CorrectedMoves(unchecked=unchecked + len(rows))
+        found = straight_moves(self.how.pair, np.array(starts), self.done.commanded[rows], self.tools[rows])
+        return CorrectedMoves(tuple(end for end, _ in labels), tuple(start for _, start in labels), found, unchecked)
+
+    def written(self, language: ProgramLanguage, surroundings: Surroundings, mark: bool) -> dict[str, bytes]:
+        """Return the corrected files, read again and compared. Raises FindingError for a fault in them."""
+        files: dict[str, bytes] = {}
+        for census in self.censuses:
+            changes = changes_of(census, self.wanted, self.joints, self.joints_change)
+            changes += marks_of(census.program) if mark else []
+            names = [source.name for source in census.program.files]
+            files |= zip(names, changed_files(census.program, changes), strict=True)
+        again = read_programs(language, [Source(name, data) for name, data in files.items()], surroundings)
+        faults = ["the corrected files are other programs"] * (len(again) != len(self.programs))
+        for census, program in zip(self.censuses, again, strict=False):
+            faults.append(difference(census.program, program, self.wanted, self.joints, self.joints_change))
+        if any(faults):
+            fault = next(filter(None, faults))
+            raise FindingError(
+                Finding("reread"),
+                f"{fault}, so nothing was written; this is a fault in truearm: report it with this program",
             )
-        else:
-            at = of_joints.get(move.start.start)
-            q = np.array(readings_of(move.start)) if at is None else corrected.correction.q[at]
-            where = move.start.start
-        if q is None or move.end not in of_pose or len(q) != corrected.correction.q.shape[1]:
-            unchecked += 1
-            continue
-        starts.append(q)
-        ends.append(of_pose[move.end])
-        places.append((f"line {program.source.line(move.at)}", f"line {program.source.line(where)}"))
-    if not ends or len(ends) > MOST_MOVES:
-        return CorrectedMoves(unchecked=unchecked + len(ends))
-    told = corrected.correction.commanded[ends]
-    found = straight_moves(pair, np.array(starts), told, corrected.tools[ends])
-    return CorrectedMoves(tuple(a for a, _ in places), tuple(b for _, b in places), found, unchecked)
+        return files
 
 
-def _joints_kept(n: int) -> list[str]:
-    return [f"{counted(n, 'move')} to joint values kept as {'it is' if n == 1 else 'they are'}."] * bool(n)
+def _visits(program: Program) -> Iterator[Visit]:
+    """Yield the goals of all moves with the goals from where the robot may come."""
+    before = preceding(program.steps, lambda move: True, MOST_ORIGINS)
+    for move in program.moves:
+        origins: list[Goal | None] = list(_ends(before.get(move, ())))
+        for goal in move.goals:
+            is_fixed = goal.near or goal.quarters or goal.target.literal.form.is_joints
+            chosen = origins[:1] if is_fixed else origins
+            for origin in chosen:
+                yield Visit(program, move, goal, origin)
+            if goal.argument is not None:
+                origins = [goal]  # the end of a circle follows the point on it
+
+
+def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
+    """Return the goals at which moves may end, known ones first; None: unknown."""
+    ends: dict[Goal | None, None] = {}
+    for move in moves:
+        goals = move.goals if move is not None else []
+        is_single = all(goal.argument is not None for goal in goals)
+        chosen = goals[-1:] if is_single else goals
+        ends.update(dict.fromkeys(chosen if 0 < len(chosen) <= MOST_ORIGINS else [None]))
+    return sorted(ends, key=lambda goal: goal is None)[: MOST_ORIGINS + 1] or [None]
+
+
+def _kind(goal: Goal) -> object:
+    """Return what two goals with equal corrections have in common."""
+    target = goal.target
+    frames = (pose.tobytes() for pose in (target.left, target.right, goal.tool, goal.frame))
+    return id(target.literal), *frames, goal.near, goal.quarters
+
+
+def _corrected_goals(census: Census, joints_change: bool) -> Iterator[tuple[Move, Goal]]:
+    """Yield the goals whose numbers change, with their moves."""
+    for move in census.program.moves:
+        for goal in move.goals if move.reason is None else ():
+            if joints_change or not goal.target.literal.form.is_joints:
+                yield move, goal
+
+
+def _turns_fit(visit: Visit, before: Floats, after: Floats) -> bool:
+    """Return whether the configuration data that no search uses agree: the signs of KRL's T, the turns of Fanuc's axes."""
+    if visit.goal.turns is not None and visit.move.name.endswith("ptp"):
+        signs = [bool(visit.goal.turns >> axis & 1) for axis in range(N_JOINTS)]
+        return all((q < 0.0) == sign or abs(q) < 1e-3 for q, sign in zip(before, signs, strict=True))
+    if visit.program.language == "ls":
+        turned = np.floor((before + np.pi) / (2.0 * np.pi)) != np.floor((after + np.pi) / (2.0 * np.pi))
+        return not turned[list(CONFIGURED)].any()
+    return True
+
+
+def _near(goals: Sequence[Goal]) -> Floats:
+    """Return joint readings (n, 6) [rad] near those of goals, NaN if the program gives none."""
+    return np.array([goal.near or (np.nan,) * N_JOINTS for goal in goals]).reshape(-1, N_JOINTS)
+
+
+def _quarters(goals: Sequence[Goal]) -> Floats:
+    """Return the quarter turns (n, 6) of axes 1, 4 and 6 that goals ask for, NaN elsewhere."""
+    quarters = np.full((len(goals), N_JOINTS), np.nan)
+    quarters[:, CONFIGURED] = np.array([goal.quarters or (np.nan,) * 3 for goal in goals]).reshape(-1, 3)
+    return quarters
+
+
+def _stacked(poses: Sequence[Floats]) -> Floats:
+    return np.array(poses).reshape(-1, 4, 4)
+
+
+def _selected(done: Correction, rows: Sequence[int] | NDArray[np.int_]) -> Correction:
+    """Return a selection of corrected targets."""
+    index = np.asarray(rows, dtype=int)
+    arrays = (done.q_nominal, done.q, done.commanded, done.before, done.after)
+    q_nominal, q, commanded, before, after = (array[index] for array in arrays)
+    problems = tuple(done.problem[row] for row in index.tolist())
+    return Correction(q_nominal, q, commanded, before, after, problems)
 
 
 def _last_axis(pair: ModelPair) -> Floats:
@@ -307,7 +572,7 @@ def _last_axis(pair: ModelPair) -> Floats:
 def _placed(
     language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions, axis: Floats
 ) -> tuple[Frame, Frame]:
-    """Return the controller's base and flange in the calibration's frames. Raises ProgramError if they are not
+    """Return the controller's base and flange in the calibration's frames. Raises FindingError if they are not
     specified.
 
     Without its mountings a robot still has the frames of its description. They are the controller's, whatever their
@@ -316,12 +581,12 @@ def _placed(
     other = SAME if names.own and names.brought else None
     base = _given(options.base) or base_of(language, names.base, names.brought) or other
     flange = _given(options.flange) or _described(names) or flange_of(language, names.end, names.brought, axis) or other
-    for found, what, frame, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
-        if found is None:
+    for frame, what, name, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
+        if frame is None:
             same = " X,Y,Z,RX,RY,RZ, or as 0,0,0,0,0,0 if the two frames are the same"
-            wrong = f"the calibration uses frame {frame[:60]}; the pose of the controller's {what} in this frame is not known; give it as "
+            wrong = f"the calibration uses frame {name[:60]}; the pose of the controller's {what} in this frame is not known; give it as "
             own = (f"{same}, or use the robot's own frames with ", Argument("own_frames")) if names.brought else (same,)
-            raise ProgramError(wrong, Argument(argument), *own)
+            raise FindingError(Finding("frame", {"frame": name}), wrong, Argument(argument), *own)
     assert base is not None
     assert flange is not None
     return base, flange
@@ -333,121 +598,3 @@ def _described(names: CalibrationFrames) -> Frame | None:
 
 def _given(six: Six | None) -> Frame | None:
     return None if six is None else Frame(frame_of(six), "as given")
-
-
-def _ends(base: Frame, flange: Frame, poses: tuple[Floats, Floats, Floats], targets: ProgramTargets) -> Floats:
-    """Return the poses (n, 4, 4) of the calibration's end frame at the targets and then at their revisits."""
-    place, frame, tools = poses
-    frames = for_each(lambda one: np.asarray(base.pose @ one), frame)
-    ends = frames @ place @ for_each(inverted, tools) @ inverted(flange.pose)
-    return _taken(ends, [*range(len(targets.poses)), *(one.pose for one in targets.revisits)])
-
-
-def _corrected_poses(
-    how: HowCorrected, ends: Floats, near: Floats, quarters: Floats, targets: ProgramTargets
-) -> Correction:
-    """Correct the targets and their revisits, whose ends are (n, 4, 4).
-
-    Those with joints nearby start from there, the others from a search from the robot's previous position.
-    """
-    origins = [*targets.origins, *(one.origin for one in targets.revisits)]
-    given: NDArray[np.bool_] = np.asarray(np.isfinite(near).all(axis=1))
-    known = given.copy()
-    at_known = _corrected(how, _taken(ends, np.flatnonzero(known)), Configuration(q_start=near[known]))
-    if (far := np.abs(at_known.q_nominal - near[known]).max(axis=1) > NEAR).any():
-        known[np.flatnonzero(known)[far]] = (
-            False  # from so far away, descent may end in another configuration than the nearest
-        )
-        at_known = _rows(at_known, np.flatnonzero(~far).tolist())
-    place = np.where(known, np.cumsum(known), np.cumsum(~known)) - 1  # among those of its kind
-    begun = Origins(np.full(len(ends), -1), near.copy())
-    for i, origin in enumerate(origins):
-        if given[i]:
-            continue
-        if isinstance(origin, Taught) and near.shape[1] == N_READINGS:
-            begun.q[i] = readings_of(origin)
-        elif isinstance(origin, int) and known[origin]:
-            begun.q[i] = at_known.q_nominal[place[origin]]
-        elif isinstance(origin, int):
-            begun.target[i] = place[origin]
-    rest = Origins(begun.target[~known], begun.q[~known])
-    by_search = _corrected(how, ends[~known], Configuration(home=how.home, quadrants=quarters[~known], origins=rest))
-    found = joined([at_known, by_search])
-    order = np.concatenate([np.flatnonzero(known), np.flatnonzero(~known)])
-    return _rows(found, np.argsort(order).tolist())
-
-
-def _corrected_joints(how: HowCorrected, literals: Sequence[Taught]) -> Correction:
-    """Correct joint readings: the true robot shall be where a perfect robot would be with them.
-
-    Raises ProgramError for a robot without exactly six joints.
-    """
-    n_joints = len(how.pair.chain.joints)
-    q = np.array([readings_of(literal) for literal in literals]).reshape(-1, 6)
-    if literals and n_joints != q.shape[1]:
-        raise ProgramError(
-            f"the program has {q.shape[1]} joints, the robot {n_joints}; give the robot that the program is for"
-        )
-    q = q if literals else np.zeros((0, n_joints))
-    return _corrected(how, believed(how.pair, q), Configuration(q_start=q))
-
-
-def _corrected(how: HowCorrected, ends: Floats, configuration: Configuration) -> Correction:
-    if not len(ends):
-        n_joints = len(how.pair.chain.joints)
-        return Correction(
-            np.zeros((0, n_joints)), np.zeros((0, n_joints)), ends, np.zeros((0, 2)), np.zeros((0, 2)), ()
-        )
-    return how.correct(ends, configuration)
-
-
-def _rows(of: Correction, rows: Sequence[int]) -> Correction:
-    """Return a selection of the targets."""
-    if _are_all(rows, of.q):
-        return of
-    k = np.array(rows, dtype=int)
-    problems = tuple(of.problem[i] for i in rows)
-    return Correction(of.q_nominal[k], of.q[k], of.commanded[k], of.before[k], of.after[k], problems)
-
-
-def _taken(of: Floats, rows: Sequence[int] | NDArray[np.int_]) -> Floats:
-    """Return a selection of rows; of all of them no copy, which takes 13 MB for 100,000 poses."""
-    return of if _are_all(rows, of) else of[np.asarray(rows, dtype=int)]
-
-
-def _are_all(rows: Sequence[int] | NDArray[np.int_], of: Floats) -> bool:
-    return len(rows) == len(of) and bool((np.asarray(rows, dtype=int) == np.arange(len(of))).all())
-
-
-def _stacked(first: Floats, second: Floats) -> Floats:
-    """Return the rows of both; the first alone is not copied."""
-    return np.concatenate([first, second]) if len(second) else first
-
-
-def _problems(program: Program, done: Correction, users: Sequence[Sequence[int]]) -> list[Refused]:
-    pairs = zip(users, done.problem, strict=True)
-    return [refused_at(program, at, problem) for moves, problem in pairs if problem for at in moves]
-
-
-def _other_configurations(program: Program, targets: ProgramTargets, done: Correction) -> list[Refused]:
-    """Return the revisits in which the arm needs a different correction from that of its first visit to the pose.
-
-    Their rows follow those of the poses.
-    """
-    rows = [one.pose for one in targets.revisits]
-    again = done.commanded[len(targets.poses) :]
-    off = np.abs(apart(done.commanded[rows], again)).max(axis=1) > SAME_TARGET
-    found = []
-    for one, row, problem, is_off in zip(targets.revisits, rows, done.problem[len(targets.poses) :], off, strict=True):
-        if done.problem[row]:
-            continue
-        if is_off or problem:
-            line = program.source.line(targets.poses[row].at)
-            why = f"the arm reaches its target in another configuration than in line {line}, which needs different numbers"
-            found += [refused_at(program, at, problem or why) for at in one.moves]
-    return found
-
-
-def _place(target: PoseTarget) -> int:
-    """Return the place of a target's numbers."""
-    return target.literal.start if target.literal is not None else target.goal.start

@@ -18,7 +18,6 @@ from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.files.programs.program import Refused
 from truearm.files.strict_json import number_or_null
 from truearm.model.poses import apart, inverted, position_and_rotation
 from truearm.report.result_words import SIMULATED
@@ -33,6 +32,17 @@ RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
 FADES = " Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 1
+
+
+class Refused(NamedTuple):
+    """A move that is not corrected, with the code of the reason, its text, and the argument that would resolve it."""
+
+    file: str
+    line: int
+    statement: str
+    code: str
+    why: str
+    remedy: str
 
 
 class CorrectedTargets(NamedTuple):

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from truearm.files.programs.program import Refused
 from truearm.report.correction_page import CorrectionPage
 from truearm.text import counted, one_line
 from truearm.types import Floats
 from truearm.units import MM, MRAD, shown, symbol
 from truearm.workflows.calibration import Calibration
-from truearm.workflows.correction_findings import STRAIGHT, Findings
+from truearm.workflows.correction_findings import STRAIGHT, Findings, Refused
 
 
 def page_of(
@@ -50,7 +49,7 @@ def page_of(
         limits=tuple(_limit(row, units) for row in found.limits),
         singular_value=found.singular_value,
         moves=_moves(found, units),
-        refused=tuple((f"{one.line}", one.statement, one.why) for one in refused),
+        refused=tuple((f"{move.file}:{move.line}", move.statement, move.why) for move in refused),
         warnings=tuple(said),
         notes=tuple(notes),
         facts=facts,

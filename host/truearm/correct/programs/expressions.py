@@ -1,0 +1,36 @@
+"""Sums and products of constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from truearm.correct.programs.program import Uncertain
+from truearm.correct.programs.tokens import Tokens, separated
+
+
+def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], float]) -> float | None:
+    """Return the value of a sum or product, None if tokens are neither. Raises Uncertain.
+
+    ``evaluate`` returns the value of an operand, or raises Uncertain.
+    """
+    for signs in ("+-", "*/"):
+        operands = list(separated(tokens, *signs))
+        if len(operands) > 1:
+            break
+    else:
+        return None
+    total = 0.0
+    for number, operand in enumerate(operands):
+        sign = operand[0].text if operand and operand[0].kind == "sign" and operand[0].text in signs else ""
+        if number == 0 and not operand and signs == "+-":
+            continue  # the sign of the first operand
+        value = evaluate(operand[bool(sign) :])
+        if sign == "/" and not value:
+            raise Uncertain("run-time")
+        if sign == "*":
+            total *= value
+        elif sign == "/":
+            total /= value
+        else:
+            total += -value if sign == "-" else value
+    return total

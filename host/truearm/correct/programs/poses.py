@@ -1,0 +1,154 @@
+"""Poses of literals, and the numbers that a literal needs for a pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import assert_never
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from truearm.correct.programs.program import Form, Literal, Uncertain
+from truearm.model.poses import pose_of
+from truearm.types import Floats
+from truearm.units import DEG, MM, UNITS
+
+UNIT_QUATERNION = 1e-3  # largest deviation of a quaternion's norm from 1
+
+
+def matrix_of_angles(x: float, y: float, z: float, a: float, b: float, c: float) -> Floats:
+    """Return the pose (4, 4) at x, y, z [mm], rotated by a, b, c [deg] about z, the new y and the new x."""
+    pose = np.eye(4)
+    pose[:3, 3] = MM.to_si(np.array([x, y, z]))
+    pose[:3, :3] = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
+    return pose
+
+
+def matrix_of_quaternion(xyz: Sequence[float], quaternion: Sequence[float]) -> Floats:
+    """Return the pose (4, 4) at xyz [mm], rotated by a quaternion, scalar first. Raises Uncertain if it is no unit one."""
+    check_quaternion(quaternion)
+    pose = np.eye(4)
+    pose[:3, 3] = MM.to_si(np.array(xyz))
+    pose[:3, :3] = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
+    return pose
+
+
+def check_quaternion(quaternion: Sequence[float]) -> None:
+    """Raise Uncertain unless a quaternion has the norm 1."""
+    norm = float(np.linalg.norm(quaternion))
+    if not abs(norm - 1.0) <= UNIT_QUATERNION:
+        raise Uncertain("quaternion", norm=norm)
+
+
+def check_reach(literal: Literal) -> None:
+    """Raise Uncertain for numbers that no robot can reach."""
+    lengths, angles = UNITS["m"].largest, UNITS["rad"].largest
+    bounds: tuple[float, ...]
+    match literal.form:
+        case Form.ROBTARGET:
+            check_quaternion(literal.numbers[3:7])
+            bounds = (MM.of(lengths),) * 3
+        case Form.VECTOR:
+            bounds = (*(lengths,) * 3, *(angles,) * 3)
+        case Form.ANGLES:
+            bounds = (*(MM.of(lengths),) * 3, *(DEG.of(angles),) * 3)
+        case Form.RADIANS:
+            bounds = (angles,) * 6
+        case Form.DEGREES:
+            bounds = (DEG.of(angles),) * 6
+        case _:
+            assert_never(literal.form)
+    for number, bound in zip(literal.numbers, bounds, strict=False):
+        if not abs(number) <= bound:
+            raise Uncertain("range", number=number)
+
+
+def poses_of(literals: Sequence[Literal]) -> Floats:
+    """Return the poses (n, 4, 4) [m] of literals that are poses."""
+    poses = np.tile(np.eye(4), (len(literals), 1, 1))
+    for form in Form:
+        rows = [row for row, literal in enumerate(literals) if literal.form is form]
+        if not rows or form.is_joints:
+            continue
+        numbers = np.array([literals[row].numbers[:7] for row in rows])
+        xyz, angles = numbers[:, :3], numbers[:, 3:6]
+        match form:
+            case Form.VECTOR:
+                poses[rows] = pose_of(xyz, angles)
+                continue
+            case Form.ROBTARGET:
+                turn = Rotation.from_quat(np.roll(numbers[:, 3:7], -1, axis=1))
+            case Form.ANGLES:
+                turn = Rotation.from_euler("ZYX", angles, degrees=True)
+            case Form.RADIANS | Form.DEGREES:
+                continue
+            case _:
+                assert_never(form)
+        poses[rows, :3, 3], poses[rows, :3, :3] = MM.to_si(xyz), turn.as_matrix()
+    return poses
+
+
+def readings_of(literal: Literal) -> Floats:
+    """Return the joint readings [rad] of a literal of six."""
+    readings = np.array(literal.numbers[:6])
+    return np.asarray(DEG.to_si(readings)) if literal.form is Form.DEGREES else readings
+
+
+def texts_of_readings(literal: Literal, readings: Floats) -> list[str]:
+    """Return joint readings (6,) [rad] as the numbers of a literal, to 1e-10 rad or 1e-8 deg."""
+    if literal.form is Form.DEGREES:
+        return [plain(value, 8) for value in DEG.of(readings)]
+    return [plain(value, 10) for value in readings.tolist()]
+
+
+def texts_of_poses(literals: Sequence[Literal], poses: Floats) -> list[list[str]]:
+    """Return poses (n, 4, 4) as the numbers of literals: to 1 nm (mm: 10 nm) and 1e-9 of a rotation.
+
+    A rotation vector is the one nearest to the literal's own, and so are a quaternion's sign and whole turns of angles.
+    """
+    texts: list[list[str]] = [[] for _ in literals]
+    for form in {literal.form for literal in literals}:
+        rows = [row for row, literal in enumerate(literals) if literal.form is form]
+        turn = Rotation.from_matrix(poses[rows, :3, :3])
+        old = np.array([literals[row].numbers[3 : 7 if form is Form.ROBTARGET else 6] for row in rows])
+        xyz = poses[rows, :3, 3]
+        match form:
+            case Form.VECTOR:
+                numbers, decimals = np.concatenate([xyz, _nearest_vectors(turn.as_rotvec(), old)], axis=1), (9, 9)
+            case Form.ROBTARGET:
+                quaternion = np.roll(turn.as_quat(), 1, axis=1)
+                quaternion *= np.where((quaternion * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+                numbers, decimals = np.concatenate([MM.of(xyz), quaternion], axis=1), (5, 10)
+            case Form.ANGLES:
+                angles = turn.as_euler("ZYX", degrees=True)
+                numbers, decimals = np.concatenate([MM.of(xyz), _nearest_angles(angles, old)], axis=1), (6, 8)
+            case Form.RADIANS | Form.DEGREES:
+                continue
+            case _:
+                assert_never(form)
+        for row, values in zip(rows, numbers.tolist(), strict=True):
+            texts[row] = [plain(value, decimals[column > 2]) for column, value in enumerate(values)]
+    return texts
+
+
+def _nearest_vectors(vectors: Floats, old: Floats) -> Floats:
+    """Return rotation vectors (n, 3) with whole turns added to be nearest to the old ones."""
+    angle = np.linalg.norm(vectors, axis=1, keepdims=True)
+    axis = vectors / np.maximum(angle, 1e-12)
+    alternatives = np.stack([axis * (angle + 2.0 * np.pi * turns) for turns in (-2, -1, 0, 1, 2)])
+    nearest = np.linalg.norm(alternatives - old, axis=2).argmin(axis=0)
+    return np.asarray(np.where(angle < 1e-9, vectors, alternatives[nearest, np.arange(len(vectors))]))
+
+
+def _nearest_angles(angles: Floats, old: Floats) -> Floats:
+    """Return A, B, C (n, 3) [deg] or the other angles of the same rotation, whichever are nearer to the old ones."""
+    other = np.stack([angles[:, 0] + 180.0, 180.0 - angles[:, 1], angles[:, 2] + 180.0], axis=1)
+    alternatives = np.stack([one + 360.0 * np.round((old - one) / 360.0) for one in (angles, other)])
+    nearest = np.abs(alternatives - old).max(axis=2).argmin(axis=0)
+    return np.asarray(alternatives[nearest, np.arange(len(angles))])
+
+
+def plain(value: float, decimals: int) -> str:
+    """Return a number without an exponent, trailing zeros or a negative zero."""
+    text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

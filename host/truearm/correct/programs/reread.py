@@ -1,0 +1,76 @@
+"""Compare a corrected program, read again, with what was wanted: every move goes where it should, or where it went.
+
+This finds mistakes between the targets and the text: numbers in a wrong place or rounded wrongly, a literal that two
+moves share, a move that was lost (docs/decisions/0031).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from truearm.correct.programs.census import literals_of
+from truearm.correct.programs.corrected_text import Joints
+from truearm.correct.programs.poses import poses_of, readings_of
+from truearm.correct.programs.program import Goal, Move, Program
+from truearm.model.poses import apart
+from truearm.types import Floats
+
+CLOSE = 1e-6  # m, rad: below a controller's resolution, above the rounding of the numbers that are written
+
+
+def target_poses(goals: Sequence[Goal]) -> Floats:
+    """Return the targets (n, 4, 4) of goals that are poses, in their frames."""
+    literals = literals_of(goals)
+    rows = {literal.place: row for row, literal in enumerate(literals)}
+    poses = poses_of(literals)
+    if not goals:
+        return poses
+    left, right = (np.array(sides) for sides in zip(*((g.target.left, g.target.right) for g in goals), strict=True))
+    return np.asarray(left @ poses[[rows[goal.target.literal.place] for goal in goals]] @ right)
+
+
+def difference(
+    before: Program, after: Program, wanted: Mapping[Goal, Floats], joints: Mapping[Goal, Joints], joints_change: bool
+) -> str:
+    """Return how the moves of a corrected program differ from what is wanted, with file and line; "" if they do not."""
+    if len(before.moves) != len(after.moves):
+        return "the corrected program has another number of moves"
+    pairs: list[tuple[Move, Goal, Goal]] = []
+    for old, new in zip(before.moves, after.moves, strict=True):
+        uncertain = bool(old.reason and not old.goals)
+        if old.name != new.name or len(old.goals) != len(new.goals) or uncertain != (new.reason is not None):
+            return f"{before.where(old.place)}: the corrected move has other targets"
+        pairs += [(old, first, second) for first, second in zip(old.goals, new.goals, strict=True)]
+    return next(_differences(before, pairs, wanted, joints, joints_change), "")
+
+
+def _differences(
+    program: Program,
+    pairs: Sequence[tuple[Move, Goal, Goal]],
+    wanted: Mapping[Goal, Floats],
+    joints: Mapping[Goal, Joints],
+    joints_change: bool,
+) -> Iterator[str]:
+    """Yield the differences of moves with goals."""
+    posed = [pair for pair in pairs if not pair[1].target.literal.form.is_joints]
+    if any(goal.target.literal.form.is_joints for _, _, goal in posed):
+        yield "a pose became joint readings"
+        return
+    due = target_poses([goal for _, goal, _ in posed])
+    for row, (move, goal, _) in enumerate(posed):
+        if move.reason is None:
+            due[row] = wanted[goal]
+    actual = target_poses([goal for _, _, goal in posed])
+    distances = np.abs(apart(actual, due)).max(axis=1) if posed else np.zeros(0)
+    for (move, goal, again), distance in zip(posed, distances, strict=True):
+        same = np.array_equal(goal.tool, again.tool) and np.array_equal(goal.frame, again.frame)
+        if not distance <= CLOSE or not same:
+            yield f"{program.where(move.place)}: the corrected move misses its target by {distance:.3g} m or rad"
+    for move, goal, again in pairs:
+        if goal.target.literal.form.is_joints:
+            changed = joints_change and move.reason is None
+            readings = joints[goal].after if changed else readings_of(goal.target.literal)
+            if not np.abs(readings_of(again.target.literal) - readings).max() <= CLOSE:
+                yield f"{program.where(move.place)}: the corrected move has other joint readings"
