@@ -220,7 +220,7 @@ class _Reader:
             return IDENTITY
         if key.startswith(FRAMES):
             if self.frames_change is not None:
-                raise self.frames_change
+                raise self.frames_change.again()
             short = key.replace("[", "").replace("]", "")
             if short in self.surroundings.frames and key not in self.frames:
                 return self.surroundings.frames[short]
@@ -320,7 +320,7 @@ class _ActiveFrames:
     def tool_and_base(self) -> tuple[Floats, Floats]:
         """Return both. Raises Uncertain."""
         if len(self.frames) < 2:
-            raise self.reason
+            raise self.reason.again()
         return self.frames["tool"], self.frames["base"]
 
 

@@ -105,7 +105,7 @@ class _File:
         self.program.steps.append(move)
         try:
             if self.blocked is not None:
-                raise self.blocked
+                raise self.blocked.again()
             if DISPLACED.search(self.text, match.end(), end):
                 raise Uncertain("path")
             points = list(POINT.finditer(self.text, match.end(), end))

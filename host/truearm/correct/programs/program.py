@@ -5,10 +5,10 @@ Every reader of a language returns a ``Program``. The census of uses, the correc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from truearm.types import Floats
 IDENTITY: Floats = np.eye(4)
 IDENTITY.flags.writeable = False
 MOST_TARGETS = 1_000  # of one argument, such as the elements of a list
+MOST_GOALS = 100_000  # of all moves
 
 
 class Uncertain(Exception):
@@ -28,9 +29,38 @@ class Uncertain(Exception):
         super().__init__(code)
         self.finding = Finding(code, values)
 
+    def again(self) -> Uncertain:
+        """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
+        return Uncertain(self.finding.code, **self.finding.values)
+
     def about(self, subject: str) -> Uncertain:
         """Return the same reason as one about a tool, work object or offset."""
         return Uncertain(self.finding.code, **{**self.finding.values, "subject": subject})
+
+
+T = TypeVar("T")
+
+
+@dataclass(eq=False)
+class Memo:
+    """Values and failures of names, each computed once: names that lead to themselves end as "deep"."""
+
+    values: dict[object, Any] = field(default_factory=dict)
+    failures: dict[object, Finding] = field(default_factory=dict)
+
+    def get(self, key: object, compute: Callable[[], T]) -> T:
+        """Return the value of a key, computed if it is not known yet. Raises Uncertain."""
+        if key not in self.values:
+            if key in self.failures:
+                raise Uncertain(self.failures[key].code, **self.failures[key].values)
+            self.failures[key] = Finding("deep")
+            try:
+                self.values[key] = compute()
+            except Uncertain as uncertain:
+                self.failures[key] = uncertain.finding
+                raise
+        value: T = self.values[key]
+        return value
 
 
 class Place(NamedTuple):
@@ -181,6 +211,13 @@ class Program:
     harmless: set[Place] = field(default_factory=set)
     names: set[str] = field(default_factory=set)
     declared: set[str] = field(default_factory=set)
+    n_goals: int = 0
+
+    def count(self, move: Move) -> None:
+        """Count the goals of a move. Raises Uncertain if all moves together have too many."""
+        self.n_goals += len(move.goals)
+        if self.n_goals > MOST_GOALS:
+            raise Uncertain("many", most=MOST_GOALS)
 
     def where(self, place: Place) -> str:
         """Return the file and line of a place."""

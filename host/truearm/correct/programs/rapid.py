@@ -131,18 +131,21 @@ def _number(value: Value) -> float:
 def _value_of_place(task: Task, tokens: Tokens, scope: Scope, depth: int) -> Value:
     """Return the only value of a name, or of an element of it by a constant index."""
     datum, element = _datum_of(task, tokens, scope, depth)
-    if datum not in task.values:
-        values = [value_of(task, value, where, depth + 1) for value, where in _values(task, datum)]
-        if any(_plain(value) != _plain(values[0]) for value in values):
-            raise Uncertain("several", name=datum.name)
-        task.values[datum] = values[0]
-    value = task.values[datum]
+    value = task.memo.get(datum, lambda: _only_value(task, datum, depth))
     if element is None:
         return _without_span(value)
     items = value.items if isinstance(value, Row) else ()
     if not 1 <= element <= len(items):
         raise Uncertain("element", name=datum.name)
     return _without_span(items[element - 1])
+
+
+def _only_value(task: Task, datum: Datum, depth: int) -> Value:
+    """Return the only value of a datum."""
+    values = [value_of(task, value, scope, depth + 1) for value, scope in _values(task, datum)]
+    if any(_plain(value) != _plain(values[0]) for value in values):
+        raise Uncertain("several", name=datum.name)
+    return values[0]
 
 
 def _values(task: Task, datum: Datum) -> list[tuple[Tokens, Scope]]:
@@ -195,23 +198,22 @@ def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, depth: int 
         raise Uncertain("run-time")
     datum, element = _datum_of(task, tokens, scope, depth)
     use = datum, Place(scope.file, tokens[0].start)
-    is_whole = element is None
-    targets = _targets_of_datum(task, datum, form, depth) if is_whole else _elements(task, datum, element or 0, form)
+    if element is None:
+        targets = task.memo.get((datum, form), lambda: _targets_of_datum(task, datum, form, depth))
+    else:
+        targets = task.memo.get((datum, form, element), lambda: _elements(task, datum, element, form))
     return [Target(t.literal, t.left, t.right, (use, *t.uses)) for t in targets]
 
 
 def _targets_of_datum(task: Task, datum: Datum, form: Form, depth: int) -> list[Target]:
     """Return the targets of all values of a datum."""
-    key = datum, form.value
-    if key not in task.targets:
-        by_literal: dict[object, Target] = {}
-        for value, scope in _values(task, datum):
-            for target in targets_of(task, value, scope, form, depth + 1):
-                by_literal[target.literal, target.left.tobytes(), target.right.tobytes(), target.uses] = target
-            if len(by_literal) > MOST_TARGETS:
-                raise Uncertain("many", most=MOST_TARGETS)
-        task.targets[key] = list(by_literal.values())
-    return task.targets[key]
+    by_literal: dict[object, Target] = {}
+    for value, scope in _values(task, datum):
+        for target in targets_of(task, value, scope, form, depth + 1):
+            by_literal[target.literal, target.left.tobytes(), target.right.tobytes(), target.uses] = target
+        if len(by_literal) > MOST_TARGETS:
+            raise Uncertain("many", most=MOST_TARGETS)
+    return list(by_literal.values())
 
 
 def _elements(task: Task, datum: Datum, element: int, form: Form) -> list[Target]:
@@ -339,6 +341,7 @@ def _add_move(task: Task, statement: Statement) -> None:
         if not is_move:
             raise Uncertain("aimless")
         move.goals = _goals(task, statement)
+        program.count(move)
     except Uncertain as uncertain:
         move.refuse(uncertain)
 
@@ -376,7 +379,7 @@ def _goals(task: Task, statement: Statement) -> list[Goal]:
 def _check_surroundings(task: Task) -> None:
     """Raise Uncertain if something displaces all poses of the task."""
     if task.displaced is not None:
-        raise task.displaced
+        raise task.displaced.again()
     if task.locked:
         raise Uncertain("locked-axis")
     if task.surroundings.strict and task.program.absent:

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from truearm.correct.programs.program import (
     Change,
     Datum,
     Literal,
+    Memo,
     Place,
     Program,
     Step,
     Surroundings,
-    Target,
     Uncertain,
 )
 from truearm.correct.programs.program import certain as certain_in_program
@@ -102,8 +102,7 @@ class Task:
     unwatched: bool = False
     locked: bool = False
     literals: dict[Place, Literal] = field(default_factory=dict)
-    targets: dict[tuple[Datum, str], list[Target]] = field(default_factory=dict)
-    values: dict[Datum, Any] = field(default_factory=dict)
+    memo: Memo = field(default_factory=Memo)
     persistents: list[Datum] = field(default_factory=list)
 
     def statements(self) -> Iterator[Statement]:
@@ -339,7 +338,7 @@ def certain(task: Task, datum: Datum) -> None:
     """Raise Uncertain if a datum may have values that are not assigned to it as a whole."""
     certain_in_program(task.program, datum, task.surroundings)
     if task.by_name is not None and datum.kind != "const":
-        raise task.by_name
+        raise task.by_name.again()
 
 
 def is_place(tokens: Tokens) -> bool:
@@ -378,7 +377,11 @@ def _note_uses(task: Task, statement: Statement) -> None:
         if datum is not None and not (is_word(tokens, index - 1, "(") and is_word(tokens, index - 2, "dim")):
             datum.uses.add(Place(scope.file, token.start))
         if is_word(tokens, index + 1, "("):
-            _note_call(task, scope, token.text, tokens[index + 2 : closing(tokens, index + 1)])
+            end = closing(tokens, index + 1)
+            if end == len(tokens):  # what it may change is not known
+                task.by_name = Uncertain("deep")
+            else:
+                _note_call(task, scope, token.text, tokens[index + 2 : end])
 
 
 def _note_instruction(task: Task, statement: Statement) -> None:

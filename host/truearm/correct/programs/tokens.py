@@ -32,18 +32,18 @@ Tokens = Sequence[Token]
 _NUMBER = r"(?P<number>(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?\d++)?)"
 _FLAGS = re.VERBOSE | re.ASCII | re.DOTALL | re.MULTILINE
 RAPID = re.compile(
-    rf"""(?:\s++|![^\r\n]*+|%%%.*?%%%)*+(?:(?P<text>"(?:[^"\r\n]|"")*+"?)|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)
-    |(?P<sign>:=|<>|<=|>=|.))""",
+    rf"""(?:\s++|![^\r\n]*+|%%%.*?%%%)++|(?P<text>"(?:[^"\r\n]|"")*+"?)|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)
+    |(?P<sign>:=|<>|<=|>=|.)""",
     _FLAGS,
 )
 URSCRIPT = re.compile(
-    rf"""(?:[ \t\f]++|\#[^\r\n]*+|^[ \t]*+\$[^\r\n]*+|\xef\xbb\xbf)*+(?:(?P<newline>\r\n|\n|\r|;)
-    |(?P<text>"[^"\r\n]*+"|'[^'\r\n]*+')|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)|(?P<sign>==|!=|<=|>=|.))""",
+    rf"""(?:^[ \t]*+\$[^\r\n]*+|[ \t\f]++|\#[^\r\n]*+|\xef\xbb\xbf)++|(?P<newline>\r\n|\n|\r|;)
+    |(?P<text>"[^"\r\n]*+"|'[^'\r\n]*+')|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)|(?P<sign>==|!=|<=|>=|.)""",
     _FLAGS,
 )
 KRL = re.compile(
-    rf"""(?:[ \t\f]++|;[^\r\n]*+|^&[^\r\n]*+)*+(?:(?P<newline>\r\n|\n|\r)|(?P<text>"[^"\r\n]*+"?)|{_NUMBER}
-    |(?P<word>[$\#]?[A-Za-z_]\w*+)|(?P<sign>==|<>|<=|>=|.))""",
+    rf"""(?:[ \t\f]++|;[^\r\n]*+|^&[^\r\n]*+)++|(?P<newline>\r\n|\n|\r)|(?P<text>"[^"\r\n]*+"?)|{_NUMBER}
+    |(?P<word>[$\#]?[A-Za-z_]\w*+)|(?P<sign>==|<>|<=|>=|.)""",
     _FLAGS,
 )
 

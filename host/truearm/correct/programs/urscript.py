@@ -17,6 +17,7 @@ from truearm.correct.programs.program import (
     Form,
     Goal,
     Literal,
+    Memo,
     Move,
     Place,
     Program,
@@ -81,34 +82,30 @@ class _Reader:
 
     script: Script
     literals: dict[Place, Literal] = field(default_factory=dict)
-    products: dict[Datum, list[Product]] = field(default_factory=dict)
-    numbers: dict[Datum, float] = field(default_factory=dict)
-    readings: dict[Datum, list[Readings]] = field(default_factory=dict)
+    memo: Memo = field(default_factory=Memo)
     depth: int = 0
 
-    def through(self, datum: Datum, known: dict[Datum, T], evaluate: Callable[[Tokens, Statement], T]) -> T:
+    def through(self, datum: Datum, evaluate: Callable[[Tokens, Statement], T]) -> T:
         """Return what a name with one value stands for."""
         certain(self.script, datum)
-        if datum not in known:
-            if len(datum.values) != 1:
-                raise Uncertain("several" if datum.values else "no-value", name=datum.name)
-            known[datum] = self.deeper(datum, evaluate, *datum.values[0])
-        return known[datum]
+        if len(datum.values) != 1:
+            raise Uncertain("several" if datum.values else "no-value", name=datum.name)
+        return self.memo.get((datum, evaluate.__name__), lambda: self.deeper(datum, evaluate, *datum.values[0]))
 
-    def through_all(
-        self, datum: Datum, known: dict[Datum, list[T]], evaluate: Callable[[Tokens, Statement], list[T]]
-    ) -> list[T]:
+    def through_all(self, datum: Datum, evaluate: Callable[[Tokens, Statement], list[T]]) -> list[T]:
         """Return all that a name may stand for."""
         certain(self.script, datum)
-        if datum not in known:
-            results: list[T] = []
+        if not datum.values:
+            raise Uncertain("no-value", name=datum.name)
+
+        def results() -> list[T]:
+            alternatives: list[T] = []
             for tokens, statement in datum.values:
-                results += self.deeper(datum, evaluate, tokens, statement)
-                check_number(results)
-            if not results:
-                raise Uncertain("no-value", name=datum.name)
-            known[datum] = results
-        return known[datum]
+                alternatives += self.deeper(datum, evaluate, tokens, statement)
+                check_number(alternatives)
+            return alternatives
+
+        return self.memo.get((datum, evaluate.__name__), results)
 
     def deeper(self, datum: Datum, evaluate: Callable[..., T], tokens: Tokens, statement: object) -> T:
         """Evaluate the value of a name, unless names lead to names without end."""
@@ -137,7 +134,7 @@ class _Reader:
         datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
         if datum is None:
             raise Uncertain("run-time")
-        return self.through(datum, self.numbers, self.number)
+        return self.through(datum, self.number)
 
     def six(self, tokens: Tokens, statement: Statement, form: Form, start: int) -> Literal:
         """Return the six numbers in square brackets; the literal has no spans if they are computed."""
@@ -177,10 +174,8 @@ class _Reader:
         if datum is None:
             raise Uncertain("undeclared", name=tokens[0].text)
         use = datum, statement.place(tokens[0])
-        if len(tokens) == 1:
-            products = self.through_all(datum, self.products, self.poses)
-        else:
-            products = self.elements(datum, tokens[2:-1])
+        is_whole = len(tokens) == 1
+        products = self.through_all(datum, self.poses) if is_whole else self.elements(datum, tokens[2:-1])
         return [tuple(f._replace(uses=(use, *f.uses)) if f.literal else f for f in product) for product in products]
 
     def elements(self, datum: Datum, index: Tokens) -> list[Product]:
@@ -205,7 +200,7 @@ class _Reader:
         if datum is None:
             raise Uncertain("run-time")
         use = datum, statement.place(tokens[0])
-        several = self.through_all(datum, self.readings, self.joints)
+        several = self.through_all(datum, self.joints)
         return [Readings(readings.literal, (use, *readings.uses)) for readings in several]
 
     def pose(self, tokens: Tokens, statement: Statement) -> Floats:
@@ -328,18 +323,20 @@ class _MoveFinder:
         if (token.text not in MOVES and token.text not in AIMLESS) or place in self.places:
             return
         self.places.add(place)
-        tokens = statement.tokens[index : closing(statement.tokens, index + 1) + 1]
+        end = closing(statement.tokens, index + 1)
+        tokens = statement.tokens[index : end + 1] if end < len(statement.tokens) else [token]
         move = Move(token.text, place, tokens[-1].end, token.text in STRAIGHT)
         program.moves.append(move)
         program.steps.append(move)
         try:
             call = call_of(tokens)
             if call is None or token.text in AIMLESS:
-                raise Uncertain("aimless")
+                raise Uncertain("aimless" if token.text in AIMLESS else "arguments")
             if self.script.displaced is not None:
-                raise self.script.displaced
+                raise self.script.displaced.again()
             for number, names in enumerate(MOVES[token.text]):
                 move.goals += self.goals(statement, token, call.argument(number, *names))
+            program.count(move)
         except Uncertain as uncertain:
             move.refuse(uncertain)
 

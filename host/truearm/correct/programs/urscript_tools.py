@@ -92,7 +92,8 @@ class Tools:
     def _calls(self, statement: Statement) -> Iterable[Step | Event]:
         """Yield the calls of a statement."""
         for index, token in calls_in(statement.tokens):
-            tokens = statement.tokens[index : closing(statement.tokens, index + 1) + 1]
+            end = closing(statement.tokens, index + 1) if token.text == "set_tcp" else index
+            tokens = statement.tokens[index : end + 1] if end < len(statement.tokens) else ()
             event = Event(token.text, tokens, statement)
             self.events.setdefault((statement.file, token.start), event)
             if index:
