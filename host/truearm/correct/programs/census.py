@@ -63,6 +63,7 @@ class Census:
         while waiting:
             datum, use = waiting.pop()
             for move in self._movers.pop(datum, ()):
+                waiting += self._held_by(datum, move)
                 if move.reason is not None or move in self.own:
                     continue
                 self._released.append(move)
@@ -72,6 +73,15 @@ class Census:
                 where = self.program.where(use)
                 move.reason = Finding("shared-use", {"name": datum.name, "where": where})
                 waiting += [(other, place) for other, place in self.uses(move) if other in self._movers]
+
+    def _held_by(self, datum: Datum, move: Move) -> list[tuple[Datum, Place]]:
+        """Return the names to which a datum leads: what holds their numbers is needed as it is, so they are too."""
+        held: list[tuple[Datum, Place]] = []
+        for goal in move.goals:
+            names = [name for name, _ in goal.target.uses]
+            if datum in names:
+                held += goal.target.uses[names.index(datum) + 1 :]
+        return [(name, place) for name, place in held if name in self._movers]
 
     def settle(self, wanted: dict[Goal, Floats]) -> None:
         """Choose the new pose of each literal; ``wanted``: the pose (4, 4) in its frame of each goal that is a pose.

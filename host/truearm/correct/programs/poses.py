@@ -70,7 +70,7 @@ def poses_of(literals: Sequence[Literal]) -> Floats:
         rows = [row for row, literal in enumerate(literals) if literal.form is form]
         if not rows or form.is_joints:
             continue
-        numbers = np.array([literals[row].numbers[:7] for row in rows])
+        numbers = np.array([literals[row].numbers[: 7 if form is Form.ROBTARGET else 6] for row in rows])
         xyz, angles = numbers[:, :3], numbers[:, 3:6]
         match form:
             case Form.VECTOR:

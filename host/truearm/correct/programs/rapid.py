@@ -87,12 +87,21 @@ def _share_persistents(tasks: Sequence[Task]) -> None:
     for task in tasks:
         for datum in task.persistents:
             by_name[datum.name].append((task, datum))
+    changes: dict[Datum, list[Change]] = defaultdict(list)
+    outside: dict[Datum, list[Change]] = defaultdict(list)
     for shared in by_name.values():
         texts = {" ".join(token.text for token in datum.values[0][0]) for _, datum in shared if datum.values}
         for task, datum in shared if len(shared) > 1 else ():
             others = [other for other_task, other in shared if other_task is not task]
+            datum.uses.add(datum.place)  # its numbers in the other task must stay the same
             if len(texts) > 1 or any(other.changes or len(other.values) > 1 for other in others):
-                datum.changes.append(Change(datum.place, "other-task"))
+                changes[datum].append(Change(datum.place, "other-task"))
+            elif any(other.outside for other in others):
+                outside[datum].append(Change(datum.place, "other-task"))
+    for datum, added in changes.items():
+        datum.changes += added
+    for datum, added in outside.items():
+        datum.outside += added
 
 
 # values
@@ -192,7 +201,12 @@ def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, depth: int 
         raise Uncertain("deep")
     if is_bracketed(tokens, 0, "["):
         return [Target(_literal(task, value_of(task, tokens, scope), form))]
-    if tokens and tokens[0].text in ("offs", "reltool") and is_bracketed(tokens, 1, "("):
+    if (
+        tokens
+        and tokens[0].text in ("offs", "reltool")
+        and is_bracketed(tokens, 1, "(")
+        and tokens[0].text not in task.routines
+    ):
         return _displaced(task, tokens, scope, form, depth)
     if not is_place(tokens):
         raise Uncertain("run-time")

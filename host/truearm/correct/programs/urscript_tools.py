@@ -159,6 +159,8 @@ class Tools:
         return self._equal([self._in_force(call, depth) for call in calls])
 
     def _equal(self, tools: list[Floats]) -> Floats:
+        if not tools:
+            raise Uncertain("tool")
         if any(tool is not tools[0] and not np.allclose(tool, tools[0], rtol=0.0, atol=1e-12) for tool in tools):
             raise Uncertain("several-tools")
         return tools[0]
