@@ -218,6 +218,141 @@ LS = {
     "external axis": ls("L P[1] 100mm/sec FINE !R", LS_POINTS.replace("R =   0.0 deg", "R =   0.0 deg,\n\tE1=  5.0  mm")),
 }  # fmt: skip
 ALL = {"rapid": RAPID, "urscript": URSCRIPT, "krl": KRL, "ls": LS}
+STRANGE_RAPID = {
+    "read in a trap": [module('MoveL v1,~ !O\nMoveL v2,~ !K','',"TRAP tr\nVAR robtarget v2;\nv2:=CRobT();\nIF v1.trans.z>5 Stop;\nENDTRAP\n")],
+    "joints of a point": [module('jt:=CalcJointT(p1,t1\\WObj:=wobj0);\nMoveAbsJ jt,v1,z1,t1; !R\nMoveL p1,~ !O','VAR jointtarget jt;\n')],
+    "distance of points": [module('x:=Distance(p1.trans,v2.trans);\nMoveL p1,~ !O\nMoveL v2,~ !O\nMoveL p3,~ !K')],
+    "other case": [module('V1.TRANS.X:=5;\nMOVEL v1,~ !R\nmovel P1,V100,Z1,T1\\wobj:=WOBJ0; !K')],
+    "array given to a routine": [module('go a;\nMoveL a{1},~ !O','CONST robtarget a{2}:=['+target(301,2)+','+target(3,4)+'];\n','PROC go(robtarget r{*})\nMoveL r{1},~ !R\nENDPROC\n')],
+    "tool of an array": [module('MoveL p1,v1,z1,tools{2}; !K\nMoveL p2,v1,z1,tools{i}; !R','PERS tooldata tools{2}:=[[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]],[TRUE,[[0,0,200],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]]];\n')],
+    "record": [module('s.spot.trans.z:=s.spot.trans.z+4;\nMoveL s.spot,~ !R','VAR stop s:=['+target(1,2)+',0.5];\n').replace('MODULE m\n','MODULE m\nRECORD stop\nrobtarget spot;\nnum wait;\nENDRECORD\n')],
+    "quotes in text": [module('TPWrite "say ""v1:=0;"" C:\\\\";\nMoveL v1,~ !K ! "v1:=p2;\nTPWrite "!";v2:=CRobT();\nMoveL v2,~ !R')],
+    "continued with a comment": [module('MoveL\\Conc,\np1, ! v1:=p2; "\nv100\\V:=50,z1\\Z:=2\\Inpos:=inpos50,\nt1\\WObj:=wobj0\\TLoad:=load1; !K\nMoveL v1,~ !K')],
+    "CRLF, BOM and Latin-1": ['\xef\xbb\xbf! Gr\xf6\xdfe "\r\n'+module('TPWrite "\xb0 \xe4";\nMoveL\tp1,~ !K').replace('\n','\r\n')],
+    "conveyor": [module('WaitWObj wc;\nMoveL p1,v1,z1,t1\\WObj:=wc; !R\nMoveL p1,~ !O','PERS wobjdata wc:=[FALSE,FALSE,"CNV1",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n')],
+    "tools of two tasks": [module('MoveL p1,v1,z1,tq; !K','TASK PERS tooldata tq:=[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n'), OTHER_TASK, module('MoveL p1,v1,z1,tq; !K\ntr:=t1;','TASK PERS tooldata tq:=[TRUE,[[0,0,150],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n')],
+    "local routine of the same name": [module('change v1;\nMoveL v1,~ !R','','LOCAL PROC change(robtarget r)\nENDPROC\n'),'MODULE b\nVAR robtarget w:='+target(7)+';\nPROC change(INOUT robtarget r)\nr.trans.x:=0;\nENDPROC\nPROC y()\nchange w;\nMoveL w,v1,z1,t1; !R\nENDPROC\nENDMODULE\n'],
+    "alias that is read": [module('MoveL v9,~ !O\nMoveL p1,~ !O\nx:=v9.trans.x;','VAR robtarget v9:=p1;\n')],
+    "point read in another task": [module('MoveL q,~ !O','PERS robtarget q:='+target(8)+';\n'), OTHER_TASK, 'MODULE o\nPERS robtarget q:='+target(8)+';\nPROC x()\ny:=q.trans.x;\nENDPROC\nENDMODULE\n'],
+    "point with another tool in another task": [module('MoveL q,~ !O','PERS robtarget q:='+target(8)+';\n'), OTHER_TASK, module('MoveL q,v1,z1,t2; !O','PERS robtarget q:='+target(8)+';\n')],
+    "Offs of the program": [module('MoveL Offs(p1,0,0,5),~ !R','','FUNC robtarget Offs(robtarget r,num x,num y,num z)\nRETURN p2;\nENDFUNC\n')],
+    "INOUT of a function": [module('x:=own(v1);\nMoveL v1,~ !R','','FUNC num own(INOUT robtarget b)\nb:=p1;\nRETURN 1;\nENDFUNC\n')],
+    "optional INOUT": [module('own\\b:=v1;\nMoveL v1,~ !R','','PROC own(\\switch a|INOUT robtarget b)\nb:=p1;\nENDPROC\n')],
+    "number by value": [module('own h;\nMoveL Offs(p1,0,0,h),~ !K','VAR num h:=3;\n','PROC own(num k)\nk:=k+1;\nENDPROC\n')],
+    "two statements in a line": [module('v1:=CRobT(); MoveL p2,~ !K\nMoveL v1,~ !R')],
+    "INOUT of an INOUT": [module('outer v1;\nMoveL v1,~ !R','','PROC outer(INOUT robtarget r)\ninner r;\nENDPROC\nPROC inner(INOUT robtarget s)\ns:=CRobT();\nENDPROC\n')],
+    "PERS parameter": [module('own q;\nMoveL q,~ !R','PERS robtarget q:='+target(8)+';\n','PROC own(PERS robtarget r)\nr.rot:=p1.rot;\nENDPROC\n')],
+    "number from the operator": [module('TPReadNum h,"how far?";\nMoveL Offs(p1,0,0,h),~ !R\nMoveL p1,~ !O','VAR num h:=10;\n')],
+    "counter named as a number": [module('FOR h FROM 1 TO 3 DO\nMoveL Offs(p1,0,0,h),~ !R\nENDFOR','CONST num h:=10;\n')],
+    "number counted by Add": [module('Add h,5;\nMoveL RelTool(p1,0,0,h),~ !R\nMoveL RelTool(p2,0,0,-k),~ !K','VAR num h:=10;\nCONST num k:=10;\n')],
+    "number of the routine": [module('VAR num h:=10;\nMoveL Offs(p1,0,0,h),~ !K','VAR num h:=3;\n','PROC z()\nh:=h+1;\nENDPROC\n')],
+    "tool from the system": [module('GetSysData t1;\nMoveL p1,~ !R')],
+    "tool read": [module('x:=t1.tframe.trans.z;\nv3:=CRobT(\\Tool:=t1\\WObj:=wobj0);\nMoveL p1,~ !K')],
+    "star": [module('MoveL *,~ !R\nMoveL p1,~ !K')],
+    "text to a value": [module('ok:=StrToVal("[]",v1);\nMoveL v1,~ !R\nMoveL v2,~ !O\ns:=ValToStr(v2);')],
+    "initial value of a name": [module('MoveL v9,~ !K\nMoveL p1,~ !K','VAR robtarget v9:=p1;\n')],
+    "process moves": [module('MoveLDO p1,v1,z1,t1,do1,1; !K\nMoveLSync p2,v1,z1,t1,"v1"; !K\nTriggL p3,v1,tr1,z1,t1; !K')],
+    "displaced in a trap of another module": [module('MoveL p1,~ !R'),'MODULE b\nTRAP tr\nPDispOn\\ExeP:=p1,p2,tool0;\nENDTRAP\nENDMODULE\n'],
+    "displacement read and taken back": [module('PDispOff;\nMoveL p1,~ !K')],
+    "work object of another task": [module('MoveL p1,v1,z1,t1\\WObj:=ws; !R','PERS wobjdata ws:=[FALSE,TRUE,"",[[1,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\n'), OTHER_TASK, 'MODULE o\nPERS wobjdata ws:=[FALSE,TRUE,"",[[1,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];\nPROC x()\nvision ws;\nENDPROC\nENDMODULE\n'],
+}  # fmt: skip
+STRANGE_URSCRIPT = {
+    "tool of a thread": [script('thread t():\nmovel(a) #R\nend\nrun t()\nset_tcp(p[0,0,0.2,0,0,0])\nmovel(b) #K')],
+    "element of a local": [script('def f():\nlocal a=p[0.2,0,0,0,0,0]\na[2]=0.5\nend\nf()\nmovel(a) #R')],
+    "element in a function": [script('def f():\na[2]=0.5\nend\nmovel(a) #R\nmovel(b) #K')],
+    "named tool": [script('movel(a) #K','t=p[0,0,0.2,0,0,0]\nset_tcp(t, "TCP_1")\n')],
+    "named tool that is changed": [script('t[2]=0.1\nset_tcp(t)\nmovel(a) #R','t=p[0,0,0.2,0,0,0]\nset_tcp(t)\n')],
+    "keyword named as a point": [script('movel(b, a=1.2, v=0.25) #K\nmovec(a, b, a=1.2, v=0.25, r=0, mode=1) #K')],
+    "signs in texts": [script('textmsg("# movel(b), a=0")\npopup(\'say "a[2]=1" #\', title="\'")\n$ 3 "movel(a)" "breakAfter"\nmovel(a) #K')],
+    "text of a point": [script('textmsg("a", a)\nmovel(a) #O')],
+    "solved joints changed": [script('q=get_inverse_kin(a)\nq[5]=q[5]+1\nmovej(q) #R\nmovel(a) #O')],
+    "solved joints": [script('q=get_inverse_kin(a)\nmovej(q) #K\nmovel(a) #K')],
+    "between points": [script('movel(interpolate_pose(a,b,0.5)) #R\nmovel(a) #O\nmovel(b) #O')],
+    "asked for a solution": [script('if get_inverse_kin_has_solution(a):\nmovel(a) #O\nend')],
+    "waits for a point": [script('while norm(pose_sub(get_actual_tcp_pose(), a)) > 0.01:\nsync()\nend\nmovel(a) #O')],
+    "offset of the path": [script('path_offset_enable() #R\npath_offset_set(p[0,0,0.1,0,0,0],1) #R\nmovel(a) #R')],
+    "list of names": [script('l=[a,b]\nmovel(l[0]) #K\nmovel(a) #K\nmovel(b) #O')],
+    "list of names, read": [script('l=[a,b]\nmovel(l[0]) #O\nx=l[i]\nif x[0]>0.4:\nsync()\nend\nmovel(a) #O')],
+    "list of names, passed on": [script('l=[a,b]\nmovel(l[0]) #O\nf(l)\nmovel(a) #O')],
+    "alias that is read": [script('c=a\nmovel(c) #O\nmovel(a) #O\nx=c[0]')],
+    "alias of an alias that is read": [script('c=a\nd=c\nmovel(c) #O\nmovel(a) #O\nx=d[0]')],
+    "tool that is moved to": [script('movel(a) #O\nset_tcp(a)')],
+    "tool of a list": [script('movel(a) #R','l=[p[0,0,0.1,0,0,0],p[0,0,0.2,0,0,0]]\nset_tcp(l[i])\n')],
+    "tool set by a program of its own": ['sec s():\nset_tcp(p[0,0,0.3,0,0,0])\nend\n'+script('movel(a) #R')],
+    "set_tcp of the program": [script('def set_tcp(x):\nreturn 0\nend\nset_tcp(p[0,0,0.9,0,0,0])\nmovel(a) #R')],
+    "CRLF and tabs": [script('\tif True:\n\t\tmovel( a , r = 0 ) #K\n\tend').replace('\n','\r\n')],
+    "keyword argument": [script('def f(x):\nmovel(x) #R\nend\nf(x=a)\nmovel(a) #O')],
+    "returned": [script('def f():\nreturn a\nend\nmovel(f()) #R\nmovel(a) #O')],
+    "feature changed": [script('f=p[0.1,0,0,0,0,0]\nf[2]=0.1\nmovel(pose_trans(f,a)) #R')],
+    "computed number": [script('movel(p[0.4,0.1+0.1,0.3,0,3.1,0]) #R\nmovel(p[0.4,-.1,3e-1,0,3.1,0]) #K')],
+    "frame by name": [script('movel(convert_pose(a,"f","base")) #R\nmovel(b) #K')],
+    "tool in one branch of two": [script('if x:\nset_tcp(p[0,0,0.3,0,0,0])\nmovel(a) #K\nelif y:\nmovel(b) #K\nend\nmovel(p[0.4,0,0.3,0,3,0]) #R')],
+    "tool set after a return": [script('def f():\nif x:\nreturn 0\nend\nset_tcp(p[0,0,0.3,0,0,0])\nend\nf()\nmovel(a) #R')],
+    "tool set in a loop that may not run": [script('while x:\nset_tcp(p[0,0,0.3,0,0,0])\nend\nmovel(a) #R')],
+    "break before the tool": [script('while True:\nif x:\nbreak\nend\nset_tcp(p[0,0,0.3,0,0,0])\nend\nmovel(a) #R')],
+    "continue before the tool": [script('set_tcp(p[0,0,0.2,0,0,0])\nwhile True:\nmovel(a) #R\nset_tcp(p[0,0,0.3,0,0,0])\nif x:\ncontinue\nend\nset_tcp(p[0,0,0.2,0,0,0])\nend')],
+    "tool in the last operand": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nreturn True\nend\nif x and f():\nsync()\nend\nmovel(a) #R')],
+    "tool set by two calls deep": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nend\ndef g():\nif x:\nf()\nend\nend\ng()\nmovel(a) #R')],
+}  # fmt: skip
+FOLD = ";FOLD LIN P1 Vel=2 m/s CPDAT1 Tool[1]:t Base[2]:b;%{PE}%R 8.3\n"
+STRANGE_KRL = {
+    "fold": krl(f"{FOLD}$BWDSTART=FALSE\nLDAT_ACT=LCPDAT1\nFDAT_ACT=FP1\nBAS(#CP_PARAMS,2)\nLIN XP1 C_DIS ;K\n;ENDFOLD"),
+    "tool within the move": krl(f"{ACTIVE}SLIN XP1 WITH $TOOL={{X 0,Y 0,Z 50,A 0,B 0,C 0}} ;R\nSLIN XP2 ;K"),
+    "spline": krl(f"{ACTIVE}SPLINE\nSPL XP1 ;K\nSLIN XP2 ;K\nENDSPLINE"),
+    "spline with a tool": krl(f"{ACTIVE}SPLINE WITH $TOOL=TOOL_DATA[2]\nSPL XP1 ;R\nENDSPLINE"),
+    "interrupt": {"p.src": f"DEF p()\nINTERRUPT DECL 3 WHEN $IN[1] DO isr()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;R\nLIN XP2 ;R\nEND\nDEF isr()\nXP1.Z=5\n$TOOL=TOOL_DATA[2]\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},
+    "start of the motion": krl(f"{ACTIVE}BAS(#INITMOV,0)\nLIN XP1 ;R"),
+    "interrupt of outside": krl(f"GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;K"),
+    "root": krl(f"{ACTIVE}$ROBROOT={{X 5,Y 0,Z 0,A 0,B 0,C 0}}\nLIN XP1 ;R"),
+    "interrupt that stops": {"p.src": f"DEF p()\nINTERRUPT DECL 3 WHEN $IN[1] DO isr()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;K\nEND\nDEF isr()\nBRAKE\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},
+    "trigger": {"p.src": f"DEF p()\n{ACTIVE}TRIGGER WHEN DISTANCE=0 DELAY=0 DO isr() PRIO=-1\nLIN XP1 ;R\nLIN XP2 ;R\nEND\nDEF isr()\nBAS(#TOOL,0)\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},
+    "global of the controller": krl(f"{ACTIVE}LIN XG ;R", config=FRAMES + "DECL GLOBAL E6POS XG={X 400,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2}\n") | {"q.src": "DEF q()\nz=XG.Z\nEND\n"},
+    "declared in the program": krl(f"DECL E6POS XP1\n{ACTIVE}XP1=$POS_ACT\nLIN XP1 ;R\nLIN XP2 ;K"),
+    "jump over a tool": krl(f"{ACTIVE}GOTO far\nBAS(#TOOL,0)\nfar:\nLIN XP1 ;R"),
+    "jump back": krl(f"{ACTIVE}far:\nLIN XP1 ;R\nBAS(#TOOL,0)\nGOTO far"),
+    "repeat": krl(f"{ACTIVE}REPEAT\nLIN XP1 ;R\n$TOOL=$NULLFRAME\nUNTIL x"),
+    "case": krl(f"{ACTIVE}SWITCH x\nCASE 1\n$BASE=$NULLFRAME\nENDSWITCH\nLIN XP1 ;R"),
+    "exit from a loop": krl(f"{ACTIVE}LOOP\nIF x THEN\nEXIT\nENDIF\nBAS(#TOOL,0)\nENDLOOP\nLIN XP1 ;R"),
+    "base by a number": krl("BAS(#TOOL,1)\n$BASE=BASE_DATA[i]\nLIN XP1 ;R"),
+    "stationary tool": krl(f"{ACTIVE}$IPO_MODE=#TCP\nLIN XP1 ;R"),
+    "frame data changed": krl("FP1.TOOL_NO=3\nFDAT_ACT=FP1\nLIN XP1 ;R"),
+    "active frame changed": krl("FDAT_ACT=FP1\nFDAT_ACT.TOOL_NO=3\nLIN XP1 ;R"),
+    "base changed in part": krl(f"{ACTIVE}$BASE.X=$BASE.X+10\nLIN XP1 ;R"),
+    "other case": krl("bas(#tool,1)\nbas(#base,2)\nxp1.z=5\nlin xp1 ;R\nlin xp2 ;K"),
+    "text": krl(f'{ACTIVE}MSG[]="XP1.Z=5;"\n;XP1.Z=5 "\nLIN XP1 ;K'),
+    "coupled base": krl("BAS(#TOOL,1)\n$BASE=EK(MACHINE_DEF[2].ROOT,MACHINE_DEF[2].MECH_TYPE,{X 0,Y 0,Z 0,A 0,B 0,C 0})\nLIN XP1 ;R"),
+    "function": krl(f"{ACTIVE}z=high(XP1)\nLIN XP1 ;R"),
+}  # fmt: skip
+
+
+def raw_ls(body):
+    """Return a program of whole lines."""
+    return {"p.ls": f"/PROG P\n/MN\n{body}{LS_POINTS}"}
+
+
+STRANGE_LS = {
+    "increment": ls("L P[1] 100mm/sec FINE INC !R\nL P[1] 100mm/sec FINE !R\nL P[2] 100mm/sec FINE !K"),
+    "arc": ls("A P[1] 100mm/sec CNT100 !K\nA P[2] 100mm/sec FINE !K"),
+    "skip": ls("SKIP CONDITION DI[1]=ON\nL P[1] 100mm/sec FINE Skip,LBL[1] !R\nL P[2] 100mm/sec FINE !K\nJMP LBL[2]\nLBL[1]\nLBL[2]"),
+    "remote tool": ls("L P[1] 100mm/sec FINE RTCP !R"),
+    "vision": ls("L P[1] 100mm/sec FINE VOFFSET,VR[1] !R\nL P[2] 100mm/sec FINE ACC50 !K"),
+    "offset condition": ls("OFFSET CONDITION PR[1]\nL P[1] 100mm/sec FINE Offset !R"),
+    "touched": ls("Touch Offset PR[1]\nL P[1] 100mm/sec FINE !R\nTouch Offset End"),
+    "tool set": ls("UTOOL[R[1]]=PR[3]\nL P[1] 100mm/sec FINE !R"),
+    "tool of the system": ls("$MNUTOOL[1,1]=PR[1]\nL P[1] 100mm/sec FINE !R"),
+    "active tool": ls("UTOOL_NUM=1\nUFRAME_NUM=0\nPAYLOAD[1]\nCALL GRIP(1)\nL P[1] 100mm/sec FINE !K"),
+    "remark": ls("!PR[2]=P[2]\n//L P[3] 100mm/sec FINE Offset,PR[1]\nL P[1] 100mm/sec FINE !K"),
+    "continued": raw_ls("   1:  L P[1] 100mm/sec FINE\n    :  Tool_Offset,PR[2] !R ;\n   2:  C P[2]\n    :  P[3] 100mm/sec FINE !K ;\n"),
+    "line tracking": {"p.ls": ls("L P[1] 100mm/sec FINE !R")["p.ls"].replace("/MN", "/APPL\n  LINE_TRACK;\nLINE_TRACK_SCHEDULE_NUMBER\t: 1;\n/MN")},
+    "frame of the moment": ls("L P[1] 100mm/sec FINE !R", LS_POINTS.replace("UF : 0", "UF : F")),
+    "second group": ls("L P[1] 100mm/sec FINE !K\nL P[2] 100mm/sec FINE !K", LS_POINTS.replace("R =   0.0 deg\n}", "R =   0.0 deg\n   GP2:\n\tUF : 0, UT : 1,\n\tJ1=     5.0 deg\n}", 1)),
+    "two tools": ls("L P[1] 100mm/sec FINE !R\nL P[2] 100mm/sec FINE !K", LS_POINTS.replace("UT : 1", "UT : 3", 1)),
+    "register by a number": ls("PR[R[2]]=P[R[1]]\nL P[1] 100mm/sec FINE !R"),
+    "palletizing": ls("L PAL_1[BTM] 100mm/sec FINE !R\nL P[1] 100mm/sec FINE !K"),
+    "tool set in another program": ls("L P[1] 100mm/sec FINE !R") | {"q.ls": ls("UTOOL[1]=PR[3]\nL P[1] 100mm/sec FINE !R")["p.ls"]},
+    "program without points": ls("L P[1] 100mm/sec FINE !K") | {"q.ls": "/PROG Q\n/MN\n   1:  DO[1]=ON ;\n/POS\n/END\n"},
+}  # fmt: skip
+STRANGE = {"rapid": STRANGE_RAPID, "urscript": STRANGE_URSCRIPT, "krl": STRANGE_KRL, "ls": STRANGE_LS}
 GIVEN = {"ut1": frame_of((0.0, 0.0, 0.1, 0.0, 0.0, 0.0))}
 
 
@@ -292,6 +427,14 @@ def check(language, files, **surroundings):
 @pytest.mark.parametrize(("language", "name"), [(language, name) for language, cases in ALL.items() for name in cases])
 def test_each_move_is_corrected_or_stays(language, name):
     check(language, ALL[language][name], frames=GIVEN)
+
+
+@pytest.mark.parametrize(
+    ("language", "name"), [(language, name) for language, cases in STRANGE.items() for name in cases]
+)
+def test_strange_programs(language, name):
+    """Written from the languages alone, without a look at what reads them."""
+    check(language, STRANGE[language][name], frames=GIVEN)
 
 
 OUTSIDE = {  # what files that are not there may do: with --strict, and for names that nothing outside changes
