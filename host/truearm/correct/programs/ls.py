@@ -26,8 +26,8 @@ from truearm.types import Floats
 
 _NUMBER = r"\s*=\s*(-?\d*\.?\d+)\s*"
 STATEMENT = re.compile(r"[^;]*;")
-MOVE = re.compile(r"\s*\d*:\s*([JLCSA])\s+(?=PR?\[)")
-POINT = re.compile(r"\b(PR?)\[\s*(\w+)(\[?)[^\]\n]*\]")
+MOVE = re.compile(r"\s*\d*:\s*([JLCSA])\s+(?=\w+\s*\[)", re.IGNORECASE)
+POINT = re.compile(r"\b(PR?)\[\s*(\w+)(\[?)[^\]\n]*\]", re.IGNORECASE)
 POINT_DATA = re.compile(r"^P\[\s*(\d+)[^\]\n]*\]\s*\{", re.MULTILINE)
 GROUP = re.compile(r"GP(\d+)\s*:")
 FRAMES = re.compile(r"UF\s*:\s*(\w+)\s*,\s*UT\s*:\s*(\w+)")
@@ -37,22 +37,27 @@ POSE = [
 ]  # W, P, R about the fixed x, y, z are R, P, W about z, the new y, the new x
 JOINTS = [re.compile(rf"\bJ{axis}{_NUMBER}deg") for axis in range(1, 7)]
 EXTERNAL = re.compile(r"\bE\d\s*=")
-DISPLACED = re.compile(r"\b(Offset|Tool_Offset|INC|VOFFSET|SKIP|COORD|Weave|PSPI|EV)\b", re.IGNORECASE)
-FRAME_CHANGE = re.compile(r"\s*\d*:\s*(U(?:FRAME|TOOL)\[|(?:TOOL_)?OFFSET CONDITION)", re.IGNORECASE)
+REMARK = re.compile(r"\s*\d*:\s*(?:!|//)")
+DISPLACED = re.compile(r"\b(Offset|Tool_Offset|INC|VOFFSET|SKIP|COORD|RTCP|Weave|PSPI|EV)\b", re.IGNORECASE)
+FRAME_CHANGE = re.compile(r"\s*\d*:\s*(?:UFRAME|UTOOL|\$MNUFRAME|\$MNUTOOL)\s*\[", re.IGNORECASE)
+TOUCH_OFFSET = re.compile(r"\s*\d*:\s*Touch\s+Offset\b", re.IGNORECASE)
+LINE_TRACK = re.compile(r"\bLINE_TRACK_SCHEDULE_NUMBER\s*:\s*[1-9]", re.IGNORECASE)
 BRANCHING = re.compile(r"\s*\d*:\s*(LBL\[|CALL|RUN|IF|ELSE|ENDIF|FOR|ENDFOR|SELECT|\w+\s*$)", re.IGNORECASE)
 
 
 def read_ls(files: Sequence[Source], surroundings: Surroundings) -> Program:
     """Read LS files. Tools and user frames are given by the names ut1, uf1 …; uf0 is the world."""
     program = Program("ls", list(files))
-    for number, source in enumerate(files):
-        _File(program, surroundings, number, source.text).read()
+    parsed = [_File(program, surroundings, number, source.text) for number, source in enumerate(files)]
+    frames_change = next((change for change in [file.read() for file in parsed] if change is not None), None)
+    for file in parsed:
+        file.add_moves(frames_change or file.displaced)
     return program
 
 
 @dataclass(eq=False)
 class _File:
-    """One LS file; ``blocked``: why none of its moves is corrected."""
+    """One LS file; ``displaced``: why none of its moves is corrected."""
 
     program: Program
     surroundings: Surroundings
@@ -61,55 +66,71 @@ class _File:
     data: dict[int, Datum] = field(default_factory=dict)
     points: dict[int, tuple[int, int]] = field(default_factory=dict)
     literals: dict[int, Literal] = field(default_factory=dict)
-    blocked: Uncertain | None = None
+    statements: list[tuple[int, int]] = field(default_factory=list)
+    displaced: Uncertain | None = None
 
-    def read(self) -> None:
-        """Add the moves of the file."""
+    def read(self) -> Uncertain | None:
+        """Note the points and their uses; return what changes the frames of all files."""
         start = self.text.find("/MN") + len("/MN")
         end = self.text.find("/POS")
         end = len(self.text) if end < 0 else end
         matches = list(POINT_DATA.finditer(self.text, end))
-        for match, following in zip(matches, [*(m.start() for m in matches[1:]), len(self.text)], strict=True):
-            self.points[int(match[1])] = match.end(), following
-        statements = [match.span() for match in STATEMENT.finditer(self.text, start, end)]
-        for first, last in statements:
+        ends = [*(match.start() for match in matches[1:]), len(self.text)]
+        self.points = {int(match[1]): (match.end(), last) for match, last in zip(matches, ends, strict=False)}
+        if (match := LINE_TRACK.search(self.text, 0, start)) is not None:
+            self.displaced = self.displacement("LINE_TRACK", match.start())
+        spans = (match.span() for match in STATEMENT.finditer(self.text, start, end))
+        self.statements = [span for span in spans if not REMARK.match(self.text, *span)]
+        frames_change = None
+        for first, last in self.statements:
             self.note(first, last)
+            if FRAME_CHANGE.match(self.text, first, last):
+                frames_change = self.displacement("a frame", last - 1)
+        return frames_change
+
+    def displacement(self, name: str, offset: int) -> Uncertain:
+        """Return that something in the text displaces the moves."""
+        return Uncertain("displaced", name=name, where=self.program.where(Place(self.number, offset)))
+
+    def add_moves(self, displaced: Uncertain | None) -> None:
+        """Add the moves, refused if they are ``displaced``."""
         self.program.steps.append(Step.ROUTINE)
-        for first, last in statements:
+        for first, last in self.statements:
             move = MOVE.match(self.text, first, last)
             if move is not None:
-                self.add_move(move, last)
+                self.add_move(move, last, displaced)
             elif BRANCHING.match(self.text, first, last - 1):
                 self.program.steps.append(Step.CALL)
         self.program.steps.append(Step.END)
 
     def note(self, first: int, last: int) -> None:
-        """Note the uses of points in a statement, and what changes all of them."""
-        where = self.program.where(Place(self.number, last - 1))
-        if FRAME_CHANGE.match(self.text, first, last):
-            self.blocked = Uncertain("displaced", name="a frame or offset", where=where)
+        """Note the uses of points in a statement, and what displaces all of them."""
+        if TOUCH_OFFSET.match(self.text, first, last):
+            self.displaced = self.displacement("Touch Offset", last - 1)
         is_move = MOVE.match(self.text, first, last)
         for match in POINT.finditer(self.text, first, last):
-            if match[1] != "P":
+            if match[1].upper() != "P":
                 continue
             place = Place(self.number, match.start())
             if match[2].isdigit():
                 self.data.setdefault(int(match[2]), Datum(f"P[{match[2]}]", "point", "var", place)).uses.add(place)
             elif not is_move:
-                self.blocked = Uncertain("assigned", name="a point by a computed number", where=where)
+                where = self.program.where(Place(self.number, last - 1))
+                self.displaced = Uncertain("assigned", name="a point by a computed number", where=where)
 
-    def add_move(self, match: re.Match[str], end: int) -> None:
+    def add_move(self, match: re.Match[str], end: int, displaced: Uncertain | None) -> None:
         """Add a move with its points: two of a circle, one of another move."""
-        move = Move(match[1], Place(self.number, match.start(1)), end, match[1] == "L")
+        name = match[1].upper()
+        move = Move(name, Place(self.number, match.start(1)), end, name == "L")
         self.program.moves.append(move)
         self.program.steps.append(move)
         try:
-            if self.blocked is not None:
-                raise self.blocked.again()
+            if displaced is not None:
+                raise displaced.again()
             if DISPLACED.search(self.text, match.end(), end):
                 raise Uncertain("path")
             points = list(POINT.finditer(self.text, match.end(), end))
-            if len(points) != 1 + (match[1] == "C"):
+            if len(points) != 1 + (name == "C"):
                 raise Uncertain("arguments")
             move.goals = [self.goal(point) for point in points]
         except Uncertain as uncertain:
@@ -117,7 +138,7 @@ class _File:
 
     def goal(self, point: re.Match[str]) -> Goal:
         """Return the goal of a point in a move. Raises Uncertain."""
-        if point[1] == "PR" or not point[2].isdigit():
+        if point[1].upper() == "PR" or not point[2].isdigit():
             raise Uncertain("register")
         number = int(point[2])
         literal, user_frame, tool = self.literal(number)
