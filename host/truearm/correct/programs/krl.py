@@ -6,6 +6,7 @@ base of a move are those that were set before it, with no branch, loop or call o
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -41,7 +42,7 @@ from truearm.correct.programs.tokens import (
 )
 from truearm.types import Floats
 
-MOVES = words("ptp lin circ sptp slin scirc")
+MOVES = words("ptp lin circ sptp slin scirc spl")
 RELATIVE = frozenset(f"{name}_rel" for name in MOVES)
 TYPES = words("e6pos pos frame e6axis axis fdat")
 POSE, AXES = ("x", "y", "z", "a", "b", "c"), ("a1", "a2", "a3", "a4", "a5", "a6")
@@ -49,6 +50,9 @@ QUIET = words(
     "bas bas_command wait halt continue trigger pulse abs sin cos tan sqrt varstate ext extp extfct decl global"
 )
 FRAMES = ("tool_data", "base_data")
+ACTIVE = words("$tool $base $ipo_mode")
+ROOTS = words("$robroot $world")  # of all frames
+PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which takes tool and base of FDAT_ACT with them
 STEPS = {
     word: step
     for step, names in (
@@ -86,7 +90,7 @@ class Line:
 
 @dataclass(eq=False)
 class _Reader:
-    """Data and frames of all files."""
+    """Data and frames of all files. ``displaced``: why no move's tool and base are known."""
 
     program: Program
     surroundings: Surroundings
@@ -96,6 +100,7 @@ class _Reader:
     routines: set[str] = field(default_factory=set)
     frames: dict[str, list[Tokens]] = field(default_factory=lambda: defaultdict(list))
     frames_change: Uncertain | None = None
+    displaced: Uncertain | None = None
     literals: dict[Place, Literal] = field(default_factory=dict)
 
     def read(self) -> None:
@@ -114,6 +119,38 @@ class _Reader:
         for entry in self.lines:
             self.program.names.update(token.text for token in entry.tokens if token.kind == "word")
             self.note(entry)
+        self.note_interrupts()
+
+    def note_interrupts(self) -> None:
+        """Note the routines of interrupts and triggers that set frames, by themselves or by calls, and changes of roots."""
+        bodies: dict[str, list[Line]] = defaultdict(list)
+        name, waiting = "", []
+        for line in self.lines:
+            texts = [token.text for token in line.tokens]
+            if line.word in ("def", "deffct") and "(" in texts:
+                name = texts[texts.index("(") - 1]
+            elif line.word in ("end", "endfct", "defdat"):
+                name = ""
+            bodies[name].append(line)
+            if line.word in ("interrupt", "trigger") and "do" in texts[:-1]:
+                waiting.append(texts[texts.index("do") + 1])
+            if texts[0] in ROOTS and line.assigned:
+                self.displaced = self.displacement(line)
+        seen: set[str] = set()
+        while waiting:
+            routine = waiting.pop()
+            if routine in seen:
+                continue
+            seen.add(routine)
+            for line in bodies.get(routine, ())[1:]:
+                if sets_frames(line):
+                    self.displaced = self.displacement(line)
+                waiting += [token.text for token in line.tokens if token.text in self.routines]
+
+    def displacement(self, line: Line) -> Uncertain:
+        """Return that a line displaces the moves."""
+        name = line.tokens[0].text.upper()
+        return Uncertain("displaced", name=name, where=self.program.where(Place(line.file, line.tokens[0].start)))
 
     def declare(self, line: Line) -> None:
         """Note the data, parameters and frames that a line declares."""
@@ -161,6 +198,13 @@ class _Reader:
                 callers.append(tokens[index - 1].text if index and token.text == "(" else "")
             elif token.text in (")", "]", "}") and token.kind == "sign" and callers:
                 callers.pop()
+            if (
+                token.kind == "word"
+                and index > 1
+                and is_word(tokens, index - 1, ".")
+                and is_word(tokens, index - 2, ".")
+            ):
+                self.note_path(line, index)
             if token.kind != "word" or is_word(tokens, index - 1, "."):
                 continue
             is_head = line.word in ("def", "deffct", "ext", "extfct", "extp")
@@ -180,6 +224,16 @@ class _Reader:
             elif callers and callers[-1] and callers[-1] not in QUIET and is_argument:
                 change = Change(place, "argument", callers[-1])
                 (datum.changes if callers[-1] in self.routines else datum.outside).append(change)
+
+    def note_path(self, line: Line, index: int) -> None:
+        """Note the use of a name of another module, as in /R1/P..XP1, which may change it."""
+        token = line.tokens[index]
+        place = Place(line.file, token.start)
+        for names in self.modules.values():
+            if (datum := names.get(token.text)) is not None:
+                datum.uses.add(place)
+                if line.word == "import" or index < line.assigned:
+                    datum.changes.append(Change(place, "assigned"))
 
     def datum(self, name: str, line: Line) -> Datum:
         """Return a certain datum. Raises Uncertain."""
@@ -253,7 +307,18 @@ def _number(tokens: Tokens) -> float:
         or tokens[0].text not in ("-", "+", tokens[-1].text)
     ):
         raise Uncertain("not-written")
-    return -float(tokens[-1].text) if tokens[0].text == "-" else float(tokens[-1].text)
+    number = float(tokens[-1].text)
+    if not math.isfinite(number):
+        raise Uncertain("not-written")
+    return -number if tokens[0].text == "-" else number
+
+
+def sets_frames(line: Line) -> bool:
+    """Return whether a line sets the tool or base."""
+    texts = [token.text for token in line.tokens]
+    return texts[0] in ACTIVE | {"fdat_act"} or (
+        texts[:2] == ["bas", "("] and not {"#tool", "#base", "#initmov", *PARAMETERS}.isdisjoint(texts)
+    )
 
 
 # moves
@@ -278,39 +343,53 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
 
 @dataclass(eq=False)
 class _ActiveFrames:
-    """The tool and base that were set last; why they are not known."""
+    """The tool and base that were set last, ``of_data`` if by FDAT_ACT; why they are not known."""
 
     reader: _Reader
     frames: dict[str, Floats] = field(default_factory=dict)
     reason: Uncertain = field(default_factory=lambda: Uncertain("frames"))
+    of_data: bool = False
 
     def forget(self) -> None:
         """Forget both, at a branch, loop or call."""
-        self.frames = {}
+        self.frames, self.of_data = {}, False
 
     def note(self, line: Line) -> None:
-        """Note $TOOL=…, $BASE=…, BAS(#TOOL,n), BAS(#BASE,n) and FDAT_ACT=…."""
+        """Note $TOOL=…, $BASE=…, $IPO_MODE=…, BAS(#TOOL,n), BAS(#BASE,n), FDAT_ACT=… and what else sets frames."""
         texts = [token.text for token in line.tokens]
         try:
             if texts[0] in ("$tool", "$base"):
                 self.frames.pop(texts[0][1:], None)
+                self.of_data = False
                 if line.assigned == 1:
                     self.frames[texts[0][1:]] = self.reader.frame(line.tokens[2:])
             elif texts[:2] == ["bas", "("] and texts[2] in ("#tool", "#base") and len(texts) > 4:
+                self.of_data = False
                 self.numbered(texts[2][1:], texts[4])
             elif texts[:2] == ["fdat_act", "="]:
                 self.forget()
-                is_name = not is_bracketed(line.tokens, 2, "{")
-                values = self.reader.datum(texts[2], line).values if is_name else [(line.tokens[2:], line)]
-                if len(values) > 1:
-                    raise Uncertain("several", name=texts[2].upper())
-                components = _components(values[0][0])
-                if "".join(token.text for token in components.get("ipo_frame", ())) not in ("#base", ""):
-                    raise Uncertain("fixed-tool")
-                for frame in ("tool", "base"):
-                    self.numbered(frame, str(int(_number(components.get(f"{frame}_no", ())))))
+                self.described(line)
+            elif (sets_frames(line) or not ACTIVE.isdisjoint(texts)) and not (
+                texts == ["$ipo_mode", "=", "#base"] or (self.of_data and not PARAMETERS.isdisjoint(texts))
+            ):
+                self.forget()
         except Uncertain as uncertain:
             self.reason = uncertain
+
+    def described(self, line: Line) -> None:
+        """Set both by FDAT_ACT=…. Raises Uncertain."""
+        tokens = line.tokens[2:]
+        if len(tokens) == 1 and tokens[0].kind == "word":
+            values = self.reader.datum(tokens[0].text, line).values
+            if len(values) > 1:
+                raise Uncertain("several", name=tokens[0].text.upper())
+            tokens = values[0][0]
+        components = _components(tokens)
+        if "".join(token.text for token in components.get("ipo_frame", ())) not in ("#base", ""):
+            raise Uncertain("fixed-tool")
+        for frame in ("tool", "base"):
+            self.numbered(frame, str(int(_number(components.get(f"{frame}_no", ())))))
+        self.of_data = True
 
     def numbered(self, frame: str, number: str) -> None:
         """Set the tool or base of a number."""
@@ -319,6 +398,8 @@ class _ActiveFrames:
 
     def tool_and_base(self) -> tuple[Floats, Floats]:
         """Return both. Raises Uncertain."""
+        if self.reader.displaced is not None:
+            raise self.reader.displaced.again()
         if len(self.frames) < 2:
             raise self.reason.again()
         return self.frames["tool"], self.frames["base"]
@@ -333,6 +414,8 @@ def _add_move(reader: _Reader, line: Line, active: _ActiveFrames) -> None:
     try:
         if line.word in RELATIVE:
             raise Uncertain("relative")
+        if not ACTIVE.isdisjoint(token.text for token in tokens):  # WITH $TOOL=…
+            raise Uncertain("frames")
         arguments = list(separated(tokens[1:], ","))[: 1 + ("circ" in line.word)]
         for argument in arguments:
             end = closing(argument, 0) + 1 if is_word(argument, 0, "{") else 1
