@@ -381,7 +381,7 @@ class Gain(StrEnum):
     """Whether a calibration reduces the errors of poses that were not fitted (``estimate.gain``)."""
 
     BETTER = "better"
-    NONE = "no better"  # within the scatter of the poses
+    NONE = "no better"  # not significantly better, within the scatter of the poses
     WORSE = "worse"
 
 

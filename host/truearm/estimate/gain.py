@@ -4,9 +4,9 @@ The two robots are compared pose by pose: d is the mean magnitude of a pose's er
 before. |d| is at most the distance between the two predictions, so no outlier dominates. Rows of one pose have
 correlated errors, so poses are the independent samples, and t is the mean of d in its standard errors.
 
-The calibration is worse if t is beyond the quantile of Student's t for LEVEL_WORSE: such a fit is refused, so chance
-must not do it. It is better if t is below that of the normal distribution for LEVEL_BETTER. With residuals in several
-units, a robot that is better in one of them is better.
+The calibration is worse if t is above the quantile of Student's t for LEVEL_WORSE: such a fit is refused, so chance
+must not do it. It is better if t is below the quantile for LEVEL_BETTER. Otherwise the poses show no difference. With
+residuals in several units, a robot that is better in one of them is better.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[
 def _gain(change: Floats) -> Gain:
     """Return the gain for the changes (n,) of the poses' mean errors."""
     error = float(change.std(ddof=1)) / np.sqrt(change.size)
-    if change.mean() < special.ndtri(LEVEL_BETTER) * error:
+    better, worse = special.stdtrit(change.size - 1, (LEVEL_BETTER, 1.0 - LEVEL_WORSE)) * error
+    if change.mean() < better:
         return Gain.BETTER
-    least = max(special.stdtrit(change.size - 1, 1.0 - LEVEL_WORSE) * error, SMALLEST)
+    least = max(worse, SMALLEST)
     return Gain.WORSE if change.mean() > least else Gain.NONE

@@ -129,7 +129,7 @@ def _verdict(page: CalibrationPage) -> str:
 def verdict(page: CalibrationPage) -> str:
     """Return the result in one line of plain text, with a sentence for each unit of the residuals.
 
-    For a fit that is not usable, or no better than the nominal robot, the line states this.
+    For a fit that is not usable, or not significantly better than the nominal robot, the line states this.
     """
     e = page.estimate
     if _usability_first(e):

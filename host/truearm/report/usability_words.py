@@ -76,12 +76,12 @@ def usability_sentences(document: Document, argument: Callable[[str], str] = str
 
 
 def no_gain_sentences(document: Document) -> list[str]:
-    """Return that a calibration is no better than the nominal robot; empty if it is better, or worse."""
+    """Return that the poses do not show a calibration to be better than the nominal robot; empty if it is better, or worse."""
     change = document["mean_change"]
     if change is None or change["gain"] != Gain.NONE:
         return []
     return [
-        f"The calibration is no better than {_errors_against(change)}. The difference is within the scatter of the poses. "
+        f"The calibration is not significantly better than {_errors_against(change)}. "
         f"{MORE_POSES}, or keep the nominal robot."
     ]
 
