@@ -44,7 +44,9 @@ def test_a_calibration_that_is_not_significantly_better_says_so_first(tmp_path, 
     change = result["mean_change"]
     assert (change["gain"], change["by"], change["n_mm"]) == ("no better", "cross-validation", 12)
     assert change["mean_after_mm"] > change["mean_before_mm"]
-    assert said.startswith("The calibration is not significantly better than the nominal robot with base and tool placed")
+    assert said.startswith(
+        "The calibration is not significantly better than the nominal robot with base and tool placed"
+    )
 
 
 def tolerances(size, seed):
