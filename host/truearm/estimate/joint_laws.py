@@ -43,9 +43,9 @@ from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import with_laws
 from truearm.results import (
-    EXACT_FIT,
     Effect,
     Estimate,
+    Figures,
     HeldOut,
     JointLaws,
     LawStep,
@@ -58,6 +58,7 @@ from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals, 
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
+EXACT = 1e-5  # of a drawing's tolerance: 10 nm
 JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
 NULL_ROUNDING = 1e-11  # of the largest eigenvalue of the information on the unknowns
@@ -151,12 +152,18 @@ def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
     others, and laws would follow their noise.
     """
     low, high = estimate.chi2_band
-    if estimate.chi2_reduced < EXACT_FIT:
+    if _is_exact(estimate):
         return True
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
     too_large = estimate.chi2_reduced < low and of_one
     explained = (estimate.chi2_reduced <= high and not too_large) or estimate.without_bad_rows is not None
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
+
+
+def _is_exact(estimate: Estimate) -> bool:
+    """Return whether the residuals are those of computed data: under such a noise, evidence is lost in rounding."""
+    figures = Figures.by_unit(estimate.residual, estimate.used)
+    return all(of.rms < EXACT * UNITS[unit].weak_sigma for unit, of in figures.items())
 
 
 def _takes_laws(estimate: Estimate) -> bool:
@@ -169,8 +176,8 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
-    if estimate.chi2_reduced < EXACT_FIT:
-        return "the geometry leaves only the rounding of the numbers"
+    if _is_exact(estimate):
+        return "the residuals are smaller than a sensor can resolve"
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
