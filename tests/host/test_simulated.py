@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from truearm.cli.main import main
+from truearm.session.box_ident import EMULATED_UID
+from truearm_sim.box import BoxSetup
 
 SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
 WATERMARK = '<p class="watermark" aria-hidden="true">simulated</p>'
@@ -49,3 +51,8 @@ def test_map_and_exported_robot(folder, tmp_path, capsys):
     files = ("--allow-unusable", "--format", "sheth-uicker", "--out", tmp_path / "robot.toml")
     assert "SIMULATED" in run(capsys, "export", folder / "result.json", *files)
     assert "# SIMULATED" in (tmp_path / "robot.toml").read_text()
+
+
+def test_the_emulated_chip_is_known_by_its_reserved_uid():
+    """It runs the firmware of a real box, so nothing else in its ident tells."""
+    assert BoxSetup().uid.hex() == EMULATED_UID
