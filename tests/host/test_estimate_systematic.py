@@ -384,6 +384,14 @@ def test_a_drift_of_base_or_joint_leaves_the_constant_to_the_robot(what):
     assert predicted_point_error(worlds.CHAIN, worlds.RIG, rows, e).rms < 0.12e-3
 
 
+def test_a_sphere_that_may_be_off_is_near_its_place_for_the_predicted_error():
+    """With its displacement taken for its place, the predicted error was 9 mm."""
+    rows = random_table(120, np.random.default_rng(3), SIGMA)
+    effects = (parse_effect("sphere.s1"),)
+    e = identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=effects))
+    assert predicted_point_error(CHAIN, RIG, rows, e).rms < 1e-3
+
+
 @pytest.mark.parametrize(("mode", "decimals"), [("auto", 9), ("auto", None), ("curve", None)])
 def test_laws_are_not_fitted_to_rounding(mode, decimals):
     """Computed lengths, or lengths to the nanometre, with a tiny declared noise: the information was not definite."""
@@ -398,7 +406,9 @@ def test_laws_are_not_fitted_to_rounding(mode, decimals):
     assert found.estimate.status == "converged"
     assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
     if decimals is None:
-        assert chi2_notes(found.document)[0].startswith("χ² per degree of freedom 0 within rounding, below its 95 % range")
+        assert chi2_notes(found.document)[0].startswith(
+            "χ² per degree of freedom 0 within rounding, below its 95 % range"
+        )
 
 
 def test_a_drift_is_a_drift_and_not_a_step():

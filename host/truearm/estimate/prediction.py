@@ -178,7 +178,7 @@ def _without(body: Floats, motion: Floats) -> Floats:
 
 
 def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the position (n, 3) on the end of each row's sphere or target, as identified if it was, otherwise the origin.
+    """Return the position (n, 3) on the end of each row's sphere or target, as identified if it was.
 
     Also returns the indices (n, 3) of these numbers in the estimate's parameters; their count if they are not
     parameters.
@@ -195,7 +195,9 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
                 mine = rows & ((column == label) | ((column == "") & (len(known) == 1)))
                 own = [at.get(f"{prefix}{of.point}.{label}.{k}", estimate.value.size) for k in "xyz"]
                 columns[mine] = own
-                points[mine] = np.where(np.isnan(values[own]), point.xyz, values[own])
+                # Of a point that the rig knows exactly, the parameter is by how much it is off.
+                origin = np.array(point.xyz) if point.sigma == 0.0 else np.zeros(3)
+                points[mine] = np.where(np.isnan(values[own]), point.xyz, origin + values[own])
     return points, columns
 
 
