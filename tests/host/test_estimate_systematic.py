@@ -392,6 +392,16 @@ def test_a_sphere_that_may_be_off_is_near_its_place_for_the_predicted_error():
     assert predicted_point_error(CHAIN, RIG, rows, e).rms < 1e-3
 
 
+def test_base_and_chuck_that_only_turn_together_are_a_null_direction():
+    """About the line through the other two chucks: the prior of the chuck is no measurement of it."""
+    rows = random_table(120, np.random.default_rng(3), SIGMA)
+    e = identify(CHAIN, RIG, rows, free=FREE, options=SolverOptions(effects=(parse_effect("chuck.c2"),)))
+    predicted = predicted_point_error(CHAIN, RIG, rows, e)
+    assert predicted.relative
+    assert predicted.rms < 1e-3
+    assert not e.identifiable[e.parameter_names.index("chuck.c2.z")]
+
+
 @pytest.mark.parametrize(("mode", "decimals"), [("auto", 9), ("auto", None), ("curve", None)])
 def test_laws_are_not_fitted_to_rounding(mode, decimals):
     """Computed lengths, or lengths to the nanometre, with a tiny declared noise: the information was not definite."""

@@ -35,7 +35,14 @@ from truearm.estimate.other_fits import with_all_rows, without_bad
 from truearm.estimate.outliers import gross_rows, weightless, without_outliers
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.prior import weak_prior
-from truearm.estimate.problem import Problem, build_problem, modelled_of, settled, without_knowledge
+from truearm.estimate.problem import (
+    Problem,
+    build_problem,
+    modelled_of,
+    settled,
+    without_effect_priors,
+    without_knowledge,
+)
 from truearm.estimate.solution import Options, of_data
 from truearm.estimate.solvers import SOLVERS, Loss, with_loss
 from truearm.estimate.solvers import solver as solver_of
@@ -169,7 +176,7 @@ def identify(
     still = settled(taken, x)
     data = of_rows(still, x, columns)
     names = problem.names_of(columns)
-    sight = identifiability(data.root, int(free.sum()), names)
+    sight = identifiability(of_rows(without_effect_priors(still, modelled), x, columns).root, int(free.sum()), names)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = weak_prior(chain)[free]
     weak = hardly_seen(data.root, suggested.size, unit, names)

@@ -288,6 +288,12 @@ def settled(problem: Problem, x: Floats) -> Problem:
     return replace(problem, groups=tuple(group.settle(problem.chain, x) for group in problem.groups))
 
 
+def without_effect_priors(problem: Problem, effects: Sequence[Modelled]) -> Problem:
+    """Return the problem without the priors of its effects, to tell what the data determine of them."""
+    allowed = np.isin(problem.names, [effect.effect.parameter(effect.column) for effect in effects])
+    return replace(problem, prior_sigma=np.where(allowed, np.inf, problem.prior_sigma))
+
+
 def without_knowledge(problem: Problem) -> Problem:
     """Return the problem without knowledge that is not in the table, such as the distance between two sockets."""
     return replace(problem, groups=tuple(group for group in problem.groups if group.row is not None))
