@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,10 @@ from truearm_sim import micropython
 # The matrices are small: threads inside the linear algebra cost several times what they gain. Set before numpy is
 # imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Under nohup or in the background of a script, signals are ignored, and so they are in all processes of the tests.
+for number in (signal.SIGHUP, signal.SIGINT) if os.name == "posix" else ():
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 # A busy machine is no failure: what is fast enough is measured in bench/.
 settings.register_profile("no deadline", settings(), deadline=None)
 settings.load_profile("no deadline")

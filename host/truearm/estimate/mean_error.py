@@ -58,6 +58,8 @@ def left_out_errors(
         if block.row is not None
     ]
     out = problem.no_residuals()
+    if not parts:  # no parameter is free
+        return out
     numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in parts])
     seen = np.concatenate([block.jac.reshape(block.residual.size, covariance_root.shape[1]) for block in parts])
     left = np.concatenate([block.residual.ravel() for block in parts])
