@@ -1,6 +1,6 @@
 """The lab in real time: the box behind a TCP port or a pseudo-terminal, the robot behind a TCP port, on loopback.
 
-Time starts with the first connection. At each tick, and when its client has written something, the box is granted the elapsed wall-clock time, with the bytes its
+Time starts with the first connection. At each tick the box is granted the elapsed wall-clock time, with the bytes its
 client wrote. While no client is connected the link accepts nothing, and the box counts what it must drop.
 """
 
@@ -68,7 +68,7 @@ def serve(
                 robot_port.drop()
             if not box_port.connected():
                 return
-        box_port.wait(TICK_S)
+        time.sleep(TICK_S)
 
 
 def _report(world: World, box: SimulatedBox, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
