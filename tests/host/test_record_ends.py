@@ -20,7 +20,6 @@ from record_files import events, received, run, topics
 from truearm.errors import LinkClosed, LinkError, ProtocolError
 from truearm.record.box_storage import Answer, BoxStorage
 from truearm.record.clock_exchanges import ClockExchanges
-from truearm.record.links import Backlog
 from truearm.record.recorder import Hooks, RecordOptions, record
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters
@@ -94,27 +93,6 @@ class TestEnds:
     def test_the_robot_is_lost(self, lab, path):
         summary = run(lab, Box(lab), path, None, robot=Robot(lab, 2.0, LinkError("reset by peer")).link)
         assert (summary.reason, summary.text) == ("robot lost", "reset by peer")
-
-    @pytest.mark.parametrize(("takes_over_s", "reason"), [(6, "duration"), (9, "no readings")])
-    def test_a_robot_that_takes_over_from_a_stranger(self, lab, path, takes_over_s, reason):
-        """A datagram of another sender, 2 s before the limit for the first reading, once ended the recording."""
-
-        class StrangerFirst(Wire):
-            foreign = 0
-
-            @property
-            def backlog(self):
-                return Backlog(foreign=self.foreign)
-
-            def deliver(self, data):
-                if self.lab.now < HOST_0 + takes_over_s * SECOND:
-                    self.foreign += 1
-                else:
-                    super().deliver(data)
-
-        summary = run(lab, Box(lab), path, 10.0, robot=Robot(lab, 20.0, link=StrangerFirst).link)
-        assert summary.reason == reason
-        assert (summary.counters.robot_lines > 400) == (reason == "duration")
 
     def test_the_robots_console_and_last_words(self, lab, path):
         robot = Robot(lab, 2.0, LinkClosed("done"))

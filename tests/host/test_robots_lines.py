@@ -329,33 +329,55 @@ class TestUdp:
         link.close()
         assert [parse_reading(line).t for _, line in arrivals] == list(range(400))
 
-    def test_another_address_takes_over_after_three_seconds_of_silence(self, free):
-        """A stranger that speaks first, and then is silent, does not lock the robot out."""
+    def test_the_robot_is_who_sends_readings(self, free):
+        """A stranger whose datagrams were no readings once was the robot: the real one was locked out as long as it sent."""
         clock = SetClock()
-        link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", clock)
+        link = open_source(f"lines+udp://127.0.0.1:{free}", clock)
         with sender("127.0.0.1") as stranger, sender("127.0.0.2") as robot:
             stranger.sendto(b"who is there", ("127.0.0.1", free))
+            robot.sendto(b"t_s,q1_rad", ("127.0.0.1", free))
+            arrivals = arrivals_of(link, 2)
+            for k in range(5):
+                stranger.sendto(b"who is there", ("127.0.0.1", free))
+                robot.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
+            arrivals += arrivals_of(link, 6)
+            while link.backlog.foreign < 4:
+                assert not link.read(0.01)
+        link.close()
+        assert [line for _, line in arrivals[:3]] == [b"who is there\n", b"t_s,q1_rad\n", b"who is there\n"]
+        assert [parse_reading(line).t for _, line in arrivals[3:]] == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+    def test_another_address_takes_over_after_three_seconds_without_a_reading(self, free):
+        clock = SetClock()
+        link = open_source(f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad", clock)
+        with sender("127.0.0.1") as first, sender("127.0.0.2") as second:
+            first.sendto(b"0,0.5", ("127.0.0.1", free))
             assert arrivals_of(link, 1)
             clock.t_s += 2.9
+            first.sendto(b"emergency stop", ("127.0.0.1", free))  # is no reading
+            assert arrivals_of(link, 1)
             for k in range(5):
-                robot.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
+                second.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
             while link.backlog.foreign < 5:
                 assert not link.read(0.01)
             clock.t_s += 0.2
-            robot.sendto(b"5,0.5", ("127.0.0.1", free))
+            second.sendto(b"who is there", ("127.0.0.1", free))  # nor does this take over
+            first.sendto(b"waiting", ("127.0.0.1", free))
+            assert len(arrivals_of(link, 2)) == 2
+            second.sendto(b"5,0.5", ("127.0.0.1", free))
             with pytest.raises(
-                LinkError, match=r"127\.0\.0\.1 has been silent for 3 s, and 127\.0\.0\.2 sends instead"
+                LinkError, match=r"127\.0\.0\.1 sent no reading for 3 s, and 127\.0\.0\.2 sends instead"
             ):
                 arrivals_of(link, 1)
             while not link.reopen(0.1):
                 pass
-            robot.sendto(b"6,0.5", ("127.0.0.1", free))
+            second.sendto(b"6,0.5", ("127.0.0.1", free))
             assert parse_reading(arrivals_of(link, 1)[0][1]).t == 6.0
         assert link.backlog.foreign == 5  # of the first link
         link.close()
 
     def test_a_recording_counts_other_senders_and_notes_the_change(self, free, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr("truearm.record.robots.udp.SILENCE_S", 0.2)
+        monkeypatch.setattr("truearm.record.robots.text_lines.SILENCE_S", 0.2)
         stop = threading.Event()
 
         def play():

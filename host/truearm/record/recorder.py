@@ -16,7 +16,7 @@ from typing import Any
 from truearm.errors import LinkClosed, LinkError, ProtocolError, TruearmError
 from truearm.record.box_storage import Answer, BoxStorage
 from truearm.record.clock_exchanges import ClockExchanges
-from truearm.record.joint_lines import EXPECTED, SILENCE_S, RobotIntake
+from truearm.record.joint_lines import EXPECTED, RobotIntake
 from truearm.record.links import Arrivals, Clock, Link, Reopenable, backlog_of
 from truearm.record.operator import Operator
 from truearm.record.requests import Requests
@@ -269,10 +269,8 @@ class _Recorder:
             reason = "robot closed" if isinstance(robot.lost, LinkClosed) else "robot lost"
             raise _Ended(reason, f"{robot.lost}; it did not come back within {self._patience_ns / SECOND:g} s")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
-        taken_over_ns = int(SILENCE_S * SECOND) if self._counters.robot_foreign else 0  # a stranger may have sent first
-        limit_ns = ROBOT_NS + taken_over_ns
-        if waited_ns >= limit_ns and not self._counters.robot_lines and robot.lost_ns is None:
-            raise _Ended("no readings", f"no joint reading from the robot within {limit_ns / SECOND:g} s; {EXPECTED}")
+        if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
+            raise _Ended("no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s; {EXPECTED}")
 
     def _reconnect(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()

@@ -26,10 +26,10 @@ from urllib.parse import parse_qsl
 
 from truearm.errors import InputError, LinkError, ProtocolError
 from truearm.record.frame_splitter import Runs
-from truearm.record.joint_lines import MAX_LINE
+from truearm.record.joint_lines import MAX_LINE, SILENCE_S
 from truearm.record.links import Arrivals, Backlog, Clock, Link, TcpLink, backlog_of
 from truearm.record.robots.joint_columns import PER_SECOND, Columns, read_columns
-from truearm.record.robots.udp import UdpLink
+from truearm.record.robots.udp import Datagram, UdpLink
 from truearm.schema import quoted
 from truearm.session.joint_format import MAX_JOINTS, are_joints, format_reading, parse_reading
 from truearm.units import SUFFIXES
@@ -193,7 +193,7 @@ class LinesLink:
         lines: Arrivals = []
         try:
             for t_host_ns, data in self._link.read(timeout_s):
-                lines += [(t_host_ns, self._line(*run) + b"\n") for run in self._runs.push(data)]
+                lines += [(t_host_ns, line) for line in self._lines(t_host_ns, data)]
         except LinkError as exc:
             self._end = exc
             rest = self._runs.flush()
@@ -213,6 +213,10 @@ class LinesLink:
     def close(self) -> None:
         self._link.close()
 
+    def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
+        """Return the lines that ``data``, which arrived at ``t_host_ns``, completes."""
+        return [self._line(*run) + b"\n" for run in self._runs.push(data)]
+
     def _line(self, whole: bool, line: bytes) -> bytes:
         joined, self._joined = self._joined, False
         if not whole:
@@ -223,6 +227,40 @@ class LinesLink:
         except InputError as exc:
             self._end = ProtocolError(f"{self.name}: {exc}")
             return line
+
+
+class DatagramLines(LinesLink):
+    """The lines of a robot's datagrams.
+
+    The robot is the address that sent the first reading, from any port: a restarted program gets another one. What other
+    addresses send is counted and dropped. After ``SILENCE_S`` without a reading, another address that sends one takes
+    over: LinkError is raised, and a link opened after it begins anew. While there is no robot, whatever is no reading
+    is passed on.
+    """
+
+    _robot: str | None = None
+    _reading_ns = 0  # arrival of its last reading
+    _foreign = 0
+
+    @property
+    def backlog(self) -> Backlog:
+        """Return the backlog."""
+        return super().backlog._replace(foreign=self._foreign)
+
+    def _lines(self, t_host_ns: int, data: bytes) -> list[bytes]:
+        assert isinstance(data, Datagram)
+        is_foreign = self._robot not in (None, data.sender)
+        if is_foreign and t_host_ns - self._reading_ns < SILENCE_S * 1e9:
+            self._foreign += 1
+            return []
+        lines = super()._lines(t_host_ns, data)
+        if any(map(parse_reading, lines)):
+            if is_foreign:
+                raise LinkError(
+                    f"{self.name}: {self._robot} sent no reading for {SILENCE_S:g} s, and {data.sender} sends instead"
+                )
+            self._robot, self._reading_ns = data.sender, t_host_ns
+        return lines
 
 
 def connect(url: str, clock: Clock, last: Link | None) -> Link:
@@ -243,5 +281,5 @@ def open_lines(url: str, clock: Clock, dialect: LineDialect | None = None) -> Li
     dialect = dialect or LineDialect(dict(pairs))  # checked before anything is opened
     plain = address.removeprefix("lines+")
     if plain.startswith("udp"):
-        return LinesLink(UdpLink(plain, clock, name=url), clock, dialect)
+        return DatagramLines(UdpLink(plain, clock, name=url), clock, dialect)
     return LinesLink(TcpLink(plain, clock, name=url), clock, dialect, joined=True)

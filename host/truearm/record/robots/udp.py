@@ -6,26 +6,25 @@ import select
 import socket
 
 from truearm.errors import LinkError
-from truearm.record.joint_lines import SILENCE_S
 from truearm.record.links import Backlog, Clock, SocketLink, host_and_port
 
 MAX_DATAGRAM = 8192  # bytes; a longer one is truncated, and the rest is not a reading
 _POLL_S = 0.1
 
 
-class UdpLink(SocketLink):
-    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them).
+class Datagram(bytes):
+    """The contents of a datagram, and the address that sent it."""
 
-    The robot is the address that sends first, from any port: a restarted program gets another one. Datagrams from other
-    addresses are counted and dropped. When the robot has been silent for ``SILENCE_S`` and another address sends,
-    LinkError is raised; a link opened after it takes that address. Each datagram is returned with a line feed at its end. A
-    robot that has gone is just silent; UDP does not report it.
+    sender: str
+
+
+class UdpLink(SocketLink):
+    """Receives datagrams sent to ``udp://host:port``, an address of this machine (0.0.0.0: all of them), as ``Datagram``.
+
+    Each is returned with a line feed at its end. A robot that has gone is just silent; UDP does not report it.
     """
 
     def __init__(self, url: str, clock: Clock, name: str | None = None) -> None:
-        self._robot: str | None = None
-        self._heard_ns = 0  # its last datagram
-        self._foreign = 0
         address = host_and_port(url, "udp")
         family = socket.AF_INET6 if ":" in address[0] else socket.AF_INET
         try:
@@ -45,7 +44,7 @@ class UdpLink(SocketLink):
     @property
     def backlog(self) -> Backlog:
         """Return the backlog."""
-        return super().backlog._replace(drops=True, foreign=self._foreign)
+        return super().backlog._replace(drops=True)
 
     def _receive(self) -> bytes:
         try:
@@ -55,11 +54,6 @@ class UdpLink(SocketLink):
             data, (sender, *_) = self._socket.recvfrom(MAX_DATAGRAM)
         except (OSError, ValueError) as exc:
             raise LinkError(f"{self.name}: the robot was lost ({exc}); check the network and the controller") from exc
-        now_ns = self._clock.now_ns()
-        if sender == (self._robot or sender):
-            self._robot, self._heard_ns = sender, now_ns
-            return data + b"\n"
-        if now_ns - self._heard_ns < SILENCE_S * 1e9:
-            self._foreign += 1
-            return b""
-        raise LinkError(f"{self.name}: {self._robot} has been silent for {SILENCE_S:g} s, and {sender} sends instead")
+        datagram = Datagram(data + b"\n")
+        datagram.sender = sender
+        return datagram
