@@ -1,7 +1,7 @@
 """The lab in real time: the box behind a TCP port or a pseudo-terminal, the robot behind a TCP port, on loopback.
 
-Time starts with the first connection. At each tick the box is granted the elapsed wall-clock time, with the bytes its
-client wrote. While no client is connected the link accepts nothing, and the box counts what it must drop.
+Time starts with the first connection. At each tick, and when its client has written something, the box is granted the
+elapsed wall-clock time, with the bytes its client wrote. While no client is connected the link accepts nothing, and the box counts what it must drop.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def serve(
                 robot_port.drop()
             if not box_port.connected():
                 return
-        time.sleep(TICK_S)
+        box_port.wait(TICK_S)
 
 
 def _report(world: World, box: SimulatedBox, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:
