@@ -34,6 +34,7 @@ COMMON = {
         "collector",
         "progress",
         "findings",
+        "display",
     ),
     "option_defaults",
     "__version__",
@@ -76,6 +77,7 @@ ROOMS = {
     "collector": set(),
     "progress": set(),
     "findings": set(),
+    "display": set(),
     "units": set(),
     "schema": set(),
 }

@@ -8,19 +8,20 @@ times in seconds.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truearm.arguments import checked, floats
+from truearm.arguments import checked, converted, floats
 from truearm.bounds import CELL, LINE_POINTS, MINUTES, PATH, POSES, OneOf
 from truearm.correct.correction import Correction
 from truearm.correct.error_map import ErrorMap
 from truearm.correct.methods import Method
+from truearm.display import Displayed
 from truearm.errors import Argument, InputError, SessionError, TableError
 from truearm.export.formats import FORMATS
 from truearm.file_names import no_such_file
@@ -29,7 +30,7 @@ from truearm.files.disk import write_atomic
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
-from truearm.types import ObservationTable, Rig, Rigs
+from truearm.types import Floats, ObservationTable, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification
@@ -38,6 +39,7 @@ from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.identify import Identification, IdentifyOptions, Progress
 from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.plan import BallBarOptions, Budget
+from truearm.workflows.session_arrays import channel_samples, joint_readings
 from truearm.workflows.session_observations import is_session
 from truearm.workflows.session_parts import session_parts
 from truearm.workflows.validate import Validation, validated
@@ -48,8 +50,8 @@ RIGID = 1e-6  # tolerated deviation from orthonormality of a rotation matrix wri
 RobotArgument = Annotated[Robot, "load_robot"]
 TableArgument = Annotated[ObservationTable, "read_table"]
 ResultArgument = Annotated[Calibration, "identify", "read_result"]
-RigArgument = Annotated[Rig, "read_rig"]
-RigsArgument = Annotated[Rigs, "read_rig"]
+RigArgument = Annotated[Rig, "read_rig"] | PathLike
+RigsArgument = Annotated[Rigs, "read_rig"] | PathLike
 Joints = Sequence[float] | NDArray[np.float64]
 
 
@@ -187,8 +189,8 @@ def read_rig(path: PathLike) -> Rig:
     return rig_file.read_rig(Path(path))
 
 
-@dataclass(frozen=True, eq=False)
-class SessionObservations:
+@dataclass(frozen=True, eq=False, repr=False)
+class SessionObservations(Displayed):
     """The observations of a session, the rig they were measured with, and what was lost from a damaged file.
 
     ``rig`` is a single rig, or a mapping of rigs by name if the parts of the session were recorded with different rigs.
@@ -203,13 +205,49 @@ class SessionObservations:
     table: ObservationTable
     rig: Rigs
     lost: tuple[str, ...] = ()
+    parts: tuple[Path, ...] = ()
+    allow_damaged: bool = False
+
+    def samples(self, channel: str) -> tuple[Floats, Floats]:
+        """Return the times (n,) and the values (n,) of all samples of a channel of the box, such as "lvdt".
+
+        Times are in seconds, like ``table.time``, NaN where unknown. A value is a length [m] or in the channel's
+        calibrated unit, or without a calibration what the converter measured [V]. The file is read again. Raises
+        TypeError, InputError.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> time, extension = truearm.read_session("session.mcap").samples("lvdt")
+        >>> time.shape == extension.shape
+        True
+        """
+        return channel_samples(self.parts, converted("channel", channel, str), self.allow_damaged)
+
+    def joints(self) -> tuple[Floats, Floats]:
+        """Return the times (n,) [s] and the joint readings (n, j) [rad, m] of the robot. The file is read again.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> time, q = truearm.read_session("session.mcap").joints()
+        >>> q.shape == (len(time), 6)
+        True
+        """
+        return joint_readings(self.parts, self.allow_damaged)
+
+    def _headline(self) -> str:
+        return f"{len(self.table)} observations, {len(self.lost)} losses"
+
+    def _columns(self) -> Mapping[str, Any]:
+        return self.table._columns()
 
 
 @checked
 def read_session(
     path: PathLike,
     *,
-    rig: PathLike | None = None,
+    rig: RigsArgument | None = None,
     noise: PathLike | None = None,
     allow_damaged: bool = False,
     line_points: Annotated[int, LINE_POINTS] | None = None,
@@ -220,8 +258,8 @@ def read_session(
     ----------
     path : str or path
         Session file (.mcap). The other parts of the session are read as well.
-    rig : str or path, optional
-        Rig file to use instead of the recorded rig.
+    rig : Rig, str, path or mapping of str to Rig, optional
+        Rig, or rig file, to use instead of the recorded rig; with a mapping, the one under the session's name.
     noise : str or path, optional
         Noise file written by ``truearm characterize``, to use instead of the noise in the rig.
     allow_damaged : bool
@@ -256,16 +294,17 @@ def read_session(
     if not is_session(file):
         raise SessionError(f"{file}: is not a session (.mcap); use read_table for tables")
     lost: list[str] = []
+    parts, rigs = tuple(session_parts(file)), {} if rig is None else _read_rigs(rig)
     sources = Sources(
-        inputs=tuple(session_parts(file)),
-        rigs={} if rig is None else {"": Path(rig)},
+        inputs=parts,
+        rigs=rigs if isinstance(rigs, Mapping) else {"": rigs},
         noise=None if noise is None else Path(noise),
         allow_damaged=allow_damaged,
         line_points=line_points,
         say=lost.append,
     )
     around, table = observed(sources, None)
-    return SessionObservations(table, around, tuple(lost))
+    return SessionObservations(table, around, tuple(lost), parts, allow_damaged)
 
 
 @checked
@@ -286,8 +325,8 @@ def identify(
         The nominal robot.
     table : ObservationTable
         The observations.
-    rig : Rig or mapping of str to Rig, optional
-        The rig that the rows refer to, or rigs by the names in the table's column ``rig``. Default: an empty rig.
+    rig : Rig, str, path or mapping of str to Rig, optional
+        The rig, or rig file, that the rows refer to, or rigs by the names in the table's column ``rig``. Default: an empty rig.
     hold_out : str, float, sequence of str or array of bool
         Rows to use for validation only: groups such as ``"bar=bar61"``, a fraction such as 0.2, or a mask (n,).
     options : IdentifyOptions, optional
@@ -344,7 +383,7 @@ def validate(
         Return value of ``identify`` or ``read_result``.
     table : ObservationTable
         Observations that were not used in the fit.
-    rig : Rig or mapping of str to Rig, optional
+    rig : Rig, str, path or mapping of str to Rig, optional
         As for ``identify``.
     keep_rig : bool
         Keep the identified values of the rig (trackers, targets, chucks, bars) and estimate only the rest of the rig.
@@ -449,7 +488,7 @@ def plan_ball_bar(
     ----------
     robot : Robot
         A robot with six or more revolute joints, whose file has a ``[branch]`` table.
-    rig : Rig
+    rig : Rig, str or path
         Chucks, spheres and bars.
     poses, minutes : int, float
         The budget: a number of poses, or minutes of the operator's time. Give exactly one of them.
@@ -487,7 +526,7 @@ def plan_ball_bar(
         raise InputError(
             f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}; give the robot of the result"
         )
-    known = plan.known_of(robot, rig, result)
+    known = plan.known_of(robot, rig if isinstance(rig, Rig) else read_rig(rig), result)
     return plan.planned_ball_bar(known, Budget(poses, minutes), plan.with_reserve(chosen, result))
 
 
@@ -499,6 +538,7 @@ def correct_poses(
     method: Annotated[str, OneOf(tuple(Method))] = "newton",
     own_frames: bool = False,
     home: Joints | None = None,
+    partial: bool = False,
 ) -> Correction:
     """Correct poses so that the real robot reaches them although its controller uses the nominal model.
 
@@ -515,17 +555,20 @@ def correct_poses(
     home : sequence of float, optional
         Joint readings (j,) near those of the first pose [rad, m]. They select the configuration of the arm, and are
         needed if joint limits allow several: each needs another correction.
+    partial : bool
+        Correct the other poses if some cannot be corrected: for these, ``commanded`` and ``q`` are NaN.
 
     Returns
     -------
     Correction
         ``commanded`` (n, 4, 4) holds the poses to command and ``q`` (n, j) the joint readings to move to. ``before``
-        and ``after`` (n, 2) are the errors in m and rad.
+        and ``after`` (n, 2) are the errors in m and rad. ``status`` is "corrected" or the reason why not, for each pose.
 
     Raises
     ------
     TargetError
-        If a pose is out of reach or close to a singularity, or if nothing determines the configuration of the arm.
+        If a pose is out of reach or close to a singularity and ``partial`` is False, or if nothing determines the
+        configuration of the arm.
 
     Examples
     --------
@@ -540,7 +583,7 @@ def correct_poses(
     given = floats("poses", poses, None, 4, 4, or_one=True)
     _check_rigid("poses", given)
     options = correct.CorrectOptions(method, own_frames=own_frames, home=_joints("home", home, result))
-    return correct.corrected_poses(result, given, options)
+    return correct.corrected_poses(result, given, options, partial)
 
 
 @checked
@@ -680,15 +723,20 @@ def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable
     return value
 
 
-def _rigs(rig: Rigs | None, table: ObservationTable) -> Rigs:
+def _read_rigs(rig: RigsArgument) -> Rigs:
+    """Return the rig, or the rigs by name; a file is read."""
+    return rig if isinstance(rig, Rig | Mapping) else read_rig(rig)
+
+
+def _rigs(given: RigsArgument | None, table: ObservationTable) -> Rigs:
     """Return the rig, or the rigs by name, checked against the rows that refer to them."""
-    if rig is None or isinstance(rig, Rig):
-        one = Rig() if rig is None else rig
+    rig = Rig() if given is None else _read_rigs(given)
+    if isinstance(rig, Rig):
         try:
-            observation_table.check_against_rig(table, one)
+            observation_table.check_against_rig(table, rig)
         except TableError as exc:
-            raise exc if rig is not None else InputError(Argument("rig"), f": is needed: {exc}") from None
-        return one
+            raise exc if given is not None else InputError(Argument("rig"), f": is needed: {exc}") from None
+        return rig
     missing = sorted(set(table.rig.tolist()) - set(rig))
     if missing:
         raise InputError(

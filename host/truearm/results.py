@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import converted
+from truearm.display import Displayed
 from truearm.types import Floats, Law, Payload, Residuals, as_column, not_left_out, rms
 
 
@@ -500,8 +501,8 @@ class PredictedError(NamedTuple):
         return "m" in unexplained and self.rms > unexplained["m"].mean
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Displayed):
     """The result of an identification.
 
     Arrays cover all parameters of the problem: first those of the robot, then those of the rig (nuisance parameters).
@@ -578,6 +579,13 @@ class Estimate:
     pose_error: PoseError | None = None  # shared by the rows of a pose, beyond chance; in ``covariance``
     joint_laws: JointLaws | None = None  # laws beyond offset and gain; None: not requested
     unseen: Floats = field(default_factory=lambda: np.zeros((0, 0)))  # (p, d) the complete null space, in SI units
+
+    def _headline(self) -> str:
+        return f"{self.status}, rank {self.rank} of {int(self.free.sum())} free, {self.n_observations} observations"
+
+    def _columns(self) -> Mapping[str, Any]:
+        names = ("parameter_names", "units", "nominal", "value", "sigma", "free", "identifiable")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def covariance_explains(self) -> bool:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.arguments import Checked, converted
+from truearm.display import Displayed
 from truearm.errors import Argument, InputError, PlanError
 from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
 
@@ -202,8 +203,8 @@ class Plane(Checked):
     tilt_sigma: Annotated[float, UNKNOWN_TURN_SIGMA] | None = None
 
 
-@dataclass(frozen=True)
-class Rig(Checked):
+@dataclass(frozen=True, repr=False)
+class Rig(Displayed, Checked):
     """The rig around the robot: chucks on the table, spheres on the end, bars, sockets, lines, trackers and planes.
 
     Chucks are given in the frame of the chuck fixture, which is the base frame of the chain. Spheres and targets (the
@@ -255,6 +256,10 @@ class Rig(Checked):
     sockets: Mapping[tuple[str, str], Point] = field(default_factory=dict)  # by place and socket
     entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of other types that kinds declare, by name
 
+    def _headline(self) -> str:
+        fields = ("chucks", "spheres", "bars", "sockets", "targets", "lines", "trackers", "planes", *self.entries)
+        return ", ".join(f"{len(self.named(field))} {field}" for field in fields if self.named(field)) or "empty"
+
     def named(self, field: str) -> Any:
         """Return the entries of a type by field name: a field of this class, or a key of ``entries``."""
         return getattr(self, field) if field in self.__dataclass_fields__ else self.entries.get(field, {})
@@ -285,8 +290,8 @@ def _absent() -> Any:
 _NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of a table
 
 
-@dataclass(frozen=True, eq=False)
-class ObservationTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class ObservationTable(Displayed):
     """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
 
     - ``q`` (n, j) [rad, m]: joint readings.
@@ -376,6 +381,19 @@ class ObservationTable:
 
     def __len__(self) -> int:
         return int(self.q.shape[0])
+
+    def _headline(self) -> str:
+        counts = zip(*np.unique(self.kind, return_counts=True), strict=True)
+        return f"{', '.join(f'{n} {kind}' for kind, n in counts) or 'no rows'}; {self.q.shape[1]} joints"
+
+    def _columns(self) -> Mapping[str, Any]:
+        columns: dict[str, Any] = {}
+        for name in (*self.fields(), *self.more):
+            column = self.column(name)
+            by_axis = name in ("xyz", "xyz_sigma", "rotation")
+            axes = {f"{name}_{axis}".removeprefix("xyz_"): column[:, k] for k, axis in enumerate("xyz") if by_axis}
+            columns |= axes or {name: column}
+        return columns
 
     @property
     def simulated(self) -> bool:

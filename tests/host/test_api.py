@@ -92,6 +92,17 @@ def test_examples_run(name, folder, monkeypatch):
     assert not said, "".join(said)
 
 
+@pytest.mark.parametrize("name", ["Robot", "Calibration", "SessionObservations"])
+def test_examples_of_methods_run(name, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    tests = doctest.DocTestFinder(exclude_empty=True).find(getattr(truearm, name), name, globs={})
+    assert len([test for test in tests if test.examples]) >= 2
+    said = []
+    for test in tests:
+        doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(test, out=said.append)
+    assert not said, "".join(said)
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if inspect.isfunction(getattr(truearm, name))])
 def test_functions_have_numpydoc(name):
     text = inspect.getdoc(getattr(truearm, name))
@@ -226,6 +237,140 @@ def test_export_correct_and_map(folder, result):
     assert truearm.error_map(result, at=[0.0] * 6, cell=0.2).error.ndim == 2
 
 
+def test_the_poses_of_a_robot_are_those_of_its_parameters(result, robot):
+    q = np.random.default_rng(1).uniform(-2.0, 2.0, (7, 6))
+    np.testing.assert_array_equal(robot.forward(q), forward(robot.chain, robot.chain.params_nominal, q))
+    np.testing.assert_array_equal(result.forward(q), forward(result.chain, result.identified, q))
+    np.testing.assert_array_equal(result.forward(q[3].tolist()), result.forward(q)[3])
+    assert np.abs(result.forward(q) - robot.forward(q)).max() > 1e-4
+
+
+def test_the_poses_of_a_calibrated_robot_hold_its_joint_laws(robot):
+    """An error curve that the geometry cannot hold: the poses are those with the laws."""
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-2.0, 2.0, (400, 6))
+    bent = q.copy()
+    bent[:, 1] += np.radians(0.1) * np.sin(3.0 * q[:, 1])
+    xyz = robot.forward(bent)[:, :3, 3] + 2e-5 * rng.normal(size=(400, 3))
+    table = truearm.ObservationTable(q=q, kind=np.full(400, "position"), tracker=np.full(400, "t"), xyz=xyz)
+    tracker = truearm.Device("t", np.diag([4e-10] * 3), xyz=(0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)
+    options = truearm.IdentifyOptions(joint_laws="curve", free=("joint*.offset",))
+    result = truearm.identify(robot, table, truearm.Rig(trackers={"t": tracker}), options=options)
+    assert np.linalg.norm(robot.forward(q)[:, :3, 3] - table.xyz, axis=1).max() > 5e-4
+    assert np.linalg.norm(result.forward(q)[:, :3, 3] - table.xyz, axis=1).max() < 1e-4
+
+
+def test_samples_and_joints_of_a_session_share_the_time_of_its_table(folder):
+    session = truearm.read_session(folder / "session.mcap")
+    time, extension = session.samples("lvdt")
+    joint_time, q = session.joints()
+    assert time.shape == extension.shape
+    assert q.shape == (len(joint_time), session.table.q.shape[1])
+    for dwell, q_dwell, length in zip(session.table.time, session.table.q, session.table.value, strict=True):
+        nearest = np.argmin(np.abs(joint_time - dwell))
+        np.testing.assert_allclose(q[nearest], q_dwell, atol=1e-3)
+        (bar,) = session.rig.bars.values()
+        assert abs(bar.zero + bar.gain * extension[np.argmin(np.abs(time - dwell))] - length) < 1e-3
+    with pytest.raises(InputError, match=r"^channel: the session has no samples of 'lvd'; its channels are .*lvdt"):
+        session.samples("lvd")
+
+
+def test_a_rig_may_be_read_or_a_file_for_every_function(folder, robot, table, rig):
+    path = folder / "session.toml"
+    read = [
+        truearm.read_session(folder / "session.mcap", rig=given) for given in (path, str(path), truearm.read_rig(path))
+    ]
+    assert all(session.rig == read[0].rig for session in read)
+    np.testing.assert_array_equal(read[0].table.value, read[2].table.value)
+    named = truearm.read_session(folder / "session.mcap", rig={"session": truearm.read_rig(path)})
+    assert list(named.rig) == ["session"]
+    found = [truearm.identify(robot, table, given) for given in (folder / "rig.toml", rig)]
+    np.testing.assert_array_equal(found[0].identified, found[1].identified)
+    judged = [truearm.validate(found[0], table, given).after["m"].rms for given in (folder / "rig.toml", rig)]
+    assert judged[0] == judged[1]
+
+
+def test_poses_that_cannot_be_corrected_have_a_status_if_the_others_are_wanted(result):
+    q = np.array([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
+    poses = np.concatenate([result.robot.forward(q), result.robot.forward(q) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]])
+    with pytest.raises(TargetError, match="pose 1: no joint values"):
+        truearm.correct_poses(result, poses, home=q[0])
+    corrected = truearm.correct_poses(result, poses, home=q[0], partial=True)
+    assert corrected.status[0] == "corrected"
+    assert corrected.status[1].startswith("no joint values within the limits")
+    assert np.isfinite(corrected.commanded[0]).all()
+    assert np.isnan(corrected.commanded[1]).all()
+    assert np.isnan(corrected.q[1]).all()
+    np.testing.assert_array_equal(
+        corrected.commanded[0], truearm.correct_poses(result, poses[:1], home=q[0]).commanded[0]
+    )
+
+
+@pytest.fixture(scope="module")
+def shown(folder, robot, rig, table, result):
+    """Return an object of each public class that holds arrays."""
+    identification = truearm.identify(robot, table, rig)
+    pose = result.robot.forward([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
+    bench = truearm.read_rig(folder / "bench.toml")
+    return [
+        *(robot, rig, table, result, identification, identification.estimate),
+        truearm.validate(result, truearm.read_table(folder / "friday.csv", robot), rig),
+        truearm.correct_poses(result, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]),
+        truearm.export_robot(result, "urdf"),
+        truearm.error_map(result, cell=0.2),
+        truearm.read_session(folder / "session.mcap"),
+        truearm.plan_ball_bar(robot, bench, poses=8, options=truearm.BallBarOptions(candidates=60)),
+    ]
+
+
+def test_public_objects_are_displayed_in_one_line_and_a_small_table(shown, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    for thing in shown:
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 400, repr(thing)
+        html = thing._repr_html_()
+        assert html.count("<tr>") <= 10
+        assert len(html) < 8_000
+        assert len({len(column) for column in thing.to_pandas().values()}) <= 1
+    results = [type(thing) for thing in shown]
+    displayed = {cls for name in NAMES if hasattr(cls := getattr(truearm, name), "_repr_html_")}
+    assert displayed == set(results)
+
+
+def test_every_public_object_has_a_short_repr(robot, rig, table, result):
+    point = truearm.Point("s1", (0.0, 0.0, 0.1))
+    held_out = truearm.identify(robot, table, rig, hold_out="shell=outer").estimate.held_out
+    for thing in (point, *rig.bars.values(), truearm.IdentifyOptions(), truearm.BallBarOptions(), held_out):
+        assert repr(thing).count("\n") < 5
+        assert len(repr(thing)) < 500
+
+
+def test_columns_become_a_data_frame(table, result, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    frame = table.to_pandas()
+    assert list(frame)[:7] == [*(f"q{i}" for i in range(1, 7)), "kind"]
+    assert "xyz_sigma" not in str(list(frame))  # columns without any value
+    np.testing.assert_array_equal(frame["q3"], table.q[:, 2])
+    parameters = result.to_pandas()
+    assert parameters["sigma"][list(parameters["name"]).index("link2.x")] == result.parameters["link2.x"].sigma
+    pose = result.robot.forward([[0.3, -0.6, 0.5, 0.2, 0.8, 0.1]])
+    corrected = truearm.correct_poses(result, pose, home=[0.3, -0.6, 0.5, 0.2, 0.8, 0.1])
+    six = [*("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"), *(f"q{i}" for i in range(1, 7))]
+    assert list(corrected.to_pandas()) == [*six, "before_m", "after_m", "before_rad", "after_rad", "status"]
+
+
+def test_without_pandas_the_message_says_so(table, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="needs pandas, which is not installed: pip install pandas"):
+        table.to_pandas()
+
+
+def test_names_for_type_checkers_are_those_at_run_time():
+    source = Path(truearm.__file__).read_text(encoding="utf-8")
+    imports = re.findall(r"^    from truearm\.([\w.]+) import (\w+) as \2$", source, re.MULTILINE)
+    assert {name: module for module, name in imports} == truearm._MODULES
+
+
 WRONG = {
     "robot as text": (
         lambda f, r, t, g, c: truearm.read_table(f / "poses.csv", "puma560"),
@@ -240,10 +385,11 @@ WRONG = {
         TypeError,
         "table: must be an ObservationTable (see read_table)",
     ),
-    "rig as path": (
-        lambda f, r, t, g, c: truearm.identify(r, t, "rig.toml"),
+    "rig's file": (lambda f, r, t, g, c: truearm.identify(r, t, f / "no.toml"), truearm.RigError, "no.toml: no such"),
+    "rig's type": (
+        lambda f, r, t, g, c: truearm.read_session(f / "session.mcap", rig=3),
         TypeError,
-        "rig: must be a Rig or a mapping of names to Rigs (see read_rig)",
+        "rig: must be a Rig or a mapping of names to Rigs (see read_rig) or a text or a path or None, is 3",
     ),
     "rig without chucks": (lambda f, r, t, g, c: truearm.identify(r, t), InputError, "rig: is needed: "),
     "rig's name": (lambda f, r, t, g, c: truearm.identify(r, t, {"a": g}), InputError, "rig: has no rig ''"),

@@ -10,7 +10,8 @@ within the joint limits, one closer to a singularity than ``margin``, and one wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, assert_never
 
 import numpy as np
@@ -20,7 +21,10 @@ from truearm.correct.inverse import CHUNK, Inverse, Origins, inverse, search, si
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed, in_rig, reached
 from truearm.correct.renders_methods import false_target, joint_space, offsets
+from truearm.display import Displayed
 from truearm.model.poses import apart
+from truearm.model.rotation import rotation_vector
+from truearm.text import counted
 from truearm.types import Floats
 
 MARGIN = 0.05  # smallest singular value: an error of 20 mm then requires at most 0.8 rad
@@ -44,13 +48,13 @@ class Configuration(NamedTuple):
 SEARCHED = Configuration()
 
 
-class Correction(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class Correction(Displayed):
     """n corrected targets.
 
     ``q`` (n, j) are the joint readings to move to, and ``q_nominal`` (n, j) those that the controller would use without
     correction. ``commanded`` (n, 4, 4) are the poses to command. ``before`` and ``after`` (n, 2) are the errors of the
-    end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used; ``truearm.correct_poses`` raises TargetError instead,
-    so all of its are "".
+    end in m and rad, or of the tool by ``at_tools``. ``problem`` says why a row must not be used, "" if it may be.
 
     Examples
     --------
@@ -69,6 +73,28 @@ class Correction(NamedTuple):
     before: Floats
     after: Floats
     problem: tuple[str, ...]
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Return "corrected", or why a target must not be used, for each target."""
+        return tuple(problem or "corrected" for problem in self.problem)
+
+    def _headline(self) -> str:
+        refused = sum(map(bool, self.problem))
+        return f"{counted(len(self.q), 'target')}, {refused} refused"
+
+    def _columns(self) -> Mapping[str, Any]:
+        six = np.concatenate([self.commanded[:, :3, 3], rotation_vector(self.commanded[:, :3, :3])], axis=1)
+        titles = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+        return {
+            **dict(zip(titles, six.T, strict=True)),
+            "q": self.q,
+            "before_m": self.before[:, 0],
+            "after_m": self.after[:, 0],
+            "before_rad": self.before[:, 1],
+            "after_rad": self.after[:, 1],
+            "status": self.status,
+        }
 
 
 def correct(
@@ -130,7 +156,7 @@ def at_tools(pair: ModelPair, done: Correction, tools: Floats) -> Correction:
         np.column_stack([np.linalg.norm(end - goal, axis=1), error[:, 1]])
         for end, error in zip(ends, (done.before, done.after), strict=True)
     )
-    return done._replace(before=before, after=after)
+    return replace(done, before=before, after=after)
 
 
 def _at(

@@ -13,8 +13,9 @@ Jᵀ). Where a null direction of the observations would move the end, no meaning
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -22,10 +23,13 @@ from numpy.typing import NDArray
 
 from truearm.correct.inverse import within
 from truearm.correct.model_pair import ModelPair, believed, reached
+from truearm.display import Displayed
 from truearm.errors import Argument, RobotError
 from truearm.model.chain import joint_frames, joint_jacobian, point_jacobians
 from truearm.results import MOVES
+from truearm.text import counted
 from truearm.types import Floats, rms
+from truearm.units import MM
 
 SAMPLES = 100  # of each of the two joints: initial cells
 MOST_CELLS = 250_000
@@ -35,7 +39,8 @@ ROUNDING = 1e-9  # m, at the edge of a cell
 STRETCHED = 1e-3  # m²/rad²: below this, elbow up and down are hardly distinguishable
 
 
-class ErrorMap(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class ErrorMap(Displayed):
     """The cells of a section: l rows along v, k columns along u. Cells that no joint vector reaches are NaN.
 
     ``u`` (k,) and ``v`` (l,) are the middles of the cells [m], along ``axes[0]`` and ``axes[1]``, unit vectors in the base
@@ -60,6 +65,17 @@ class ErrorMap(NamedTuple):
     error: Floats
     sigma: Floats
     outside: NDArray[np.bool_] | None = None
+
+    def _headline(self) -> str:
+        reached = self.error[~np.isnan(self.error)]
+        largest = f", at most {MM.text(reached.max(), '.3f')}" if reached.size else ""
+        return f"{counted(reached.size, 'reachable cell')} of {self.error.size}{largest}"
+
+    def _columns(self) -> Mapping[str, Any]:
+        in_reach = ~np.isnan(self.error)
+        v, u = np.meshgrid(self.v, self.u, indexing="ij")
+        columns = {"u": u, "v": v, "q": self.q, "error": self.error, "sigma": self.sigma}
+        return {title: column[in_reach] for title, column in columns.items()}
 
 
 class BestRectangle(NamedTuple):

@@ -27,13 +27,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from truearm.arguments import floats
+from truearm.display import Displayed
 from truearm.errors import RobotError
 from truearm.model.builtin import builtin_text
-from truearm.model.chain import Chain
+from truearm.model.chain import Chain, forward
 from truearm.model.elementary_transforms import chain_from_slots
 from truearm.model.robot_tables import MAX_NAME, Description, read_tables
 from truearm.model.workspace import BRANCH, CAPSULE, MAX_CAPSULES, Branch, Capsules, capsules_of, check_branch
@@ -53,8 +56,8 @@ HEAD = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot(Displayed):
     """A chain, named parameter sets (p,), and ``free`` (p,): False for the parameters that are fixed in the file.
 
     ``source`` is the origin of the numbers, "" if unknown. ``branch`` is required for plans. Without ``capsules``, links
@@ -79,16 +82,43 @@ class Robot:
     gravity: tuple[float, float, float] | None = None  # its direction in the base frame; None: not in the file
 
     def __str__(self) -> str:
+        return self._headline()
+
+    def _headline(self) -> str:
         chain = self.chain
         return (
             f"{chain.name}: {counted(len(chain.joints), 'joint')}, {chain.base_frame} to {chain.end_frame}, "
             f"{counted(len(chain.parameters), 'parameter')}, {int(self.free.sum())} free"
         )
 
+    def _columns(self) -> Mapping[str, Any]:
+        parameters = self.chain.parameters
+        names, units = zip(*((parameter.name, parameter.unit) for parameter in parameters), strict=True)
+        return {"name": names, "unit": units, "nominal": self.chain.params_nominal, "free": self.free}
+
+    def forward(self, q: ArrayLike) -> Floats:
+        """Return the poses (n, 4, 4) of the nominal robot's end in the base frame at joint readings q (n, j), or one.
+
+        ``forward`` of a ``Calibration`` is that of the identified robot. Raises TypeError, InputError.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> truearm.load_robot("puma560").forward([[0.0] * 6]).shape
+        (1, 4, 4)
+        """
+        return poses(self.chain, self.chain.params_nominal, q)
+
     @property
     def is_urdf(self) -> bool:
         """Return whether it was read from a URDF, which does not say which parameters are fixed: all but the gains are free."""
         return self.file.lower().endswith((".urdf", ".xml"))
+
+
+def poses(chain: Chain, params: Floats, q: ArrayLike) -> Floats:
+    """Return the end's poses (n, 4, 4) at joint readings q (n, j), or (4, 4) at q (j,). Raises TypeError, InputError."""
+    ends = forward(chain, params, floats("q", q, None, len(chain.joints), or_one=True))
+    return ends[0] if np.ndim(q) == 1 else ends
 
 
 def builtin_robot(name: str) -> Robot:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import count
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.display import Displayed
 from truearm.errors import Argument, PlanError
 from truearm.model.chain import point_forward
 from truearm.plan.bar_paths import Pace
@@ -51,7 +52,8 @@ class Wanted(NamedTuple):
     visits: Visits = ONCE  # ``n_poses`` counts every visit of a check pose
 
 
-class BallBarPlan(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class BallBarPlan(Displayed):
     """A route and its forecast.
 
     ``route.plan`` has the poses, ``route.visits`` the plan including via points, ``route.minutes`` its duration.
@@ -68,6 +70,13 @@ class BallBarPlan(NamedTuple):
 
     route: Route
     forecast: Forecast
+
+    def _headline(self) -> str:
+        return f"{len(self.route.plan)} poses, {self.route.minutes:.0f} min, rank {self.forecast.rank}"
+
+    def _columns(self) -> Mapping[str, Any]:
+        visits = self.route.visits
+        return {name: getattr(visits, name) for name in visits.columns()}
 
 
 def make_site(known: Known, limits: Limits, sizes: Sizes, seed: int = 0) -> Site:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from truearm.arguments import converted, floats
+from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
 from truearm.files.stored_result import StoredResult, read_result
@@ -18,7 +19,7 @@ from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries, has_payload_law, robot_with_laws
-from truearm.model.robot import Robot
+from truearm.model.robot import Robot, poses
 from truearm.model.robot_mounting import NONE, Mountings, mountings
 from truearm.model.rotation import rotation_vector
 from truearm.report.parameter_cells import parameter_cells
@@ -59,8 +60,8 @@ class ParameterEstimate(NamedTuple):
         return self.sigma is not None
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Displayed):
     """A robot and its identified parameters, as stored in a result.json.
 
     ``nominal`` and ``identified`` are the robot's parameters (p,). ``covariance`` (p, p) is that of the identified ones, 0
@@ -94,8 +95,36 @@ class Calibration:
             " ".join([row[0].ljust(wide[0]), *(cell.rjust(w) for cell, w in zip(row[1:5], wide[1:5])), row[5]])
             for row in rows
         ]
-        head = f"{self.chain.name}: {outcome(self.stored.status)}, rank {self.document['rank']} of {self.document['n_free']} free"
-        return "\n".join([head, *(line.rstrip() for line in table)])
+        return "\n".join([self._headline(), *(line.rstrip() for line in table)])
+
+    def _headline(self) -> str:
+        rank = f"rank {self.document['rank']} of {self.document['n_free']} free"
+        return f"{self.chain.name}: {outcome(self.stored.status)}, {rank}"
+
+    def _columns(self) -> Mapping[str, Any]:
+        stored = self.stored
+        return {
+            "name": stored.parameter_names,
+            "unit": stored.units,
+            "nominal": stored.nominal,
+            "value": stored.value,
+            "sigma": stored.sigma,
+            "free": stored.free,
+            "of": np.where(stored.of_robot, "robot", "rig"),
+        }
+
+    def forward(self, q: ArrayLike) -> Floats:
+        """Return the poses (n, 4, 4) of the identified robot's end, with its joint laws, at joint readings q (n, j), or one.
+
+        Raises TypeError, InputError.
+
+        Examples
+        --------
+        >>> import truearm
+        >>> truearm.read_result("result.json").forward([0.0] * 6).shape
+        (4, 4)
+        """
+        return poses(self.chain, self.identified, q)
 
     @property
     def simulated(self) -> bool:
@@ -105,28 +134,9 @@ class Calibration:
     @property
     def parameters(self) -> Mapping[str, ParameterEstimate]:
         """All parameters by name, the robot's first, then the rig's."""
-        stored = self.stored
-        columns = zip(
-            stored.parameter_names,
-            stored.units,
-            stored.nominal,
-            stored.value,
-            stored.sigma,
-            stored.free,
-            stored.of_robot,
-        )
-        return {
-            name: ParameterEstimate(
-                name,
-                unit,
-                float(nominal),
-                float(value),
-                number_or_null(sigma),
-                bool(free),
-                "robot" if robot else "rig",
-            )
-            for name, unit, nominal, value, sigma, free, robot in columns
-        }
+        columns = (np.asarray(column).tolist() for column in self._columns().values())
+        rows = (ParameterEstimate(*row) for row in zip(*columns, strict=True))
+        return {row.name: row._replace(sigma=number_or_null(row.sigma)) for row in rows}
 
     def carrying(self, mass: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Calibration:
         """Return the calibration of the robot with a payload: its mass [kg], and its centre [m] in the end frame.

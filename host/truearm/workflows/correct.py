@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -180,16 +180,21 @@ def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
         raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
 
 
-def corrected_poses(calibration: Calibration, poses: Floats, options: CorrectOptions) -> Correction:
+def corrected_poses(
+    calibration: Calibration, poses: Floats, options: CorrectOptions, partial: bool = False
+) -> Correction:
     """Correct poses (n, 4, 4) of the end frame in the base frame.
 
-    Raises TargetError for the first one that is out of reach or near a singularity, or if nothing determines the arm's
-    configuration.
+    ``partial``: what cannot be commanded is NaN. Otherwise raises TargetError for the first pose that is out of reach or
+    near a singularity. Raises it also if nothing determines the arm's configuration.
     """
     places = [f"pose {i}" for i in range(len(poses))]
     done, commanded = _corrected(_how(calibration, options), poses, options, places)
-    _refuse(done, places, TargetError, then="")
-    return done._replace(commanded=commanded)
+    if not partial:
+        _refuse(done, places, TargetError, then="")
+    refused = np.array([problem != "" for problem in done.problem])
+    q, commanded = np.where(refused[:, None], np.nan, done.q), np.where(refused[:, None, None], np.nan, commanded)
+    return replace(done, q=q, commanded=commanded)
 
 
 def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:

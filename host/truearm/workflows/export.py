@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from truearm.display import Displayed
 from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
@@ -51,8 +52,8 @@ class ExportOptions(NamedTuple):
     payload: Payload = NO_PAYLOAD
 
 
-@dataclass(frozen=True)
-class ExportedRobot:
+@dataclass(frozen=True, repr=False)
+class ExportedRobot(Displayed):
     """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
     ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool; if the calibration is
@@ -100,6 +101,9 @@ class ExportedRobot:
 
     def __str__(self) -> str:
         return "\n".join([*self.mountings, *cost_lines(self)])
+
+    def _headline(self) -> str:
+        return f"{self.form}, {len(self.missing)} parameters without a place, {MM.of(self.rms):.3f} mm RMS"
 
 
 def cost_lines(found: ExportedRobot) -> list[str]:

@@ -132,7 +132,7 @@ class IdentifyOptions(Checked):
 DEFAULTS = IdentifyOptions()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification(Calibration):
     """A calibration with its observations and the complete estimate.
 

@@ -51,13 +51,14 @@ Output = tuple[
 class Sources:
     """Sessions and tables of observations, and the rig files used for measuring them.
 
-    ``rigs``: by the name in the rows' column rig, "" for the one rig of all rows; if empty, each session's own.
+    ``rigs``: files, or rigs that were read, by the name in the rows' column rig, "" for the one rig of all rows; if
+    empty, each session's own.
     ``noise``: a noise file that replaces the figures of the rigs. ``line_points``: maximum number per pass along a
     line. ``say`` is called with the losses of a damaged session, ``heard`` with every session.
     """
 
     inputs: tuple[Path, ...]
-    rigs: Mapping[str, Path] = field(default_factory=dict)
+    rigs: Mapping[str, Path | Rig] = field(default_factory=dict)
     noise: Path | None = None
     allow_damaged: bool = False
     line_points: int | None = None
@@ -67,7 +68,12 @@ class Sources:
     @property
     def files(self) -> list[Path]:
         """All files."""
-        return [*self.inputs, *self.rigs.values(), *filter(None, [self.noise])]
+        return [*self.inputs, *self.rig_files, *filter(None, [self.noise])]
+
+    @property
+    def rig_files(self) -> list[Path]:
+        """The rigs given as files."""
+        return [rig for rig in self.rigs.values() if isinstance(rig, Path)]
 
 
 def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] = (), force: bool = False) -> None:
@@ -134,7 +140,8 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     """
     inputs = list(sources.inputs)
     noise = None if sources.noise is None else read_noise(sources.noise)
-    given = {name: with_noise(read_rig(path), noise) for name, path in sources.rigs.items()}
+    rigs = {name: read_rig(rig) if isinstance(rig, Path) else rig for name, rig in sources.rigs.items()}
+    given = {name: with_noise(rig, noise) for name, rig in rigs.items()}
     sessions = _opened([path for path in inputs if is_session(path)], sources.allow_damaged)
     of_session = {path: (name, with_noise(rig, noise)) for path, (name, rig) in session_rigs(sessions, given).items()}
     read = {
@@ -187,7 +194,7 @@ def _say_doubts(table: ObservationTable, rig: Rig, say: Say) -> None:
             say(one_line(sentence))
 
 
-def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path]) -> None:
+def _check_names(table: ObservationTable, rigs: dict[str, Rig], files: Mapping[str, Path | Rig]) -> None:
     """Check that every row names one of the rigs, and that every given rig is named. Raises InputError."""
     for name, file in files.items():
         if not (table.rig == name).any():
@@ -268,7 +275,7 @@ def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:
     return [
         *(input_of("observations", path) for path in sources.inputs),
         *(input_of("labels", labels) for path in sources.inputs if (labels := labels_path(path)).exists()),
-        *(input_of("rig", rig) for rig in sources.rigs.values()),
+        *(input_of("rig", rig) for rig in sources.rig_files),
         *(input_of("noise", noise) for noise in [sources.noise] if noise),
         *(input_of("robot", file) for file in robot.files),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -134,7 +135,7 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     unseen = unseen_by_use(calibration, section.own_frames)
     found = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
     outside = calibration.outside(found.q.reshape(-1, q.size))
-    return found if outside is None else found._replace(outside=np.any(outside, axis=1).reshape(*found.error.shape))
+    return found if outside is None else replace(found, outside=np.any(outside, axis=1).reshape(*found.error.shape))
 
 
 def _looks_like_picture(head: bytes) -> bool:

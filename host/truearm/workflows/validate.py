@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.display import Displayed
 from truearm.errors import Argument, InputError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import moved
@@ -73,8 +74,8 @@ class ValidationRegion:
     expected: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Validation:
+@dataclass(frozen=True, repr=False)
+class Validation(Displayed):
     """The performance of a calibration on ``n`` other observations.
 
     Printing it shows errors in mm and deg, and the verdict.
@@ -111,6 +112,15 @@ class Validation:
 
     def __str__(self) -> str:
         return self.summary()
+
+    def _headline(self) -> str:
+        return self.verdict
+
+    def _columns(self) -> Mapping[str, Any]:
+        rows = [
+            (of.name, unit, of.n, of.before[unit].rms, of.after[unit].rms) for of in self.regions for unit in of.after
+        ]
+        return dict(zip(("region", "unit", "n", "rms_before", "rms_after"), zip(*rows, strict=True)))
 
     def summary(self) -> str:
         """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
