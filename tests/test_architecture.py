@@ -62,6 +62,7 @@ ROOMS = {
         *("workflows", "box", "live", "record", "session", "files", "report"),
         *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
+    "extend": {"kinds", "model", "export", "record", "session"},
     "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},
     "__main__": {"cli"},
     "types": set(),

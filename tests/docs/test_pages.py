@@ -1,6 +1,7 @@
 """All commands and Python blocks in the documentation run as written, page by page."""
 
 import ast
+import json
 import re
 import shlex
 import shutil
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import truearm
+import truearm.extend
 from tests.docs.pages import PAGES, ROOT, Block, blocks, page_skip, unprinted
 from truearm.cli.main import command_tree, main
 from truearm.report.systematic_words import GRADUAL
@@ -165,3 +168,50 @@ def test_what_is_shown_must_be_printed_in_this_order():
     assert unprinted(("a … c", "d"), "a b c\nd\n") is None
     assert unprinted(("d", "a … c"), "a b c\nd\n") == "a … c"
     assert unprinted(("ab",), "abc") == "ab"
+
+
+def internal_names(code: str) -> set[str]:
+    """Return what code imports of truearm's internal modules: all but ``truearm`` and ``truearm.extend``."""
+    imported = set()
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            public = {"truearm.extend": dir(truearm.extend), "truearm": [*truearm.__all__, "extend"]}.get(
+                node.module, []
+            )
+            imported |= {f"{node.module}.{alias.name}" for alias in node.names if alias.name not in public}
+    return {name for name in imported if name.startswith("truearm") and name not in ("truearm", "truearm.extend")}
+
+
+def examples() -> dict[str, list[str]]:
+    """Return the Python code of every page, notebook and example of a plug-in."""
+    code = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        code[page.name] = re.findall(r"^```python[^\n]*\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        code[path.name] = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    plug_in = ROOT / "tests" / "host" / "incline_kind.py"
+    return code | {plug_in.name: [plug_in.read_text(encoding="utf-8")]}
+
+
+def is_python(code: str) -> bool:
+    """Return whether code can be parsed alone; a line of a registry cannot."""
+    try:
+        ast.parse(code)
+    except SyntaxError:
+        return False
+    return True
+
+
+def test_examples_import_the_public_interface_alone():
+    internal = {name: set().union(*map(internal_names, filter(is_python, code))) for name, code in examples().items()}
+    assert {name: names for name, names in internal.items() if names} == {}
+    assert len([name for name, code in examples().items() if "truearm.extend" in "".join(code)]) == 3
+
+
+def test_the_check_of_imports_finds_internal_ones():
+    code = "import truearm, truearm.cli\nfrom truearm import Rig, kinds\nfrom truearm.extend import Kind, kinds\nfrom truearm.kinds.kind import Kind"
+    assert internal_names(code) == {"truearm.cli", "truearm.kinds", "truearm.extend.kinds", "truearm.kinds.kind.Kind"}

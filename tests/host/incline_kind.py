@@ -4,13 +4,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truearm.kinds.group import Group
-from truearm.kinds.kind import Kind
-from truearm.kinds.linearised import Linearised, zero_columns
-from truearm.kinds.quantities import Quantity
-from truearm.kinds.rig_references import RigUse, measured, sigmas
-from truearm.kinds.unknowns import Used
-from truearm.model.chain import about, forward, trace_point
+from truearm.extend import (
+    Group,
+    Kind,
+    Linearised,
+    Quantity,
+    RigUse,
+    Used,
+    about,
+    forward,
+    measured,
+    sigmas,
+    trace_point,
+    zero_columns,
+)
 
 ANGLE = Quantity("incline", ("incline",), "rad")
 

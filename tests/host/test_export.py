@@ -266,7 +266,7 @@ def test_every_format_says_what_it_holds(name):
     """Its writer is there, its terms are terms, and what it holds of a robot it holds exactly."""
     assert callable(writer(name))
     form = FORMATS[name]
-    assert set(form.holds) <= {term.name for term in joint_law.TERMS}
+    assert set(form.holds) <= {term.name for term in joint_law.terms()}
     chain = builtin_robot("ur5e").chain
     nominal, calibrated = disturbed(chain, gains=1e-3)
     found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
@@ -309,7 +309,8 @@ class Wave(Term):
 @pytest.fixture
 def waving(monkeypatch):
     """Return a robot with a joint term that no format knows in joint 2: the chain, nominal and identified parameters."""
-    monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Wave))
+    terms = (*joint_law.terms(), Wave)
+    monkeypatch.setattr(joint_law, "terms", lambda: terms)
     plain = builtin_robot("ur5e").chain
     chain = replace(plain, name="wavy", parameters=(*plain.parameters, Parameter("joint2.wave", "rad", 0.0, "wave", 1)))
     nominal, calibrated = disturbed(chain)

@@ -74,7 +74,8 @@ class Ripple(Term):
 
 @pytest.fixture
 def further_terms(monkeypatch):
-    monkeypatch.setattr(joint_law, "TERMS", (*joint_law.TERMS, Sway, Ripple))
+    terms = (*joint_law.terms(), Sway, Ripple)
+    monkeypatch.setattr(joint_law, "terms", lambda: terms)
 
 
 def with_terms(chain, *terms):

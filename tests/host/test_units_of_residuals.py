@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import incline_kind
 import numpy as np
@@ -10,27 +9,22 @@ import pytest
 from puma_bench import CHAIN, RIG, TRUTH, random_poses
 from result_schema import check_schema
 
+from truearm.extend import add_kind
 from truearm.files.observation_table import read_table
 from truearm.files.rig_file import write_rig
 from truearm.kinds import registry
 from truearm.model.chain import forward
-from truearm.report import calibration_findings, result_words
 
 SIGMA_DEG = 0.01
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch):
-    """``truearm.kinds.incline``, as if it were one of the project's."""
-    cached = (registry.kinds, registry.identifiers, registry.quantities, registry.entries)
-    monkeypatch.setitem(sys.modules, "truearm.kinds.incline", incline_kind)
-    names = (*registry.NAMES, "incline")
-    for module in (registry, result_words, calibration_findings):
-        monkeypatch.setattr(module, "NAMES", names)
-    for function in cached:
-        function.cache_clear()
+def _added(monkeypatch):
+    """The kind, as another package adds it."""
+    monkeypatch.setattr(registry, "ADDED", {})
+    add_kind("incline", incline_kind.KIND)
     yield
-    for function in cached:
+    for function in (registry.kinds, registry.identifiers, registry.quantities, registry.entries):
         function.cache_clear()
 
 

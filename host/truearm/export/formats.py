@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class Format(NamedTuple):
     """A format: its writer as "module:function" of this package, its text in ``--help``, and what it can hold.
 
-    ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.TERMS``) that its writer writes. Other
+    ``suffix``: of its files. ``holds``: the terms of the joint law (``joint_law.terms``) that its writer writes. Other
     terms are neutral in the robot passed to the writer: the remaining parameters are refitted, and the remaining error
     is computed and printed. ``mountings``: the format can store the mountings of base and tool.
     """

@@ -89,7 +89,7 @@ def written(name: str, robot: RobotToWrite) -> str:
 
 def held(chain: Chain, form: Format) -> NDArray[np.bool_]:
     """Return a mask (p,) of the parameters that a format can hold. Raises ValueError if it declares an unknown term."""
-    unknown = set(form.holds) - {term.name for term in joint_law.TERMS}
+    unknown = set(form.holds) - {term.name for term in joint_law.terms()}
     if unknown:
         raise ValueError(f"a format holds {', '.join(sorted(unknown))}, which no term of the joint law is called")
     return np.array([p.term == GEOMETRY or p.term in form.holds for p in chain.parameters])
@@ -107,7 +107,7 @@ def fit_to(
         raise RobotError("there are no poses to compare the file with; give at least one")
     form = FORMATS[name]
     has_place = held(chain, form)
-    neutral = {term.name: term.neutral for term in joint_law.TERMS}
+    neutral = {term.name: term.neutral for term in joint_law.terms()}
     without = np.where(has_place, nominal, [neutral.get(p.term, np.nan) for p in chain.parameters])
     start = np.where(adjustable & has_place, identified, without)
     lost = [p for p, gone in zip(chain.parameters, ~has_place & (identified != without), strict=True) if gone]
@@ -132,7 +132,7 @@ def fit_to(
 
 def _called(parameter: Parameter) -> str:
     """Return a parameter's name; for a coefficient, the name of its joint's curve or sag, "joint2.sag"."""
-    learned = {term.name for term in joint_law.TERMS if term.learned}
+    learned = {term.name for term in joint_law.terms() if term.learned}
     return parameter.name.rpartition(".")[0] if parameter.term in learned else parameter.name
 
 

@@ -78,10 +78,10 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
 
 def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
     for row in rows:
-        if row.cells[column.position] not in registry.NAMES:
+        if row.cells[column.position] not in registry.kinds():
             raise TableError(
                 f"{name} row {row.number} column kind: {quoted(row.cells[column.position])} is not an observation kind; "
-                f"use {' or '.join(registry.NAMES)}"
+                f"use {' or '.join(registry.kinds())}"
             )
     return np.array([row.cells[column.position] for row in rows])
 
@@ -191,11 +191,11 @@ def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
 
 def _refuse_incomplete(table: ObservationTable) -> None:
     """Raise TableError for the first row of an unknown kind, without joint readings, or without what its kind measures."""
-    wrong = ~np.isin(table.kind, registry.NAMES)
+    wrong = ~np.isin(table.kind, list(registry.kinds()))
     if wrong.any():
         row = int(np.argmax(wrong))
         raise TableError(
-            f"{table.source[row]}: {quoted(str(table.kind[row]))} is not an observation kind; use {' or '.join(registry.NAMES)}"
+            f"{table.source[row]}: {quoted(str(table.kind[row]))} is not an observation kind; use {' or '.join(registry.kinds())}"
         )
     for row, joint in np.argwhere(~np.isfinite(table.q))[:1].tolist():
         raise TableError(f"{table.source[row]}: q[{joint}] is not a finite number")

@@ -35,12 +35,9 @@ def _values(rig: Rig) -> dict[str, Any]:
     return {**vars(rig), **rig.entries, "sockets": sockets}
 
 
-RIG = Table(
-    (*(key for key in keys_of(Rig) if key.name not in FURTHER), *JOINT_COVARIANCE),
-    _rig,
-    _values,
-    entries(),
-)
+def _table() -> Table[Rig]:
+    keys = (key for key in keys_of(Rig) if key.name not in FURTHER)
+    return Table((*keys, *JOINT_COVARIANCE), _rig, _values, entries())
 
 
 def read_rig(path: Path) -> Rig:
@@ -50,18 +47,18 @@ def read_rig(path: Path) -> Rig:
 
 def parse_rig(text: str, name: str) -> Rig:
     """Parse the text of a rig file; ``name`` stands for the file in messages. See ``read_rig``."""
-    return read(RIG, parse_toml(text, name, RigError), name, RigError)
+    return read(_table(), parse_toml(text, name, RigError), name, RigError)
 
 
 def format_rig(rig: Rig) -> str:
     """Return the text of a rig file, in metres so that numbers are stored bit for bit."""
-    return RIG.format(rig)
+    return _table().format(rig)
 
 
 def looks_like_rig(head: bytes) -> bool:
     """Return whether a file with this beginning is a rig, with one of its keys."""
     first = head.partition(b"=")[0].strip().decode(errors="replace")
-    return any(first in key.spellings for key in RIG.keys)
+    return any(first in key.spellings for key in _table().keys)
 
 
 def write_rig(path: Path, rig: Rig) -> None:

@@ -27,13 +27,21 @@ NAMES = (  # in the order of their unknowns in a parameter vector
 GROUPS = ("place", "shell")  # identifiers of groups that a row of any kind may belong to
 ORIGINS = ("rig", "simulated")  # identifiers of where a row comes from: its session, and whether a box was simulated
 ANYWHERE = (*GROUPS, *ORIGINS)  # identifiers that a row of any kind may have
+ADDED: dict[str, Kind] = {}  # of other packages, by name
 T = TypeVar("T")
 
 
 @cache
 def kinds() -> Mapping[str, Kind]:
     """Return every kind by its name, which its rows have in the column ``kind``."""
-    return {name: import_module(f"truearm.kinds.{name}").KIND for name in NAMES}
+    return {name: import_module(f"truearm.kinds.{name}").KIND for name in NAMES} | ADDED
+
+
+def add_kind(name: str, kind: Kind) -> None:
+    """Add a kind of another package. Its rows have this name in the column ``kind``."""
+    ADDED[name] = kind
+    for derived in (kinds, identifiers, quantities, entries):
+        derived.cache_clear()
 
 
 @cache

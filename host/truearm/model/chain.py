@@ -64,7 +64,7 @@ class Parameter:
     """A named constant of the robot; ``unit`` is its SI unit, ``nominal`` its design value.
 
     ``term`` is what it belongs to: "geometry" (a link between joints), or a term of the law of the ``joint`` (an
-    index): "offset", "gain" or the name of another of ``joint_law.TERMS``. ``basis`` holds the data that the term needs
+    index): "offset", "gain" or the name of another of ``joint_law.terms``. ``basis`` holds the data that the term needs
     about the parameter.
     """
 
@@ -411,7 +411,7 @@ def _check_motions(chain: Chain) -> None:
 
 
 def _check_law(chain: Chain) -> None:
-    kinds = {term.name: term for term in joint_law.TERMS}
+    kinds = {term.name: term for term in joint_law.terms()}
     single = set()
     for parameter in chain.parameters:
         if parameter.term == GEOMETRY:

@@ -71,7 +71,7 @@ def chain_from_slots(
     for slot in slots:
         value = number(slot.name)
         if slot.joint is not None:
-            for term in joint_law.TERMS:
+            for term in joint_law.terms():
                 key = law_name(slot, term.name)
                 if key in amounts and key not in fixed:
                     unit = term.unit_of(joints[slot.joint].kind)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -39,11 +39,16 @@ TERM_FILES = (
     "curve",
     "sag",
 )
-TERMS: tuple[type[Term], ...] = tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
 MAX_STEPS = 30  # of Newton's method, which squares the error at each step; more steps do not help
 LARGEST_STEP = 0.5  # rad, m
 STEP_END = 1e-13  # of the readings, rad, m
 GOOD = 1e-9  # rad, m: largest error of a valid inverse
+
+
+@cache
+def terms() -> tuple[type[Term], ...]:
+    """Return the terms in the order of TERM_FILES."""
+    return tuple(import_module(f"truearm.model.joint_terms.{file}").TERM for file in TERM_FILES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +91,7 @@ class JointLaw:
         used = {parameter.term for parameter in chain.parameters}
         self.n_parameters = len(chain.parameters)
         self.offset, self.gain = Offset.of_chain(chain), Gain.of_chain(chain)
-        further = (term.of_chain(chain) for term in TERMS if term not in (Offset, Gain) and term.name in used)
+        further = (term.of_chain(chain) for term in terms() if term not in (Offset, Gain) and term.name in used)
         self.terms: tuple[Term, ...] = (self.offset, self.gain, *further)
         self.affine = all(term.affine for term in self.terms)
         # parameters with ∂θ/∂parameter = 1, and those where it varies: (parameter, joint) and by joint

@@ -95,7 +95,7 @@ def _amount(name: str, unit: str, *, optional: bool = False) -> Key:
 def _moving_keys(kind: str) -> tuple[Key, ...]:
     """Return the keys of a joint's table other than its slots: its limits, and the given terms of its law."""
     limit = robot_number(_unit(kind))
-    terms = (term for term in joint_law.TERMS if term is not Offset and not term.learned)
+    terms = (term for term in joint_law.terms() if term is not Offset and not term.learned)
     return (
         Key("lower", limit),
         Key("upper", limit),
@@ -165,7 +165,7 @@ def _kind(doc: Mapping[str, Any], name: str) -> str:
 
 def _law(slot: Slot, values: Mapping[str, Any]) -> dict[str, Amount]:
     """Return the terms of a joint's law other than the offset; a missing term is not returned."""
-    return {law_name(slot, t.name): values[t.name] for t in joint_law.TERMS if t is not Offset and t.name in values}
+    return {law_name(slot, t.name): values[t.name] for t in joint_law.terms() if t is not Offset and t.name in values}
 
 
 def _read_sheth_uicker(doc: Mapping[str, Any], head: Sequence[Key]) -> tuple[Mapping[str, Any], Description]:

@@ -22,7 +22,7 @@ from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import LawMode
 from truearm.model.chain import Chain
-from truearm.model.joint_law import TERMS
+from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
 from truearm.plan.forecast import Known
 from truearm.types import Floats, ObservationTable, rms
@@ -104,7 +104,7 @@ def _parts(curve: SampledCurve) -> Iterator[slice]:
 
 def _geometry(known: Known) -> tuple[Chain, int]:
     """Return the chain without the laws that an earlier result added, and its number of parameters."""
-    learned = {term.name for term in TERMS if term.learned}
+    learned = {term.name for term in terms() if term.learned}
     own = tuple(p for p in known.chain.parameters if p.term not in learned)
     return replace(known.chain, parameters=own), len(own)
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from truearm.estimate.outliers import MOST
-from truearm.kinds.registry import NAMES
+from truearm.kinds.registry import kinds
 from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number, size
 from truearm.report.residual_rows import Summary, row_name
@@ -29,7 +29,7 @@ MAX_NAMES = 12
 def residual_table(found: Sequence[Summary]) -> str:
     """Return a table per unit: RMS and largest residual of each kind, by rig if there are several, with definitions."""
     tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
-    words = " ".join(residual_words(kind) for kind in NAMES if any(s.kind == kind for s in found))
+    words = " ".join(residual_words(kind) for kind in kinds() if any(s.kind == kind for s in found))
     return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
 
 

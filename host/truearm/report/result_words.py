@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, assert_never
 
 from truearm.estimate.solvers import Loss, Prior
-from truearm.kinds.registry import NAMES, kinds
+from truearm.kinds.registry import kinds
 from truearm.results import Estimate, MeanError, PoseError, ResidualParts
 from truearm.text import counted, one_line, with_article
 from truearm.units import DEG, MM, MS, UNITS, from_shown, number, symbol, tolerances
@@ -213,7 +213,7 @@ def gain_words(n: int, full_rank: bool) -> str:
 
 def kind_name(kind: str) -> str:
     """Return the name of a kind; a kind of a later version is its own name."""
-    return kinds()[kind].name if kind in NAMES else kind
+    return kinds()[kind].name if kind in kinds() else kind
 
 
 def residual_words(kind: str) -> str:
