@@ -82,7 +82,7 @@ def check(recorded, out):
 def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     before = hashlib.sha256(recorded.bare.read_bytes()).hexdigest()
     table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
-    assert main(["add-joints", str(recorded.bare), str(table), "--out", str(out)]) == 0
+    assert main(["session", "add-joints", str(recorded.bare), str(table), "--out", str(out)]) == 0
     assert f"{len(recorded.t)} joint readings added, placed by their own times" in capsys.readouterr().out
     check(recorded, out)
     assert hashlib.sha256(recorded.bare.read_bytes()).hexdigest() == before
@@ -115,7 +115,7 @@ def test_a_table_whose_time_began_with_the_controller(recorded, tmp_path, out):
     table = csv_of(tmp_path / "joints.csv", "t_s", recorded.t, recorded.q)
     zero_ns = recorded.result.survey.joints.clocks[0].to_host_ns(np.array([0.0]))[0]
     zero = repr(1e-9 * float(zero_ns - recorded.begin_ns))
-    assert main(["add-joints", str(recorded.bare), str(table), "--zero", zero, "--out", str(out)]) == 0
+    assert main(["session", "add-joints", str(recorded.bare), str(table), "--zero", zero, "--out", str(out)]) == 0
     check(recorded, out)
 
 
@@ -125,7 +125,7 @@ def test_a_bag(recorded, tmp_path, out, storage):
     states = ((t, joint_state(t, names, q[SCRAMBLED])) for t, q in zip(recorded.utc_ns, recorded.q, strict=True))
     bag = write_bag(tmp_path / "bag", storage, states)
     arguments = [str(recorded.bare), str(bag), "--joints", ",".join(NAMES), "--out", str(out)]
-    assert main(["add-joints", *arguments]) == 0
+    assert main(["session", "add-joints", *arguments]) == 0
     check(recorded, out)
 
 
@@ -139,7 +139,7 @@ class TestWhatIsWrong:
     @staticmethod
     def fails(capsys, out, *arguments):
         folder = set(out.parent.iterdir())
-        assert main(["add-joints", *map(str, arguments), "--out", str(out)]) == 2
+        assert main(["session", "add-joints", *map(str, arguments), "--out", str(out)]) == 2
         complaint = capsys.readouterr().err
         assert complaint.count("\n") == 1
         assert set(out.parent.iterdir()) == folder
@@ -147,7 +147,7 @@ class TestWhatIsWrong:
 
     def test_readings_are_there_already(self, recorded, table, out, capsys):
         assert "give --replace" in self.fails(capsys, out, recorded.path, table)
-        assert main(["add-joints", str(recorded.path), str(table), "--replace", "--out", str(out)]) == 0
+        assert main(["session", "add-joints", str(recorded.path), str(table), "--replace", "--out", str(out)]) == 0
         assert len(list(open_session(out).messages({"/robot/joints"}))) == 100
 
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
@@ -215,7 +215,7 @@ def test_what_is_whole_of_a_damaged_session(recorded, tmp_path, out, capsys):
     data = recorded.bare.read_bytes()
     damaged.write_bytes(data[: len(data) // 2])
     table = csv_of(tmp_path / "joints.csv", "t_ns", recorded.utc_ns, recorded.q)
-    arguments = ["add-joints", str(damaged), str(table), "--out", str(out)]
+    arguments = ["session", "add-joints", str(damaged), str(table), "--out", str(out)]
     assert main(arguments) == 2
     assert "--allow-damaged" in capsys.readouterr().err
     assert main([*arguments, "--allow-damaged"]) == 0

@@ -85,7 +85,16 @@ def test_nine_pairings(tmp_path, each):
     options = ["identify", tmp_path / "session.mcap", "--model", "puma560", "--out", tmp_path / "result.json"]
     measured("identify", "-m", "truearm", *options, out=tmp_path / "said.txt")
     measured(
-        "npz", "-m", "truearm", "export-session", tmp_path / "session.mcap", "--out", tmp_path / "x", "--format", "npz"
+        "npz",
+        "-m",
+        "truearm",
+        "session",
+        "export",
+        tmp_path / "session.mcap",
+        "--out",
+        tmp_path / "x",
+        "--format",
+        "npz",
     )
     found = json.loads((tmp_path / "inspect.json").read_text())
     lost = [

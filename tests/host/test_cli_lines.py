@@ -107,7 +107,7 @@ def test_one_way_is_said_not_to_show_the_delay(folder, said):
 
 
 def test_export_session_has_every_row_of_the_plan_and_every_pass(folder, said, tmp_path):
-    said("export-session", folder / "both.mcap", "--out", tmp_path / "x", "--format", "npz")
+    said("session", "export", folder / "both.mcap", "--out", tmp_path / "x", "--format", "npz")
     plan, passes, rows = (np.load(tmp_path / "x" / f"{name}.npz") for name in ("plan", "passes", "observations"))
     assert plan["move"].tolist() == ["via", "line", "line"] * 2
     assert plan["line"].tolist() == ["", "l1", "l1", "", "l2", "l2"]

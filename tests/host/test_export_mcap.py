@@ -1,4 +1,4 @@
-"""`truearm export-session --format mcap`, read by the official reader and by the rules of Foxglove and PlotJuggler, on one time axis."""
+"""`truearm session export --format mcap`, read by the official reader and by the rules of Foxglove and PlotJuggler, on one time axis."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def session(tmp_path_factory):
 
 
 def export(session, out, *more):
-    assert main(["export-session", str(session), "--out", str(out), *more]) == 0
+    assert main(["session", "export", str(session), "--out", str(out), *more]) == 0
     return out
 
 

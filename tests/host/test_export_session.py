@@ -1,4 +1,4 @@
-"""`truearm export-session`: tables equal bit for bit to the synchronised data, in memory that does not grow with the session."""
+"""`truearm session export`: tables equal bit for bit to the synchronised data, in memory that does not grow with the session."""
 
 import csv
 import json
@@ -89,7 +89,7 @@ def _typed(cells):
 
 
 def export(path, out, format="csv", *more):
-    assert main(["export-session", str(path), "--out", str(out), "--format", format, *more]) == 0
+    assert main(["session", "export", str(path), "--out", str(out), "--format", format, *more]) == 0
     tables = {name.partition(".")[0]: columns_of(out / name) for name in os.listdir(out) if name != "session.json"}
     return tables, json.loads((out / "session.json").read_text(), parse_constant=pytest.fail)
 
@@ -287,7 +287,7 @@ def test_memory_does_not_grow(made, monkeypatch):
 
 class TestRefusals:
     def refused(self, capsys, *arguments):
-        assert main(["export-session", *map(str, arguments)]) == 2
+        assert main(["session", "export", *map(str, arguments)]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1
         return said
@@ -337,7 +337,7 @@ class TestRefusals:
             "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
             "from truearm.cli.main import main; sys.exit(main(sys.argv[1:]))"
         )
-        arguments = ["export-session", str(made[1]), "--out", str(tmp_path / "x"), "--format", format]
+        arguments = ["session", "export", str(made[1]), "--out", str(tmp_path / "x"), "--format", format]
         done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
         assert done.returncode == 1, done.stderr
         assert done.stderr.count("\n") == 1
@@ -367,7 +367,7 @@ def test_a_urdf_with_two_ends(made, tmp_path, capsys):
     joints = sum(title.endswith("_rad") for title in export(path, tmp_path / "x")[0]["dwells"] if title.startswith("q"))
     robot = tmp_path / "r.urdf"
     robot.write_text(urdf_of(joints))
-    asked = ["export-session", str(path), "--out", str(tmp_path / "y"), "--model", str(robot)]
+    asked = ["session", "export", str(path), "--out", str(tmp_path / "y"), "--model", str(robot)]
     assert main(asked) == 2
     assert "choose --tip among" in capsys.readouterr().err
     tables, _ = export(path, tmp_path / "y", "csv", "--model", str(robot), "--base", "l0", "--tip", "tool")
@@ -377,5 +377,5 @@ def test_a_urdf_with_two_ends(made, tmp_path, capsys):
 
 
 def test_help_has_an_example(capsys):
-    assert main(["export-session", "--help"]) == 0
-    assert "truearm export-session session.mcap" in capsys.readouterr().out
+    assert main(["session", "export", "--help"]) == 0
+    assert "truearm session export session.mcap" in capsys.readouterr().out

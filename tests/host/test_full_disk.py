@@ -75,7 +75,10 @@ def test_recording(disk, tmp_path):
     assert file.stat().st_size <= KIB << 10
     mended = tmp_path / "recovered.mcap"
     recovered = subprocess.run(
-        [sys.executable, "-c", RUN, "recover", file, "--out", mended], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", RUN, "session", "recover", file, "--out", mended],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert recovered.returncode == 0, recovered.stderr
     assert " 0 bytes" not in recovered.stdout
@@ -106,7 +109,7 @@ def test_recovering(disk, tmp_path):
     source = tmp_path / "cut.mcap"
     big_session(source)
     before = source.read_bytes()
-    done = disk.run("recover", source, "--out", disk.path / "new.mcap")
+    done = disk.run("session", "recover", source, "--out", disk.path / "new.mcap")
     assert done.returncode == 1, done.stderr
     assert done.stderr.count("\n") == 1
     assert f"{disk.path / 'new.mcap'}: cannot be written: " in done.stderr

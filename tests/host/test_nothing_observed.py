@@ -16,7 +16,7 @@ from truearm.workflows.session_observations import Rejected, nothing_observed
 from truearm.workflows.session_parts import SETUP, recorded_model
 
 __all__ = ["plan"]  # a fixture
-RELABEL, INSPECT = "truearm relabel s.mcap", "truearm inspect s.mcap"
+RELABEL, INSPECT = "truearm session relabel s.mcap", "truearm inspect s.mcap"
 
 
 def identified(path, capsys):
@@ -33,7 +33,7 @@ def test_a_confirmed_pairing_that_the_plan_never_needs(tmp_path, plan, capsys):
     recorded(path, plan, [replace(visit, typed=(typed,) * (row == 0)) for row, visit in enumerate(right(plan))])
     error = identified(path, capsys)
     assert f"{path}: no observation from 40 dwells (40 contradiction); " in error
-    assert error.endswith(f"decide what was mounted with truearm relabel '{path}'")
+    assert error.endswith(f"decide what was mounted with truearm session relabel '{path}'")
 
 
 def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeypatch):
@@ -42,7 +42,7 @@ def test_labels_that_the_readings_do_not_support(tmp_path, plan, capsys, monkeyp
     monkeypatch.setattr(inputs, "borne_out_rows", lambda robot, rig, result: np.zeros(len(result.table), dtype=bool))
     error = identified(path, capsys)
     assert "no observation from 40 dwells (40 doubtful); check that robot and rig are those that were measured" in error
-    assert f"truearm relabel {path}" in error
+    assert f"truearm session relabel {path}" in error
 
 
 def test_a_session_of_another_robot(tmp_path, plan, capsys, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 import typer
 
 from truearm.cli.main import command_tree, main
-from truearm.cli.options import EARLIER_WORDS
+from truearm.cli.names import EARLIER, MEANINGS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
@@ -69,6 +69,8 @@ def test_every_word_of_the_page_is_an_option():
         ),
         ("identify t.csv --model puma560 --rig line", "--rig takes a rig file (.toml)"),
         ("demo --device x", "No such option: --device"),  # it has no box
+        ("recover session.mcap", "truearm recover is now truearm session recover"),
+        ("export-session session.mcap --out x", "truearm export-session is now truearm session export"),
     ],
 )
 def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
@@ -79,10 +81,39 @@ def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
 def test_no_command_has_an_earlier_word():
     for name, command in commands().items():
         words = {word for one in command.params for word in one.opts}
-        for earlier, now in EARLIER_WORDS.items():
+        for earlier, now in EARLIER.items():
             *of, old = earlier.split()
             if not of or name == f"truearm {of[0]}":
                 assert not {old, now} <= words - {"--rig"}, name
+            assert name != f"truearm {earlier}"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("calibrate poses.csv", "truearm identify"),
+        ("gauge lvdt", "truearm box gauge"),
+        ("flash", "truearm box flash"),
+        ("get", "truearm box config get"),
+        ("box calibrate", "truearm identify"),
+        ("Verify result.json", "truearm validate"),
+        ("identfy", "'identify'"),
+    ],
+)
+def test_a_wrong_command_is_answered_by_what_it_means(typed, meant, capsys):
+    assert main(typed.split()) == 2
+    assert meant in capsys.readouterr().err
+
+
+def test_every_command_that_is_named_exists():
+    paths = {name.removeprefix("truearm ") for name in commands()} | {"box"}
+    assert {*MEANINGS, *(new for old, new in EARLIER.items() if "--" not in old)} <= paths
+
+
+def test_the_list_of_commands_has_five_tasks_and_room_for_sixteen():
+    listed = [command for command in command_tree().commands.values() if not command.hidden]
+    assert [*dict.fromkeys(c.rich_help_panel for c in listed)] == ["Try", "Measure", "Identify", "Use", "Box"]
+    assert len(listed) <= 16
 
 
 def test_what_writes_a_file_has_force():

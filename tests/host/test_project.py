@@ -350,7 +350,7 @@ def test_status_of_a_recording_that_was_cut_off(project, run):
     recorded(path)
     path.write_bytes(path.read_bytes()[:-30])
     command = json.loads(run("status", "--json").out)["next"]
-    assert command == "truearm recover sessions/2026-01-01.mcap"
+    assert command == "truearm session recover sessions/2026-01-01.mcap"
     assert run(*command.split()[1:]).code == 0
     state = json.loads(run("status", "--json").out)
     assert state["next"].startswith("truearm identify")

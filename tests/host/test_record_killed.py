@@ -71,7 +71,7 @@ def test_at_any_moment(tmp_path, capsys, n):
         after_s = rng.choice([0.0, rng.uniform(0.0, 1.0), rng.uniform(1.0, LONGEST_S)]) if k else 3.0
         out, sent, killed_ns = killed(folder, after_s)
         mended = folder / "recovered.mcap"
-        assert main(["recover", str(out), "--out", str(mended)]) == 0
+        assert main(["session", "recover", str(out), "--out", str(mended)]) == 0
         session = open_session(mended)
         assert session.attachments["rig.toml"] == RIG.encode()
         assert session.metadata["box"]["ident"] or after_s < 1.0

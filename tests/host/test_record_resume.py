@@ -80,7 +80,7 @@ class TestEarlier:
             assert out.read_bytes() == before
             assert main(["identify", str(out), "--model", "puma560"]) == 2
             assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
-            assert main(["export-session", str(out), "--out", str(tmp_path / "tables")]) == 2
+            assert main(["session", "export", str(out), "--out", str(tmp_path / "tables")]) == 2
             assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
 
     def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
@@ -114,7 +114,7 @@ class TestEarlier:
             said = capsys.readouterr().err
             assert (f"{path}: is damaged or has no end" in said) == damaged
             assert (f"--resume {tmp_path / 's-recovered.mcap'}" in said) == damaged
-        assert main(["recover", str(path)]) == 0
+        assert main(["session", "recover", str(path)]) == 0
         assert earlier(tmp_path / "s-recovered.mcap").dwells == (0,)
         assert earlier(tmp_path / "s-recovered.mcap").damaged == ()
 
@@ -175,13 +175,22 @@ class TestParts:
         session(tmp_path / "s.2.mcap", setup={"of": "s.mcap"})
         (tmp_path / "j.csv").write_text("t_s,q1_rad\n0,0\n0,0.1\n")
         for arguments in (
-            ["export-session", str(first), "--out", str(tmp_path / "tables")],
-            ["add-joints", str(first), str(tmp_path / "j.csv"), "--zero", "0", "--out", str(tmp_path / "o.mcap")],
+            ["session", "export", str(first), "--out", str(tmp_path / "tables")],
+            [
+                "session",
+                "add-joints",
+                str(first),
+                str(tmp_path / "j.csv"),
+                "--zero",
+                "0",
+                "--out",
+                str(tmp_path / "o.mcap"),
+            ],
         ):
             assert main(arguments) == 0
             assert capsys.readouterr().err.startswith("s.mcap continues in s.2.mcap: ")
         first.write_bytes(first.read_bytes()[:-60])
-        assert main(["recover", str(first)]) == 0
+        assert main(["session", "recover", str(first)]) == 0
         said = "s.mcap continues in s.2.mcap: later commands do not find them from s-recovered.mcap; name each file\n"
         assert capsys.readouterr().err == said
 

@@ -1,4 +1,4 @@
-"""`truearm recover`: a new, complete session with all intact data of a damaged one, and a list of the losses."""
+"""`truearm session recover`: a new, complete session with all intact data of a damaged one, and a list of the losses."""
 
 import hashlib
 import os
@@ -67,7 +67,7 @@ def test_one_damaged_chunk(made, tmp_path, capsys):
     damaged[chunks[2].chunk_start_offset + 100] ^= 1
     path.write_bytes(damaged)
     before = hashlib.sha256(damaged).hexdigest()
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0
     said = capsys.readouterr().out
     assert hashlib.sha256(path.read_bytes()).hexdigest() == before
     out = tmp_path / "s-recovered.mcap"
@@ -140,7 +140,7 @@ def test_other_places_are_counted_too(made, tmp_path):
 
 def test_what_is_whole_is_left_alone(made, tmp_path, capsys):
     *_, path = made
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0
     assert "is intact" in capsys.readouterr().out
     assert os.listdir(tmp_path) == ["s.mcap"]
 
@@ -153,7 +153,7 @@ class TestRefusals:
         return path
 
     def refused(self, capsys, *arguments):
-        assert main(["recover", *map(str, arguments)]) == 2
+        assert main(["session", "recover", *map(str, arguments)]) == 2
         said = capsys.readouterr()
         assert not said.out
         assert said.err.count("\n") == 1
@@ -167,7 +167,7 @@ class TestRefusals:
         assert "not a file that this command writes" in self.refused(capsys, cut, "--out", other, "--force")
         assert other.read_text() == "precious"
         other.write_bytes(cut.read_bytes())
-        assert main(["recover", str(cut), "--out", str(other), "--force"]) == 0
+        assert main(["session", "recover", str(cut), "--out", str(other), "--force"]) == 0
         assert not open_session(other).truncated
 
     @pytest.mark.parametrize("linked", [False, True])
@@ -188,13 +188,13 @@ class TestRefusals:
     @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
     def test_what_a_killed_recover_left_is_removed(self, cut, tmp_path):
         """And nothing else: not what another recover works in now, nor a stranger's folder."""
-        command = [sys.executable, "-c", KILLED_WHILE_IT_WRITES, "recover", str(cut)]
+        command = [sys.executable, "-c", KILLED_WHILE_IT_WRITES, "session", "recover", str(cut)]
         assert subprocess.run(command, timeout=60).returncode == -signal.SIGKILL
         (left,) = tmp_path.glob(".truearm-*")
         at_work = left.with_name(re.sub(r"-[0-9]+-", f"-{os.getpid()}-", left.name))
         at_work.mkdir()
         (tmp_path / ".truearm-mine").mkdir()
-        assert main(["recover", str(cut)]) == 0
+        assert main(["session", "recover", str(cut)]) == 0
         assert sorted(tmp_path.glob(".truearm-*")) == sorted([at_work, tmp_path / ".truearm-mine"])
 
     def test_no_file(self, tmp_path, capsys):
@@ -212,8 +212,8 @@ class TestRefusals:
 
 
 def test_help_has_an_example(capsys):
-    assert main(["recover", "--help"]) == 0
-    assert "truearm recover session.mcap" in capsys.readouterr().out
+    assert main(["session", "recover", "--help"]) == 0
+    assert "truearm session recover session.mcap" in capsys.readouterr().out
 
 
 def test_a_session_that_is_still_written_is_left_alone(tmp_path, capsys):
@@ -221,8 +221,8 @@ def test_a_session_that_is_still_written_is_left_alone(tmp_path, capsys):
     writer = SessionWriter(path, None)
     writer.add_json("/events", 1, {"kind": "start"})
     writer.add_json("/events", 3 * 10**9, {"kind": "later"})  # ends a chunk
-    assert main(["recover", str(path)]) == 2
+    assert main(["session", "recover", str(path)]) == 2
     assert "still being written" in capsys.readouterr().err
     assert os.listdir(tmp_path) == ["s.mcap"]
     writer._out.file.close()  # as when its process is killed
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0

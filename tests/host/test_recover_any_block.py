@@ -118,7 +118,7 @@ def test_head_of_4_kb(recording, tmp_path, capsys):
     zeroed(recording, 0, 4096, path)
     assert main(["inspect", str(path)]) == 2
     assert "damaged at byte 0" in capsys.readouterr().err
-    assert main(["recover", str(path)]) == 0
+    assert main(["session", "recover", str(path)]) == 0
     text = capsys.readouterr().out
     assert "every command reads it" in text
     assert re.search(r"0\.\d of 240\.\d s lost, from 0\.0 s on", text)
@@ -142,9 +142,9 @@ def test_a_session_without_copies(tmp_path, capsys, monkeypatch):
     path = tmp_path / "session.mcap"
     zeroed(recorded(path, 5.0), 8, 4096, path)
     monkeypatch.undo()
-    assert main(["recover", str(path), "--json"]) == 0
+    assert main(["session", "recover", str(path), "--json"]) == 0
     assert '"samples": 0' in capsys.readouterr().out
-    assert main(["recover", str(path), "--force"]) == 0
+    assert main(["session", "recover", str(path), "--force"]) == 0
     text = capsys.readouterr().out
     assert "every command reads it" not in text
     assert "no sample in it can be used" in text

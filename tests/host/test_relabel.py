@@ -1,4 +1,4 @@
-"""`truearm relabel`: what was mounted is settled afterwards; operators who err lose no observation, and no wrong label is used."""
+"""`truearm session relabel`: what was mounted is settled afterwards; operators who err lose no observation, and no wrong label is used."""
 
 import itertools
 import json
@@ -126,7 +126,7 @@ def test_a_hundred_forgetful_operators(tmp_path, plan, types, capsys):
 def test_a_dwell_before_the_first_confirmation_is_left_out_with_the_reason(tmp_path, plan, capsys):
     visits = [replace(visit, typed=()) if row < 1 else visit for row, visit in enumerate(right(plan))]
     recorded(tmp_path / "s.mcap", plan, visits)
-    assert main(["relabel", str(tmp_path / "s.mcap"), "--trust", "typed"]) == 0
+    assert main(["session", "relabel", str(tmp_path / "s.mcap"), "--trust", "typed"]) == 0
     assert "  dwell 1 left out: nothing was confirmed for it" in capsys.readouterr().out
 
 
@@ -144,7 +144,7 @@ class TestOneMissedEnter:
         assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
         line = capsys.readouterr().out.splitlines()
         said = "".join(line[:8]).replace(" ", "")  # wrapped
-        assert f"needadecision:truearmrelabel{path}" in said
+        assert f"needadecision:truearmsessionrelabel{path}" in said
         (count,) = json.loads((path.parent / "r.json").read_text())["sessions"]
         assert count["session"] == "s.mcap"
         assert count["rejected"]["contradiction"] == 29
@@ -155,12 +155,12 @@ class TestOneMissedEnter:
         found = recorded_dwells(path)
         assert re.fullmatch(r"40 dwells: \d+ usable, 29 need a decision(, 1 rail)?", found.sentence)
         assert unsettled(found, path) == (
-            f"29 dwells need a decision: decide what was mounted with truearm relabel {path}"
+            f"29 dwells need a decision: decide what was mounted with truearm session relabel {path}"
         )
 
     def test_trusting_the_plan(self, path, capsys, plan):
         data = path.read_bytes()
-        assert main(["relabel", str(path), "--trust", "plan", "--json"]) == 0
+        assert main(["session", "relabel", str(path), "--trust", "plan", "--json"]) == 0
         document = json.loads(capsys.readouterr().out)
         assert document["usable"] == document["with_reading"] >= 39
         assert used(path) == {k: pairing_at(plan, k) for k in used(path)}
@@ -172,17 +172,17 @@ class TestOneMissedEnter:
 
     def test_each_decision_can_be_taken_back(self, path, capsys):
         before = used(path)
-        assert main(["relabel", str(path), "--trust", "plan"]) == 0
+        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
         of_plan = used(path)
-        assert main(["relabel", str(path), "--trust", "typed"]) == 0
+        assert main(["session", "relabel", str(path), "--trust", "typed"]) == 0
         assert used(path) != of_plan
-        assert main(["relabel", str(path), "--undo"]) == 0
+        assert main(["session", "relabel", str(path), "--undo"]) == 0
         assert used(path) == of_plan
-        assert main(["relabel", str(path), "--undo"]) == 0
+        assert main(["session", "relabel", str(path), "--undo"]) == 0
         assert used(path) == before
         assert os.listdir(path.parent) == ["s.mcap"]
         capsys.readouterr()
-        assert main(["relabel", str(path), "--undo"]) == 2
+        assert main(["session", "relabel", str(path), "--undo"]) == 2
         assert "nothing to undo" in capsys.readouterr().err
 
     def test_answers_are_asked_run_by_run(self, path, plan):
@@ -212,10 +212,10 @@ class TestOneMissedEnter:
 
         monkeypatch.setattr("truearm.cli.relabel.may_ask", lambda: True)
         monkeypatch.setattr(typer, "prompt", prompt)
-        assert main(["relabel", str(path)]) == 130
+        assert main(["session", "relabel", str(path)]) == 130
         assert read_labels(path) is None
         answers += ["nonsense", "p"]
-        assert main(["relabel", str(path)]) == 130
+        assert main(["session", "relabel", str(path)]) == 130
         said = " ".join(capsys.readouterr().out.split())
         labels = read_labels(path).decisions[0].dwells
         left = [label for label in labels if label.detail == "not answered"]
@@ -226,7 +226,7 @@ class TestOneMissedEnter:
         assert all(name == pairing_at(plan, k) for k, name in found.items())
 
     def test_the_table_of_another_session_is_refused(self, path, tmp_path, plan, capsys):
-        assert main(["relabel", str(path), "--trust", "plan"]) == 0
+        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 0
         recorded(path, plan, right(plan), seed=8)
         capsys.readouterr()
         assert main(["identify", str(path), "--model", "puma560"]) == 2
@@ -246,15 +246,15 @@ class TestOneMissedEnter:
         with path.open("r+b") as file:
             hold(file)  # as a recorder does
             for arguments in (
-                ["relabel", str(path), "--trust", "plan"],
+                ["session", "relabel", str(path), "--trust", "plan"],
                 ["identify", str(path), "--model", "puma560", "--allow-damaged"],
                 ["characterize", str(path), "--model", "puma560", "--allow-damaged"],
-                ["export-session", str(path), "--out", str(path.parent / "tables"), "--allow-damaged"],
+                ["session", "export", str(path), "--out", str(path.parent / "tables"), "--allow-damaged"],
             ):
                 assert main(arguments) == 2
                 assert "is still being written" in capsys.readouterr().err
-        assert main(["relabel", str(path), "--trust", "plan"]) == 2
-        assert "truearm recover" in capsys.readouterr().err
+        assert main(["session", "relabel", str(path), "--trust", "plan"]) == 2
+        assert "truearm session recover" in capsys.readouterr().err
         assert os.listdir(path.parent) == ["s.mcap"]
 
     @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ class TestOneMissedEnter:
         ],
     )
     def test_options_that_are_wrong(self, path, capsys, options, said):
-        assert main(["relabel", str(path), *options]) == 2
+        assert main(["session", "relabel", str(path), *options]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert said in line
         assert os.listdir(path.parent) == ["s.mcap"]

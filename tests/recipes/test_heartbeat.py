@@ -67,7 +67,7 @@ def test_the_box_sends_it_and_readers_show_it(copy, interpreter):
     assert counted == sorted(counted)
     assert counted[-1] > counted[0] >= 0
     inspected, as_json, exported = copy.run_each(
-        ("inspect", name), ("inspect", name, "--json"), ("export-session", name, "--out", interpreter)
+        ("inspect", name), ("inspect", name, "--json"), ("session", "export", name, "--out", interpreter)
     )
     assert [inspected.code, as_json.code, exported.code] == [0, 0, 0], exported.err
     total = json.loads(as_json.out)["losses"]["box"]["collections"]

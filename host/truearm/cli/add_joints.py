@@ -1,4 +1,4 @@
-"""``truearm add-joints``: add joint readings that another program recorded to a copy of a session."""
+"""``truearm session add-joints``: add joint readings that another program recorded to a copy of a session."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def add_joints(
 
     \b
     Example:
-      truearm add-joints session.mcap joints.csv --zero 3.2 --out with_joints.mcap
-      truearm add-joints session.mcap rtde.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero 3.2 --out with_joints.mcap
+      truearm session add-joints session.mcap joints.csv --zero 3.2 --out with_joints.mcap
+      truearm session add-joints session.mcap rtde.csv --columns t_s=timestamp,q{}_rad=actual_q_{} --zero 3.2 --out with_joints.mcap
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.record.robots.joint_columns import parse_renames

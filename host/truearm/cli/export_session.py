@@ -1,4 +1,4 @@
-"""``truearm export-session``: write a session as tables for other programs."""
+"""``truearm session export``: write a session as tables for other programs."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def export_session(
 
     \b
     Example:
-      truearm export-session session.mcap --out tables --format parquet
-      truearm export-session session.mcap --out viewers --format mcap
+      truearm session export session.mcap --out tables --format parquet
+      truearm session export session.mcap --out viewers --format mcap
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export_session import ExportSession, export_session_files

@@ -158,7 +158,7 @@ def dwell_lines(document: Document, inputs: Sequence[Path]) -> list[str]:
                 if none_fits
                 else f"; {unsettled} need a decision: "
             )
-            line += f"truearm relabel {shlex.quote(session)}"
+            line += f"truearm session relabel {shlex.quote(session)}"
         lines.append(line + " (as relabelled)" * count["labels"] + f"; {passes}" * bool(count["lines"]))
     return lines
 

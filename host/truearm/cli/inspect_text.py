@@ -329,14 +329,14 @@ def _dwell_table(rows: list[Mapping[str, Any]]) -> Iterator[str]:
 
 def _explained(reason: str, planned: bool) -> str:
     if reason in NEED_DECISION:
-        return " (decide what was mounted with truearm relabel)"
+        return " (decide what was mounted with truearm session relabel)"
     if reason in MEANINGS:
         return f" ({MEANINGS[reason]})"
     if reason != "no plan match":
         return ""
     if planned:
         return " (the robot stood where the plan has no pose, probably between two poses)"
-    return " (the session does not say which bar, chuck and sphere were mounted; decide with truearm relabel)"
+    return " (the session does not say which bar, chuck and sphere were mounted; decide with truearm session relabel)"
 
 
 def _number(value: float | None, form: str, scale: Scale = ONE) -> str:

@@ -1,6 +1,6 @@
 """The command line: one typer app; errors become one line on stderr and an exit code.
 
-The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py`` and add it to ``COMMANDS``. ``truearm box`` has subcommands of its own (cli/box.py).
+The exit codes stand in ``truearm.exit_codes``. To add a command, write ``cli/NAME.py`` and add it to the group of its task in ``TASKS``.
 """
 
 from __future__ import annotations
@@ -17,27 +17,24 @@ from typing import Annotated, Any, cast
 import typer
 
 from truearm import __version__
-from truearm.cli.add_joints import add_joints
 from truearm.cli.box import app as box
 from truearm.cli.characterize import characterize
 from truearm.cli.correct import correct
 from truearm.cli.demo import demo
 from truearm.cli.export import export
-from truearm.cli.export_session import export_session
 from truearm.cli.identify import identify
 from truearm.cli.init import init
 from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
 from truearm.cli.missing_file import missing_file
-from truearm.cli.options import EARLIER_WORDS
+from truearm.cli.names import option_for
 from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
-from truearm.cli.project import ProjectCommand, defaults
+from truearm.cli.project import CommandGroup, ProjectCommand, defaults
 from truearm.cli.record import RecordCommand, record
-from truearm.cli.recover import recover
-from truearm.cli.relabel import relabel
 from truearm.cli.report import report
 from truearm.cli.reproduce import reproduce
+from truearm.cli.session import app as session
 from truearm.cli.simulate import SimulateCommand, simulate
 from truearm.cli.status import status
 from truearm.cli.validate import validate
@@ -45,26 +42,20 @@ from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
 from truearm.text import one_line
 
-COMMANDS = (
-    demo,
-    init,
-    status,
-    simulate,
-    record,
-    recover,
-    relabel,
-    add_joints,
-    inspect,
-    characterize,
-    export_session,
-    identify,
-    report,
-    validate,
-    map_,
-    correct,
-    export,
-    reproduce,
-)
+# What ``truearm --help`` lists for each task; a typer app is a group of commands.
+TASKS: dict[str, tuple[Any, ...]] = {
+    "Try": (demo, simulate),
+    "Measure": (init, status, plan, record, inspect, characterize, session),
+    "Identify": (identify, report, validate, map_),
+    "Use": (correct, export),
+    "Box": (box,),
+}
+UNLISTED = (reproduce,)
+COMMANDS = {
+    getattr(command, "__name__", None) or command.info.name: (command, task)
+    for task, commands in {**TASKS, "": UNLISTED}.items()
+    for command in commands
+}
 
 # Options and arguments that typer rejects raise a UsageError. That class lives in click or, in later versions, inside
 # typer, which exports only its subclass BadParameter.
@@ -85,8 +76,6 @@ _PLAINER = (
 )
 _COMPLETE = "_TRUEARM_COMPLETE"  # set by the shell function that --install-completion writes
 
-COMMAND_OF = {command.__name__.strip("_").replace("_", "-"): command for command in COMMANDS}
-GROUP_OF = {"box": box, "plan": plan}
 CLASS_OF = {"simulate": SimulateCommand, "record": RecordCommand}
 
 
@@ -111,6 +100,7 @@ def command_tree(only: str | None = None) -> Any:
     """Return the commands as typer builds them, or with ``only`` one of them: to build all takes as long as to import typer."""
     app = typer.Typer(
         name="truearm",
+        cls=CommandGroup,
         help="Measure a robot arm, identify its kinematic parameters with their uncertainty, and correct its targets.",
         epilog=f"In a project folder, you can leave out options and files, even those marked as required: truearm.toml provides them. See truearm init --help.\n\nExit codes: {table()}\n\nExample: truearm demo",
         rich_markup_mode=None,
@@ -118,19 +108,23 @@ def command_tree(only: str | None = None) -> Any:
         add_completion=True,
     )
     app.callback(invoke_without_command=True)(_root)
-    for name, command in COMMAND_OF.items():
-        if only in (None, name):
-            app.command(name, cls=CLASS_OF.get(name, ProjectCommand))(command)
-    for name, group in GROUP_OF.items():
-        if only in (None, name):
-            app.add_typer(group, name=name)
-    return typer.main.get_command(app)
+    for name, (command, task) in COMMANDS.items():
+        if only not in (None, name):
+            continue
+        shown: dict[str, Any] = {"rich_help_panel": task, "hidden": not task}
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name, **shown)
+        else:
+            app.command(name, cls=CLASS_OF.get(name, ProjectCommand), **shown)(command)
+    tree: Any = typer.main.get_command(app)  # in which typer lists groups last
+    tree.commands = {name: tree.commands[name] for name in COMMANDS if name in tree.commands}
+    return tree
 
 
 def tree_for(arguments: Sequence[str]) -> Any:
     """Return the commands that a command line may use: the one that it names, or all."""
     first = arguments[0] if arguments else None
-    return command_tree(first if first in {*COMMAND_OF, *GROUP_OF} else None)
+    return command_tree(first if first in COMMANDS else None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -195,17 +189,13 @@ def _plain(message: str) -> str:
 
 def _command_of(arguments: Sequence[str]) -> str:
     """Return the command of a line that its parser could not read at all, such as "truearm identify"."""
-    return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMAND_OF)])
+    return " ".join(["truearm", *(word for word in arguments[:1] if word in COMMANDS)])
 
 
 def _renamed(exc: typer.BadParameter) -> str | None:
     """Return the message for an option that was renamed, None for any other error."""
-    earlier = getattr(exc, "option_name", None)  # only of unknown options
-    if earlier is None or exc.ctx is None:
-        return None
-    now = EARLIER_WORDS.get(f"{exc.ctx.info_name} {earlier}", EARLIER_WORDS.get(earlier))
-    has_it = any(now in one.opts for one in exc.ctx.command.params)
-    return f"{earlier} is now {now}" if has_it else None
+    option = getattr(exc, "option_name", None)  # only of unknown options
+    return None if option is None or exc.ctx is None else option_for(exc.ctx.command, exc.ctx.info_name or "", option)
 
 
 def _missing(exc: typer.BadParameter, arguments: Sequence[str]) -> str | None:

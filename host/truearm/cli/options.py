@@ -23,16 +23,6 @@ if TYPE_CHECKING:
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
 
-# Option names before 0.4: refused with a message that gives the new name. With a command: for that command only.
-EARLIER_WORDS = {
-    "--device": "--box",
-    "--rig-file": "--rig",
-    "--robot": "--model",
-    "record --robot": "--address",
-    "simulate --robot": "--protocol",
-    "demo --rig": "--experiment",
-}
-
 
 def bounded(by: Within, scale: Scale | None = None) -> dict[str, Any]:
     """Return the keywords that declare an option's bounds, converted from SI to the unit of the option."""

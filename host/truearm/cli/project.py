@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from truearm.cli.names import command_for
 from truearm.errors import InputError
 from truearm.files.project_folder import find_project
 
@@ -63,7 +64,27 @@ class ProjectCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """A group of commands that is listed with its whole first sentence."""
+    """A group of commands that are listed by task, each with its whole first sentence, and suggested by meaning."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands below the headings of their tasks."""
+        shown: list[tuple[str, Any]] = [
+            (name, command) for name, command in self.commands.items() if not command.hidden
+        ]
+        width = max(len(name) for name, _ in shown)
+        for task in dict.fromkeys(command.rich_help_panel for _, command in shown):
+            with formatter.section(task if isinstance(task, str) else "Commands"):
+                formatter.write_dl(
+                    (f"{name:<{width}}", command.get_short_help_str())
+                    for name, command in shown
+                    if command.rich_help_panel == task
+                )
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command of ``args``. Raises a UsageError if another one is meant."""
+        if args[0] not in self.commands and (meant := command_for(ctx.find_root().command, args[0])):
+            ctx.fail(meant)
+        return super().resolve_command(ctx, args)
 
     def get_short_help_str(self, limit: int = SUMMARY) -> str:
         """Return the whole first sentence of the help page; ``limit`` would cut it."""
@@ -180,8 +201,7 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         "export": result,
         "inspect": {"session": newest_session},
         "characterize": {"session": newest_session, **robot},
-        "relabel": {"session": newest_session, **robot},
-        "export-session": {"session": newest_session, **robot},
+        "session": {name: {"session": newest_session, **robot} for name in ("relabel", "export")},
         "plan": {"ballbar": planning, "line": planning, "characterize": planning},
         "box": {
             **{name: {**box, **gauging.get(name, {})} for name in BOX_COMMANDS},

@@ -1,4 +1,4 @@
-"""``truearm recover``: write the intact data of a damaged or unfinished session to a new file."""
+"""``truearm session recover``: write the intact data of a damaged or unfinished session to a new file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def recover(
 
     \b
     Example:
-      truearm recover session.mcap --out recovered.mcap
+      truearm session recover session.mcap --out recovered.mcap
     """
     from truearm.workflows.recover import recover_file, recovered_name
 

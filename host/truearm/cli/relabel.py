@@ -1,4 +1,4 @@
-"""``truearm relabel``: settle after the recording what was mounted at each dwell."""
+"""``truearm session relabel``: settle after the recording what was mounted at each dwell."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def relabel(
 
     \b
     Example:
-      truearm relabel session.mcap --model puma560 --trust evidence
-      truearm relabel session.mcap --undo
+      truearm session relabel session.mcap --model puma560 --trust evidence
+      truearm session relabel session.mcap --undo
     """
     from truearm.errors import InputError
     from truearm.files.robot_file import RobotChoice
@@ -95,13 +95,13 @@ def lines(document: dict[str, Any], session: str) -> list[str]:
     if document["unanswered"]:
         unanswered = counted(document["unanswered"], "dwell is", "dwells are")
         text.append(
-            f"The questions were ended: the answers so far are kept, and {unanswered} left out. Ask again: truearm relabel "
+            f"The questions were ended: the answers so far are kept, and {unanswered} left out. Ask again: truearm session relabel "
             f"{shlex.quote(one_line(session))}"
         )
     for row in document["table"]:
         if row["bar"] is None and row["reading"]:
             text.append(f"  dwell {row['dwell']} left out: {one_line(row['detail'])}")
-    return [*text, f"Undo: truearm relabel {shlex.quote(one_line(session))} --undo"]
+    return [*text, f"Undo: truearm session relabel {shlex.quote(one_line(session))} --undo"]
 
 
 def _ask(run: Run) -> Pairing | None:

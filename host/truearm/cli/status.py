@@ -62,7 +62,13 @@ def _lines(state: ProjectState) -> Iterator[str]:
 
 
 def _session(session: SessionState) -> str:
-    whole = "" if session.complete else ", is being written" if session.written else ", not complete: truearm recover"
+    whole = (
+        ""
+        if session.complete
+        else ", is being written"
+        if session.written
+        else ", not complete: truearm session recover"
+    )
     other = f", recorded for another robot: {one_line(session.model)}" if session.model else ""
     return f"{os.path.relpath(session.path)}, {session.size / 2**20:.1f} MiB{whole}{other}"
 
@@ -92,7 +98,7 @@ def _next(state: ProjectState) -> tuple[str, str]:
             return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
         case NextStep.RECOVER:
             cut = next(one.path for one in state.sessions if not one.complete)
-            return f"truearm recover {os.path.relpath(cut)}", "its recording was cut off"
+            return f"truearm session recover {os.path.relpath(cut)}", "its recording was cut off"
         case NextStep.IDENTIFY:
             return "truearm identify --hold-out 0.2", f"{state.sessions[-1].path.name} is not identified yet"
         case NextStep.INSPECT:

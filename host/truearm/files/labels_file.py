@@ -1,4 +1,4 @@
-"""SESSION.labels.json: what was mounted at each dwell, as settled after the recording by ``truearm relabel``.
+"""SESSION.labels.json: what was mounted at each dwell, as settled after the recording by ``truearm session relabel``.
 
 The format is described in docs/reference/session-format.md. The file is stored next to the session, which is never
 modified, and identifies it by its SHA-256. Every decision is kept; the last one counts.
@@ -59,13 +59,13 @@ def read_labels(session: Path) -> Labels | None:
         document = json.loads(read_text(path, MAX_BYTES, SessionError))
     except (ValueError, RecursionError) as exc:
         raise SessionError(
-            f"{path}: is not JSON: {str(exc)[:100]}; label the dwells again with truearm relabel"
+            f"{path}: is not JSON: {str(exc)[:100]}; label the dwells again with truearm session relabel"
         ) from exc
     with raising(SessionError, str(path)):
         found = _LABELS.parse(document)
     if found.sha256 != sha256(session):
         raise SessionError(
-            f"{path}: was made for another session named {session.name}; remove it, and label the dwells again with truearm relabel"
+            f"{path}: was made for another session named {session.name}; remove it, and label the dwells again with truearm session relabel"
         )
     return found
 

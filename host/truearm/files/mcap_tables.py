@@ -38,7 +38,7 @@ class McapTables:
         self.writer = Writer(
             self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
-        self.writer.start(profile="", library="truearm export-session")
+        self.writer.start(profile="", library="truearm session export")
 
     def begin(self, name: str, columns: Columns) -> tuple[str, ColumnTable]:
         """Return the name under which a table is stored, and the table."""

@@ -316,7 +316,7 @@ class LiveState:
         if change is not None:
             rows.append(ViewLine("change", f"{MOUNT_NEXT} {words_of(change)}; then press Enter", True))
         if self.contradictions:
-            text = f"at {counted(self.contradictions, 'dwell')}, something else was confirmed than the plan needs: name what is mounted, or correct them with truearm relabel"
+            text = f"at {counted(self.contradictions, 'dwell')}, something else was confirmed than the plan needs: name what is mounted, or correct them with truearm session relabel"
             rows.append(ViewLine(CONTRADICTION, text, True))
         rows.append(ViewLine("last", self.last or "nothing yet"))
         return rows

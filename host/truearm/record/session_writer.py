@@ -340,7 +340,7 @@ class SessionWriter:
                 self.losses.append(f"{old}: was {loss} while it was written; all of it is in {self.path}")
             case FileLoss.TRUNCATED if ended:
                 self.losses.append(
-                    f"{old}: was truncated as the recording ended; run truearm recover to save what is left"
+                    f"{old}: was truncated as the recording ended; run truearm session recover to save what is left"
                 )
             case FileLoss.TRUNCATED:
                 self._begin_again()

@@ -1,4 +1,4 @@
-"""Collect what plan and operator state about each dwell, and what was settled afterwards (``truearm relabel``)."""
+"""Collect what plan and operator state about each dwell, and what was settled afterwards (``truearm session relabel``)."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ SHORTEST_S = 0.25  # shorter pauses (a change of direction) are not attempts at 
 
 MOUNTING = "mounting"  # a stop outside the plan for changing the mounting: not a dwell, nothing lost
 DOUBTFUL = "doubtful"  # plan and operator agree on the mounting, but the readings do not support it
-NEED_DECISION = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm relabel
+NEED_DECISION = ("contradiction", "ambiguous", DOUBTFUL)  # resolved by the operator: truearm session relabel
 REASONS = (
     "too short",
     "still moving",  # the joints
@@ -55,7 +55,7 @@ REASONS = (
 
 
 def needs_decision(reason: str, planned: bool) -> bool:
-    """Return whether ``truearm relabel`` can settle a dwell with this reason, in a session with or without a plan."""
+    """Return whether ``truearm session relabel`` can settle a dwell with this reason, in a session with or without a plan."""
     return reason in NEED_DECISION or (reason == "no plan match" and not planned)
 
 

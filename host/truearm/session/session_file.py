@@ -148,7 +148,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
             return _salvaged(path, file, known_damaged=False)
     if session.truncated and not allow_damaged:
         raise SessionError(
-            f"{path}: is incomplete: the recorder was killed or is still running; repair it with truearm recover, or give ",
+            f"{path}: is incomplete: the recorder was killed or is still running; repair it with truearm session recover, or give ",
             Argument("allow_damaged"),
         )
     return session

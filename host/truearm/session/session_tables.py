@@ -1,4 +1,4 @@
-"""Convert the messages of a session to columns, batch by batch, for other programs (``truearm export-session``).
+"""Convert the messages of a session to columns, batch by batch, for other programs (``truearm session export``).
 
 Titles end in the unit. Each batch is a mapping of titles to columns of equal length. A table's titles stay the same
 from its first batch on; if a box or a robot later describes itself differently (other channels, other keys), another

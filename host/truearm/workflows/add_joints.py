@@ -1,4 +1,4 @@
-"""Add joint readings recorded elsewhere to a copy of a session (``truearm add-joints``)."""
+"""Add joint readings recorded elsewhere to a copy of a session (``truearm session add-joints``)."""
 
 from __future__ import annotations
 

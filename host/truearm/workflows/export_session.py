@@ -1,4 +1,4 @@
-"""Export a session as tables for other programs, all of them or none (``truearm export-session``)."""
+"""Export a session as tables for other programs, all of them or none (``truearm session export``)."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
 class DwellCount(NamedTuple):
     """Account of a session's dwells and lines: their numbers, how many are used, and the other dwells by reason.
 
-    ``labels``: whether they were settled by ``truearm relabel``. ``mountings``: stops for mounting, which are not
+    ``labels``: whether they were settled by ``truearm session relabel``. ``mountings``: stops for mounting, which are not
     dwells. ``lines``: motions along a line device. ``with_bar``: whether a bar was planned or mounted; otherwise the
     dwells are only stops between lines.
     """

@@ -101,7 +101,7 @@ def damaged_part(part: Path) -> str:
     name, out = one_line(str(part)), one_line(str(recovered_name(part)))
     return (
         f"{name}: is damaged or has no end, so other commands refuse it and its further parts; to avoid this, end this recording, "
-        f"run truearm recover {name}, and record with --resume {out}"
+        f"run truearm session recover {name}, and record with --resume {out}"
     )
 
 
@@ -113,7 +113,7 @@ def unsettled(dwells: RecordedDwells | None, session: Path) -> str:
         which = (
             f"{counted(dwells.need_decision, 'dwell')} {'needs' if dwells.need_decision == 1 else 'need'} a decision"
         )
-        return f"{which}: decide what was mounted with truearm relabel {session}"
+        return f"{which}: decide what was mounted with truearm session relabel {session}"
     which = counted(dwells.lost, "visited pose")
     return f"{which} of the plan gave no observation; truearm inspect {session} says why"
 

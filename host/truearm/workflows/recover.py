@@ -1,4 +1,4 @@
-"""Write the intact data of a session that is damaged or was cut off to a new file (``truearm recover``)."""
+"""Write the intact data of a session that is damaged or was cut off to a new file (``truearm session recover``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settle what was mounted at each dwell of a session, based on a trusted source (``truearm relabel``)."""
+"""Settle what was mounted at each dwell of a session, based on a trusted source (``truearm session relabel``)."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Relabelled
     for path in paths:
         session = open_finished(path, allow_damaged=True)
         if session.truncated:
-            raise SessionError(f"{path}: is incomplete; save its intact data with truearm recover {path}")
+            raise SessionError(f"{path}: is incomplete; save its intact data with truearm session recover {path}")
         session = open_session(path)
         rig = rig or recorded_rig(session, path)
         if not (rig.bars and rig.chucks and rig.spheres):

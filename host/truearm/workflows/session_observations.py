@@ -90,13 +90,13 @@ def what_helps(path: Path, rejected: Rejected) -> str:
     settled = sum(n for reason, n in rejected.dwells.items() if needs_decision(reason, rejected.planned))
     others = settled < rejected.dwells.total() + rejected.passes.total()
     name = shlex.quote(one_line(str(path)))
-    parts = [f"decide what was mounted with truearm relabel {name}"] * bool(settled)
+    parts = [f"decide what was mounted with truearm session relabel {name}"] * bool(settled)
     parts += [f"truearm inspect {name} shows why{' the others were rejected' * bool(settled)}"] * others
     return "; ".join(parts)
 
 
 def labels_of(path: Path) -> tuple[DwellLabel, ...] | None:
-    """Return the settled labels of a session's dwells (``truearm relabel``), None if there are none. Raises
+    """Return the settled labels of a session's dwells (``truearm session relabel``), None if there are none. Raises
     SessionError.
     """
     from truearm.files.labels_file import last_dwells, read_labels

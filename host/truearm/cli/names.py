@@ -1,0 +1,60 @@
+"""Names of commands and options: the new one of an earlier name, and the command that a wrong word means."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+# Earlier names are refused with a message that gives the new one. An option after a command is one of that command only.
+EARLIER = {
+    "recover": "session recover",
+    "relabel": "session relabel",
+    "add-joints": "session add-joints",
+    "export-session": "session export",
+    "--device": "--box",
+    "--rig-file": "--rig",
+    "--robot": "--model",
+    "record --robot": "--address",
+    "simulate --robot": "--protocol",
+    "demo --rig": "--experiment",
+}
+# What people call the work of a command. Names of subcommands ("gauge") need no entry: the tree has them.
+MEANINGS = {
+    "identify": "calibrate calibration fit solve estimate optimize optimise",
+    "correct": "compensate apply fix",
+    "validate": "verify check judge evaluate",
+    "record": "measure acquire capture log",
+    "simulate": "rehearse sim",
+    "init": "new create setup",
+    "inspect": "show view",
+    "report": "certificate page",
+    "demo": "try example",
+    "box": "pico firmware sensor",
+    "session recover": "repair mend",
+    "session relabel": "label",
+    "session add-joints": "joints import merge",
+    "session export": "convert csv parquet tables",
+}
+
+
+def command_for(root: Any, word: str) -> str | None:
+    """Return why there is no command ``word`` and which one is meant, None if nothing is known about it."""
+    if word in EARLIER:
+        return f"truearm {word} is now truearm {EARLIER[word]}"
+    subcommands = [path for path in _paths(root) if path.endswith(f" {word}")]
+    meant = subcommands or [name for name, words in MEANINGS.items() if word.lower() in words.split()]
+    commands = " or ".join(f"truearm {path}" for path in meant)
+    return f"truearm has no command {word!r}; use {commands}" if meant else None
+
+
+def option_for(command: Any, path: str, word: str) -> str | None:
+    """Return that the option ``word`` of the command at ``path`` has a new name, None if it has none that the command has."""
+    now = EARLIER.get(f"{path} {word}", EARLIER.get(word))
+    return f"{word} is now {now}" if any(now in option.opts for option in command.params) else None
+
+
+def _paths(group: Any, path: str = "") -> Iterator[str]:
+    """Yield every command below a group, such as "box config get"."""
+    for name, command in getattr(group, "commands", {}).items():
+        yield f"{path} {name}".strip()
+        yield from _paths(command, f"{path} {name}".strip())
