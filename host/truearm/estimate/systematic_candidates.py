@@ -198,7 +198,7 @@ def _refined(best: Best, test: ScoreTest) -> Best:
         enough = (last - first >= LEAST_ROWS) & ((n - last >= LEAST_ROWS) | (last == n))
         fine = Family(family.cause, first[enough], last[enough])
         found = _search(fine.summed(test.errors, test.rows, test.how), test) if enough.any() else None
-        if found is None or found.drop < best.drop:
+        if found is None or first_within((found.drop, best.drop)):  # the best row of before is among the values
             continue
         log_p = found.log_p + best.log_count
         within = (found.within[0], best.within[1]) if side == "first" else (best.within[0], found.within[1])
