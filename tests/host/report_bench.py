@@ -12,9 +12,10 @@ from scipy import stats
 
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
-from truearm.report.certificate import Certificate, Recording, Sensor
+from truearm.report.certificate import MOST, Certificate, Recording, Sensor, facts_of, joined, more, sensor_facts
 from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
 from truearm.types import ObservationTable
+from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
 SIGMA = 0.084e-3  # m, the paper's residual
 HOSTILE = "<script>alert(1)</script>\"'&"
@@ -198,35 +199,66 @@ def cells_of(text, label):
     return [[html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row)] for row in rows]
 
 
+RECORDINGS = tuple(
+    Recording(
+        f"monday{i}.mcap",
+        "2026-01-01 12:00 UTC",
+        "e6614103e7452b2f",
+        "0.4.0",
+        (Sensor("lvdt", f"serial{i}", "2026-01-01", "at 23.4 °C", 1.2e-6),),
+        400,
+        24,
+        (("no plan match", 13), ("moved", 2)),
+        4,
+        1_234_567,
+        12,
+        3,
+        304e-6,
+        (("box", 20.0, 23.0), ("bar", 20.0, 21.0)),
+    )
+    for i in range(9)
+)
 CERTIFICATE = Certificate(
-    name="cell 3, " + "a long name " * 8,
-    robot="puma560",
-    serial="2019-7",
-    operator="A. B.",
-    software="truearm 0.4.0",
-    recordings=tuple(
-        Recording(
-            f"monday{i}.mcap",
-            "2026-01-01 12:00 UTC",
-            "e6614103e7452b2f",
-            "0.4.0",
-            (Sensor("lvdt", f"serial{i}", "2026-01-01", "at 23.4 °C"),),
-            400,
-            24,
-            (("no plan match", 13), ("moved", 2)),
-            4,
-            1_234_567,
-            12,
-            3,
-            304e-6,
-        )
-        for i in range(9)
+    "Certificate of calibration",
+    "PASS: 0.214 mm at the tool in the measured region (k = 2), tolerance 0.3 mm.",
+    (
+        (
+            "What",
+            (("arm", "cell 3, " + "a long name " * 8), *((f"label {i}", "a value of some length") for i in range(11))),
+        ),
+        (
+            "Error of the tool in the measured region",
+            (
+                ("before", "2.65 mm RMS"),
+                ("after (k = 2)", "0.214 mm"),
+                ("measured region", "400 rows, " + "x 474 to 626 mm, " * 4),
+            ),
+        ),
+        (
+            "Observations and independent validation",
+            (("800 fitted, RMS", "1.90 mm before, 0.0855 mm after"), ("800 held out (bar=bar61)", "0.0855 mm RMS")),
+        ),
+        (
+            "Reference",
+            (
+                *((f"ball-bar b{i}", "460.000 mm at 20 °C, ± 0.050 mm (k = 2)") for i in range(MOST)),
+                *sensor_facts(joined(RECORDINGS).sensors),
+            ),
+        ),
+        ("Conditions", facts_of([joined(RECORDINGS)])),
+        (
+            "Method",
+            (
+                ("solver", "lm, linear loss, prior where-needed, joint laws none"),
+                ("parameters", "54 free, 36 independent combinations identified"),
+            ),
+        ),
+        (
+            "Files read",
+            (*((f"observations: monday{i}.mcap", f"SHA-256 {f'{i}' * 64}") for i in range(MOST)), *more(12)),
+        ),
     ),
-    files=tuple(("observations", f"monday{i}.mcap", f"{i}" * 64) for i in range(12)),
-    method=(
-        ("solver", "lm, linear loss, prior where-needed, joint laws none"),
-        ("observations", "800 fitted, 800 held out (bar=bar61)"),
-    ),
+    (*ALWAYS_EXCLUDED, *(f"Sentence {i} about what the errors do not include, with its reason." for i in range(3))),
 )
 
 

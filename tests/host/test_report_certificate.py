@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 import re
 import shutil
 from dataclasses import replace
@@ -14,16 +15,22 @@ from identify_bench import exact_lengths
 from report_bench import full_page
 from session_stream import RIG, session
 
+import truearm
 from truearm.cli.main import main
+from truearm.estimate.prediction import nominal_error
 from truearm.files.observation_table import write_table
 from truearm.files.result_file import with_checksum
 from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
 from truearm.report.calibration_page import render
-from truearm.report.certificate import facts_of
+from truearm.report.certificate import Sensor, facts_of, sensor_facts
+from truearm.report.page_text import size
 from truearm.session.session_file import open_session
-from truearm.workflows.recordings import counted_dwells, recording_of
+from truearm.types import rms
+from truearm.units import MM
+from truearm.workflows.correction_findings import unexplained_error
+from truearm.workflows.recordings import counted_dwells, recording_of, sensors_of
 from truearm.workflows.session_observations import SessionOptions, observations_of_session
 
 SESSIONS = Path(__file__).parents[1] / "data" / "sessions"
@@ -58,7 +65,8 @@ def words(page):
 
 
 def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
-    code, out, err = run(*made, "--serial", "2019-7", "--operator", "<b>A.</b>", "--name", "cell 3")
+    details = ["--customer", "Acme", "--controller", "KRC5 8.7", "--number", "TA-17"]
+    code, out, err = run(*made, "--serial", "2019-7", "--operator", "<b>A.</b>", "--name", "cell 3", *details)
     assert (code, err) == (0, "")
     assert str(tmp_path / "page.html") in out
     page = (tmp_path / "page.html").read_text("utf-8")
@@ -67,17 +75,74 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
     digest = next(one["sha256"] for one in document["inputs"] if one["role"] == "observations")
     for text in (
         "cell 3",
-        "puma560, serial 2019-7",
+        "model puma560",
+        "serial number 2019-7",
+        "customer Acme",
+        "controller KRC5 8.7",
+        "certificate TA-17",
         "<b>A.</b>",
         digest,
         "map, linear loss",
         f"{document['held_out']['n']} held out (0.2)",
         "k = 2",
-        "converged",
+        document["checksum"][:12],
+        "temperature not recorded",
+        "no tolerance was given",
+        "place, date",
     ):
         assert text in said
     assert "<b>A." not in page
     assert f"{document['held_out']['rms_mm']:.3g} mm" in said
+
+
+def of_page(text, label):
+    """Return the value of a label on a page."""
+    return html.unescape(re.search(rf"<dt>{re.escape(label)}</dt><dd>(.*?)</dd>", text).group(1))
+
+
+def test_a_tolerance_is_compared_with_twice_the_error_of_the_tool(made, tmp_path, run):
+    """The larger one of the expected error, with what the noise does not explain, and that of held-out rows."""
+    document = json.loads((tmp_path / "r.json").read_text())
+    expected = 2.0 * math.hypot(document["predicted_error"]["rms_mm"], MM.of(unexplained_error(document)[0]))
+    worst = max(expected, 2.0 * document["held_out"]["rms_mm"])
+    said = {}
+    for tolerance in (0.9 * worst, 1.1 * worst):
+        assert run(*made, "--tolerance", f"{tolerance:.4f}", "--force").code == 0
+        page = (tmp_path / "page.html").read_text("utf-8")
+        said[tolerance] = re.search(r'<p class="decision">(.*?)</p>', page).group(1)
+        assert of_page(page, "after: expanded uncertainty (k = 2)") == size(expected / 1e3, "m")
+    below, above = said.values()
+    assert below.startswith(f"FAIL: {size(worst / 1e3, 'm')} ")
+    assert above.startswith(f"PASS: {size(worst / 1e3, 'm')} ")
+
+
+def test_the_error_of_the_nominal_robot_is_that_of_the_arm_and_not_of_its_mounting(noisy):
+    table, rig = noisy
+    robot = truearm.load_robot("puma560")
+    e = truearm.identify(robot, table, rig, options=truearm.IdentifyOptions(joint_laws="none")).estimate
+    names = list(e.parameter_names[: e.n_robot_parameters])
+
+    def distances(**changes):
+        value = e.value.copy()
+        value[: len(names)] = e.nominal[: len(names)]
+        for name, change in changes.items():
+            value[names.index(name.replace("_", "."))] += change
+        return nominal_error(robot.chain, rig, table, replace(e, value=value))
+
+    assert distances().max() < 1e-12
+    assert distances(link1_x=5e-3, link1_gamma=2e-3, link7_x=3e-3).max() < 2e-5  # second order
+    assert 1e-3 < rms(distances(link3_x=5e-3)) < 5e-3  # placing the robot removes a part of the 5 mm
+
+
+@pytest.mark.parametrize(("pair", "sigma"), [([12, -7], 1.2e-6), (None, None), ([1, 2, 3], None), ([1, 10**6], None)])
+def test_a_sensor_says_how_well_its_calibration_fits(pair, sigma):
+    calibration = {"unit": "m", "poly": [[1, 0]], "serial": "7", "date": "2026-01-02", "sigma": pair}
+    document = {"streams": [{"channels": [{"name": "lvdt", "calibration": calibration}]}]}
+    (sensor,) = sensors_of(document)
+    assert sensor == Sensor("lvdt", "7", "2026-01-02", "", sigma)
+    ((label, value),) = sensor_facts([sensor])
+    assert label == "sensor lvdt"
+    assert ("residuals of 1.2 µm" in value) == (sigma is not None)
 
 
 @pytest.mark.parametrize(
@@ -164,5 +229,6 @@ def test_the_certificate_is_one_sheet_of_a4(tmp_path):
     (tmp_path / "page.html").write_text(render(full_page()), encoding="utf-8")
     first, *others = (" ".join(word.text for word in sheet) for sheet in printed(tmp_path, tmp_path / "page.html"))
     assert "Certificate of calibration" in first
-    assert "5" * 64 in first  # the last of the files that it lists
+    assert "signature" in first
+    assert "3" * 64 in first  # the last of the files that it lists
     assert not any("0" * 64 in sheet for sheet in others)

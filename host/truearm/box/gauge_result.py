@@ -21,6 +21,7 @@ from truearm.units import MM, UM
 
 if TYPE_CHECKING:
     from truearm.box.gauge_polynomial import PolyFit
+    from truearm.report.certificate import Facts
     from truearm.session.box_ident import Channel, Stream
     from truearm.session.sample_noise import MeanOfSamples
     from truearm.types import Floats
@@ -218,9 +219,6 @@ def write_page(
         certificate=_certificate(of, channel, places, result, new),
     )
     write_atomic(path, render(page))
-
-
-Facts = tuple[tuple[str, str], ...]
 
 
 def _certificate(

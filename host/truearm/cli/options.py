@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from truearm.model.poses import Six
     from truearm.model.workspace import Branch
     from truearm.types import Payload
+    from truearm.workflows.certificates import Issue
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
@@ -134,6 +136,33 @@ NamedRigsOption = Annotated[
     ),
 ]
 PlanOption = Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Plan: what the robot visits (.csv).")]
+
+# The certificate; what is not given comes from truearm.toml
+NameOption = Annotated[str | None, typer.Option("--name", metavar="TEXT", help="Name of the robot.")]
+SerialOption = Annotated[str | None, typer.Option("--serial", metavar="TEXT", help="Serial number of the robot.")]
+OperatorOption = Annotated[str | None, typer.Option("--operator", metavar="TEXT", help="Name of the operator.")]
+ControllerOption = Annotated[
+    str | None, typer.Option("--controller", metavar="TEXT", help="Controller of the robot and its software.")
+]
+CustomerOption = Annotated[str | None, typer.Option("--customer", metavar="TEXT", help="Whom the certificate is for.")]
+NumberOption = Annotated[str, typer.Option("--number", metavar="TEXT", help="Number of the certificate.")]
+ToleranceOption = Annotated[
+    float | None,
+    typer.Option("--tolerance", metavar="MM", min=1e-3, max=100.0, help="Permitted error of the tool: pass or fail."),
+]
+
+
+def issue_of(number: str, tolerance_mm: float | None, **texts: str | None) -> Issue:
+    """Return whom a certificate is for, by the options and the project's file."""
+    from truearm.files.project_file import Project, read_project
+    from truearm.files.project_folder import find_project
+    from truearm.workflows.certificates import Issue
+
+    file = find_project(Path.cwd())
+    project = Project("") if file is None else read_project(file)
+    given = {key: text for key, text in texts.items() if text is not None}
+    return Issue(replace(project, **given), number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
+
 
 # The box
 _BOX = "Port of the box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."

@@ -11,6 +11,8 @@ import typer
 from truearm.bounds import LINE_POINTS
 from truearm.cli.options import (
     AllowDamagedOption,
+    ControllerOption,
+    CustomerOption,
     ForceOption,
     IdentifiedBaseOption,
     IdentifiedRobotOption,
@@ -18,13 +20,18 @@ from truearm.cli.options import (
     InputsArgument,
     JsonOption,
     NamedRigsOption,
+    NameOption,
+    NumberOption,
+    OperatorOption,
     ResultArgument,
+    SerialOption,
+    ToleranceOption,
     bounded,
+    issue_of,
     out_file,
     rigs_of,
 )
 from truearm.cli.output import print_result, warn
-from truearm.files.project_folder import find_project
 from truearm.text import one_line
 
 
@@ -40,9 +47,13 @@ def report(
     noise: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The noise file that was given to truearm identify.")
     ] = None,
-    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
-    operator: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the operator.")] = None,
-    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the robot.")] = None,
+    serial: SerialOption = None,
+    operator: OperatorOption = None,
+    name: NameOption = None,
+    controller: ControllerOption = None,
+    customer: CustomerOption = None,
+    number: NumberOption = "",
+    tolerance: ToleranceOption = None,
     line_points: Annotated[
         int | None,
         typer.Option(metavar="N", help="Points of each pass, as given to truearm identify.", **bounded(LINE_POINTS)),
@@ -59,21 +70,19 @@ def report(
     Example:
       truearm report result.json session.mcap --serial 2019-7 --operator "A. Smith" --out report.html
     """
-    from truearm.files.project_file import Project, read_project
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, report_files
 
-    file = find_project(Path.cwd())
-    known = Project("") if file is None else read_project(file)
-    said = {"serial": serial, "operator": operator, "name": name}
-    project = Project(**{**vars(known), **{key: text for key, text in said.items() if text is not None}})
+    issue = issue_of(
+        number, tolerance, serial=serial, operator=operator, name=name, controller=controller, customer=customer
+    )
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command = shlex.join(["truearm", *(context.obj or [])])
     report_files(
         ReportFiles(
-            result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command, force=force), out, project
+            result, IdentifyFiles(RobotChoice(robot, base, tip), sources, command=command, force=force), out, issue
         )
     )
     print_result({"report": str(out)}, [f"Written: {one_line(str(out))}"], as_json)

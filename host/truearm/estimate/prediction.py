@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truearm.estimate.uncertainty import covariance_root
+from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
-from truearm.model.chain import Chain, about, along, forward, point_jacobians, trace_point
+from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
 from truearm.results import MOVES, Effect, Estimate, PredictedError, SystematicErrors
 from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
 from truearm.units import UNITS
@@ -104,6 +105,24 @@ def predicted_point_error(
         n=rows.size,
         relative=found.relative,
     )
+
+
+def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:
+    """Return the distances (n,) [m] of the nominal robot's measured points from those of the identified robot, over their poses.
+
+    The nominal robot's base is placed by all points, and its point on the end too: how they are mounted does not count.
+    """
+    few = table.select(thinned(len(table), MOST_POSES))
+    params = estimate.value[: estimate.n_robot_parameters]
+    places, _ = _measured_points(rig, few, estimate)
+    points, nominal = (point_forward(chain, p, few.q, places) for p in (params, estimate.nominal[: len(params)]))
+    turned = (nominal - nominal.mean(axis=0)) @ nearest_rotation(
+        (points - points.mean(axis=0)).T @ (nominal - nominal.mean(axis=0)), np.eye(3)
+    ).T
+    gap = (points - points.mean(axis=0) - turned).ravel()
+    mounting = np.concatenate([body_motion(points), forward(chain, params, few.q)[:, :3, :3].reshape(-1, 3)], axis=1)
+    gap -= mounting @ np.linalg.lstsq(mounting, gap, rcond=None)[0]
+    return np.asarray(np.linalg.norm(gap.reshape(-1, 3), axis=1))
 
 
 class EndSigmas(NamedTuple):

@@ -26,8 +26,8 @@ class Project:
     """The content of a truearm.toml; "" for a missing entry.
 
     ``model``: built-in robot, robot file or URDF, with ``base`` and ``tip`` of a URDF, and ``branch`` (as for --branch)
-    for a model whose file has none. ``serial`` of the robot and ``operator`` are for the certificate. ``address``: how
-    the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``: folders that
+    for a model whose file has none. ``serial`` of the robot, ``controller``, ``customer`` and ``operator`` are for the
+    certificate. ``address``: how the robot's joints are read. ``box``: its port. ``rig``, ``plan``: files. ``sessions``, ``results``: folders that
     record and identify write to.
     """
 
@@ -37,6 +37,8 @@ class Project:
     tip: str = ""
     branch: str = ""
     serial: str = ""
+    controller: str = ""
+    customer: str = ""
     operator: str = ""
     address: str = ""
     box: str = ""
@@ -66,6 +68,8 @@ def format_project(project: Project) -> str:
         "tip": "last link of a URDF",
         "branch": "bounds of the joints to stay in [deg], LOW:HIGH,…; without it the robot file's [branch]",
         "serial": "serial number of the robot, for the certificate",
+        "controller": "controller of the robot and its software, for the certificate",
+        "customer": "whom the certificate is for",
         "operator": "who measures, for the certificate",
         "address": "how truearm record reads the joints, such as rtde://192.168.0.2",
         "box": "the box's port; without it the one that is plugged in",

@@ -83,11 +83,7 @@ class CalibrationPage:
 def render(page: CalibrationPage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     sections = (
-        certificate_section(
-            page.certificate, page.estimate, page.estimate.held_out, page.predicted, page.table.simulated
-        )
-        if page.certificate
-        else "",
+        certificate_section(page.certificate) if page.certificate else "",
         _verdict(page),
         _pictures(page),
         _parameters(page.estimate),

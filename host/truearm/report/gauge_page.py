@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from truearm.report import svg
+from truearm.report.certificate import Certificate, Facts, certificate_section
 from truearm.report.figures import Figure, drawn
 from truearm.report.page_parts import html_page, picture, pictures, section, table_of
-from truearm.report.page_tables import fact_list
 from truearm.report.page_text import escape, figures, number
 from truearm.types import Floats
 from truearm.units import MM, UM
@@ -40,15 +40,15 @@ class GaugePage:
     orders: tuple[int, ...]
     press: Floats
     order: int
-    certificate: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = ()  # for page one: groups of label and value
+    decision: str = ""  # the uncertainty in a sentence
+    certificate: tuple[tuple[str, Facts], ...] = ()  # for page one
 
 
 def render(page: GaugePage) -> str:
     """Return the page as HTML text, to be written as UTF-8."""
     shown = [_residuals(page), *([_orders(page)] if len(page.orders) > 1 else [])]
-    body = "".join(f"<h3>{title}</h3>{fact_list(facts)}" for title, facts in page.certificate)
     sections = (
-        f'<section class="certificate"><h2>Calibration of a sensor</h2>{body}</section>\n',
+        certificate_section(Certificate("Calibration of a sensor", page.decision, page.certificate)),
         section("Residuals", pictures(map(picture, shown))),
         section("The places", _table(page)),
     )

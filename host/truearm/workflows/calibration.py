@@ -180,7 +180,7 @@ class Calibration(Displayed):
         """A sentence about the payload that the joints' sag holds for; "" if the result has no sag."""
         if not any(isinstance(law, SagMasses) for law in self.stored.laws):
             return ""
-        masses = self._masses()
+        masses = self.payload_masses
         if has_payload_law(self.chain):
             measured = f"; it was measured under {masses}" if masses else ""
             return f"The sag of the joints holds for a payload of {self.chain.payload.mass:g} kg{measured}."
@@ -192,7 +192,7 @@ class Calibration(Displayed):
 
         A result that does not know how a payload acts predicts all rows under the payload of the calibration.
         """
-        masses = self._masses()
+        masses = self.payload_masses
         if has_payload_law(self.chain):
             measured = f"; it was measured under {masses}" if masses else ""
             return [f"The sag of the joints holds for the payload of each row{measured}."]
@@ -206,8 +206,9 @@ class Calibration(Displayed):
             )
         return doubt
 
-    def _masses(self) -> str:
-        """Return the payloads of the rows that were fitted; "" if unknown."""
+    @property
+    def payload_masses(self) -> str:
+        """The payloads of the rows that were fitted, such as "0, 2.5 kg"; "" if unknown."""
         return _masses(self.stored.payloads)
 
     @property

@@ -28,7 +28,7 @@ def recording_of(session: Session, result: SyncResult) -> Recording:
         begun=_utc(session.metadata.get("session", {}).get("utc_ns", "")),
         uid=", ".join(dict.fromkeys(one_line(str(ident.document.get("uid", ""))[:32]) for ident in idents)),
         firmware=", ".join(dict.fromkeys(one_line(ident.firmware[:32]) for ident in idents)),
-        sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in _sensors(ident.document))),
+        sensors=tuple(dict.fromkeys(sensor for ident in idents for sensor in sensors_of(ident.document))),
         dwells=counts * (len(result.dwells) - result.n_mountings),
         mountings=counts * result.n_mountings,
         rejected=tuple(sorted(result.reasons.items())) * counts,
@@ -48,7 +48,7 @@ def _utc(nanoseconds: str) -> str:
     return datetime.fromtimestamp(NS.to_si(int(nanoseconds)), UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
+def sensors_of(document: Mapping[str, Any]) -> list[Sensor]:
     """Return the calibrated channels named by a box."""
     found = []
     for stream in document.get("streams") or []:
@@ -58,12 +58,19 @@ def _sensors(document: Mapping[str, Any]) -> list[Sensor]:
                 serial, date = (one_line(str(calibration.get(key) or "")[:40]) for key in ("serial", "date"))
                 temperature = calibration.get("temperature_mdegc")
                 name = one_line(str(channel.get("name", ""))[:40])
-                found.append(
-                    Sensor(
-                        name, serial, date, f"at {temperature // 100 / 10:.1f} °C" if type(temperature) is int else ""
-                    )
-                )
+                degc = f"at {temperature // 100 / 10:.1f} °C" if type(temperature) is int else ""
+                found.append(Sensor(name, serial, date, degc, _sigma(calibration)))
     return found
+
+
+def _sigma(calibration: Mapping[str, Any]) -> float | None:
+    """Return the standard deviation [m] of a calibration's residuals; None if the box does not report it as a length."""
+    pair = calibration.get("sigma")
+    if calibration.get("unit") != "m" or not (isinstance(pair, list) and len(pair) == 2):
+        return None
+    mantissa, exponent = pair
+    known = type(mantissa) is int and type(exponent) is int and abs(exponent) < 30
+    return float(mantissa * 10.0**exponent) if known else None
 
 
 def counted_dwells(recordings: Sequence[Recording], counts: Sequence[DwellCount]) -> list[Recording]:

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from truearm import __version__
 from truearm.errors import Argument, InputError
 from truearm.estimate.solvers import Prior
 from truearm.files.disk import sha256
-from truearm.files.project_file import Project
 from truearm.files.result_consistency import EARLIER_PRIOR
 from truearm.files.robot_file import load_robot
 from truearm.files.stored_result import read_result
 from truearm.progress import step
-from truearm.report.certificate import Certificate, Recording
+from truearm.report.certificate import Recording
 from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
+from truearm.workflows.certificates import Issue, calibration_certificate
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
@@ -32,12 +31,12 @@ SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, bu
 
 @dataclass(frozen=True)
 class ReportFiles:
-    """A result, its inputs, the page to write, and the certificate's details about robot and operator."""
+    """A result, its inputs, the page to write, and whom the certificate is for."""
 
     result: Path
     made_from: IdentifyFiles
     out: Path
-    project: Project = field(default_factory=lambda: Project(""))
+    issue: Issue
 
 
 @step("repeating the identification")
@@ -68,17 +67,7 @@ def report_files(files: ReportFiles) -> Identification:
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
     recordings = counted_dwells(recordings, counts)
     _check_same(files.result, stored.value, found)
-    project = files.project
-    certificate = Certificate(
-        name=project.name,
-        robot=found.chain.name,
-        serial=project.serial,
-        operator=project.operator,
-        software=f"truearm {__version__}; the result was made by {stored.document.get('truearm_version', 'an unknown version')}",
-        recordings=tuple(recordings),
-        files=tuple((one.role, one.name, one.sha256) for one in inputs),
-        method=_method(found, options),
-    )
+    certificate = calibration_certificate(found, files.issue, recordings, inputs, _method(found, options))
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
     return found
@@ -86,14 +75,9 @@ def report_files(files: ReportFiles) -> Identification:
 
 def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:
     e = found.estimate
-    by, n = found.document.get("held_out_by", ()), sum(kind["held_out"] for kind in found.document["observations"])
-    used = int(e.used.sum())
-    outliers = f"{e.n_observations - used} left out as outliers, " if used < e.n_observations else ""
-    held_out = f"{n} held out ({', '.join(by)})" if by else "none held out"
     return (
         ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
         ("parameters", f"{found.document['n_free']} free, {e.rank} independent combinations identified"),
-        ("observations", f"{used} fitted, {outliers}{held_out}"),
     )
 
 

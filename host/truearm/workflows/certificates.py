@@ -1,0 +1,258 @@
+"""The certificates of a calibration and of its validation: what is on page one, as facts and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from truearm import __version__
+from truearm.estimate.gain import gain_of
+from truearm.estimate.prediction import nominal_error, predicted_point_error, tool_undetermined
+from truearm.files.project_file import Project
+from truearm.files.result_file import Input
+from truearm.report.certificate import (
+    MOST,
+    Certificate,
+    Facts,
+    Recording,
+    facts_of,
+    joined,
+    more,
+    recorded,
+    sensor_facts,
+)
+from truearm.report.page_text import size
+from truearm.report.result_words import SIMULATED
+from truearm.results import Figures, Gain
+from truearm.text import counted
+from truearm.types import ObservationTable, Rigs, rigs_by_name, rms
+from truearm.units import DEGC, MM
+from truearm.workflows.calibration import Calibration, unusable_because
+from truearm.workflows.correction_findings import COVERAGE, unexplained_error
+from truearm.workflows.identify import Identification
+from truearm.workflows.validate import Validation
+
+NOT_GIVEN = "not given"
+STEEL, ALUMINIUM = 12e-6, 23e-6  # 1/K
+ALWAYS_EXCLUDED = (
+    "Poses outside the measured region, and other payloads than those stated.",
+    "The arm in motion: its controller's path errors, and vibration.",
+    "The mounting of base and tool in the cell: it is measured separately.",
+    "The arm's own repeatability, as far as the fitted rows do not show it (truearm characterize measures it).",
+    f"The arm's expansion at another temperature: about {1e6 * STEEL:g} µm per metre and kelvin of steel, {1e6 * ALUMINIUM:g} of aluminium.",
+)
+
+
+@dataclass(frozen=True)
+class Issue:
+    """Whom a certificate is for. ``tolerance`` [m] decides between pass and fail, None if none was given."""
+
+    project: Project
+    number: str = ""
+    tolerance: float | None = None
+
+
+def calibration_certificate(
+    found: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input], method: Facts
+) -> Certificate:
+    """Return page one of the report on an identification."""
+    e, tool = found.estimate, _tool_error(found)
+    before = nominal_error(found.chain, found.rig, found.table, e)
+    errors = (
+        (
+            "before: the nominal robot, base and tool placed",
+            f"{size(rms(before), 'm')} RMS, {size(before.max(), 'm')} at most",
+        ),
+        (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
+        ("measured region", _region(found, found.table)),
+    )
+    rows: list[tuple[str, str]] = []
+    used, outliers = int(e.used.sum()), int(e.n_observations - e.used.sum())
+    if outliers:
+        rows.append(("left out as outliers", str(outliers)))
+    for si, after in e.rms_after.items():
+        rows.append((f"{used} fitted, RMS", f"{size(e.rms_before[si], si)} before, {size(after, si)} after"))
+    held_out = {} if e.held_out is None else e.held_out.figures
+    for si, figures in held_out.items():
+        rows.append((f"{figures.n} held out ({', '.join(found.document['held_out_by'])})", _figures_text(figures, si)))
+    if not held_out:
+        rows.append(("independent validation", "none: nothing was held out; see truearm validate"))
+    if tool is not None and "m" in held_out:
+        tool = max(tool, COVERAGE * held_out["m"].rms)
+    gain = gain_of(e.mean_change) is Gain.NONE
+    problem = "no better than the nominal robot" if gain else unusable_because(found)
+    return Certificate(
+        _heading("Certificate of calibration", found.table.simulated),
+        _decision(issue.tolerance, tool, "at the tool in the measured region", problem),
+        (
+            ("What", _what(found, issue, recordings, "result")),
+            ("Error of the tool in the measured region", errors),
+            ("Observations and independent validation", tuple(rows)),
+            ("Reference", _reference(found.rig, found.table, recordings)),
+            ("Conditions", _conditions(recordings)),
+            ("Method", method),
+            ("Files read", _files(inputs)),
+        ),
+        _excluded(found),
+    )
+
+
+def validation_certificate(
+    calibration: Calibration,
+    validation: Validation,
+    issue: Issue,
+    recordings: Sequence[Recording],
+    measured: tuple[Rigs, ObservationTable, Sequence[Input]],
+) -> Certificate:
+    """Return page one of the report on a validation; ``measured``: rig, rows and files of the independent measurements."""
+    rig, table, inputs = measured
+    errors: list[tuple[str, str]] = []
+    for si, after in validation.after.items():
+        errors += [
+            ("without the calibration", _figures_text(validation.before[si], si)),
+            ("with it", _figures_text(after, si)),
+        ]
+        if si in validation.expected:
+            errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
+    error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
+    return Certificate(
+        _heading("Certificate of validation", bool(validation.document["simulated"])),
+        _decision(
+            issue.tolerance, error, "twice the RMS error of independent measurements", unusable_because(calibration)
+        ),
+        (
+            ("What", _what(calibration, issue, recordings, "validated result")),
+            (
+                f"Errors of {counted(validation.n, 'independent measurement')}",
+                (*errors, ("measured region", _region(calibration, table))),
+            ),
+            ("Reference", _reference(rig, table, recordings)),
+            ("Conditions", _conditions(recordings)),
+            ("Files read", _files(inputs)),
+        ),
+        ("Directions in which nothing was measured: a length shows only the error along it.", *ALWAYS_EXCLUDED),
+    )
+
+
+def _heading(title: str, simulated: bool) -> str:
+    return f"{title} (simulated)" if simulated else title
+
+
+def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
+    project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
+    masses = calibration.payload_masses
+    return (
+        ("certificate", issue.number or NOT_GIVEN),
+        ("issued", f"{datetime.now(UTC):%Y-%m-%d}"),
+        ("measured", recorded(recordings)),
+        ("customer", project.customer or NOT_GIVEN),
+        ("arm", project.name or calibration.chain.name),
+        ("model", calibration.chain.name),
+        ("serial number", project.serial or NOT_GIVEN),
+        ("controller", project.controller or NOT_GIVEN),
+        ("payload", masses or "not stated: as mounted during the measurement"),
+        ("operator", project.operator or NOT_GIVEN),
+        ("software", f"truearm {__version__}"),
+        (
+            result,
+            f"{checksum or 'without checksum'}, by truearm {calibration.document.get('truearm_version', 'of unknown version')}",
+        ),
+    )
+
+
+def _tool_error(found: Identification) -> float | None:
+    """Return the expanded uncertainty [m] of the measured point, from covariance and unexplained error; None if undetermined."""
+    e = found.estimate
+    if e.status != "converged" or e.unusable or tool_undetermined(e.systematic):
+        return None
+    any_base = bool(found.document["defaults"]["base"])
+    predicted = found.predicted or predicted_point_error(found.chain, found.rig, found.table, e, any_base)
+    return None if predicted is None else COVERAGE * math.hypot(predicted.rms, unexplained_error(found.document)[0])
+
+
+def _decision(tolerance: float | None, error: float | None, which: str, problem: str | None) -> str:
+    """Return the error (k = 2) and whether it is within the tolerance, in a sentence."""
+    if problem:
+        return f"NOT USABLE: {problem}."
+    if error is None:
+        return "NOT DECIDED: the observations do not determine the error of the tool."
+    found = f"{size(error, 'm')} {which} (k = {COVERAGE:g})"
+    if tolerance is None:
+        return f"{found}; no tolerance was given."
+    return f"{'PASS' if error <= tolerance else 'FAIL'}: {found}, tolerance {MM.text(tolerance)}."
+
+
+def _region(calibration: Calibration, table: ObservationTable) -> str:
+    points = MM.of(calibration.forward(table.q)[:, :3, 3])
+    spans = zip("xyz", points.min(axis=0), points.max(axis=0), strict=True)
+    axes = ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in spans)
+    return f"{len(table)} rows, {calibration.chain.end_frame} at {axes} mm in {calibration.chain.base_frame}"
+
+
+def _figures_text(figures: Figures, si: str) -> str:
+    return f"{size(figures.rms, si)} RMS, {size(figures.max, si)} at most"
+
+
+def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recording]) -> Facts:
+    """Return the sensors and the parts of the rig that the rows were measured against, with their declared uncertainties."""
+    facts: list[tuple[str, str]] = []
+    for rig in rigs_by_name(rigs).values():
+        for name in sorted(rig.bars.keys() & set(table.bar.tolist())):
+            bar = rig.bars[name]
+            known = (
+                f"± {MM.text(COVERAGE * bar.zero_sigma, '.3f')} (k = {COVERAGE:g})"
+                if bar.zero_sigma
+                else "taken as exact"
+            )
+            facts.append(
+                (f"ball-bar {name}", f"{MM.text(bar.zero, '.3f')} at {DEGC.text(bar.temperature, 'g')}, {known}")
+            )
+        for name in sorted(rig.trackers.keys() & set(table.tracker.tolist())):
+            spread = MM.of(np.sqrt(np.diag(rig.trackers[name].sensor_cov)))
+            facts.append((f"tracker {name}", f"σ {', '.join(f'{value:g}' for value in spread)} mm along x, y, z"))
+        for distance in rig.socket_distances:
+            facts.append(
+                (
+                    f"distance of sockets {' and '.join(distance.sockets)}",
+                    f"{MM.text(distance.distance, '.3f')} ± {MM.text(COVERAGE * distance.sigma, '.3f')} (k = {COVERAGE:g})",
+                )
+            )
+        if (table.kind == "seat").any():
+            facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma, 'g')}"))
+    extra = more(len(facts))
+    return (*facts[:MOST], *extra, *(sensor_facts(joined(recordings).sensors) if recordings else ()))
+
+
+def _conditions(recordings: Sequence[Recording]) -> Facts:
+    if not recordings:
+        return (("recording", "tables, which do not say how they were recorded"), ("temperature", "not recorded"))
+    return facts_of([recordings[0] if len(recordings) == 1 else joined(recordings)])
+
+
+def _files(inputs: Sequence[Input]) -> Facts:
+    listed = tuple((f"{one.role}: {one.name}", f"SHA-256 {one.sha256}") for one in inputs[:MOST])
+    return listed + more(len(inputs))
+
+
+def _excluded(found: Identification) -> tuple[str, ...]:
+    """Return what the error of the tool does not include."""
+    e, sentences = found.estimate, [SIMULATED] if found.simulated else []
+    if found.predicted and found.predicted.relative:
+        sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
+    exact = [
+        name
+        for rig in rigs_by_name(found.rig).values()
+        for name, bar in rig.bars.items()
+        if not bar.zero_sigma and name in found.table.bar
+    ]
+    if exact:
+        sentences.append(
+            f"Errors of the length of {', '.join(sorted(set(exact))[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."
+        )
+    if e.held_out is None:
+        sentences.append("Errors that only other poses would show: nothing was held out.")
+    return (*sentences, *ALWAYS_EXCLUDED)
