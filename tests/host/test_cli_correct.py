@@ -165,8 +165,18 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
     near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
     code, said, err = run(capsys, *arguments, "--home", near)
     assert code == 0, err
-    reached = [json.loads(said)["targets"][0]["before"][f"q{k}_deg"] for k in range(1, 7)]
+    document = json.loads(said)
+    reached = [document["targets"][0]["before"][f"q{k}_deg"] for k in range(1, 7)]
     np.testing.assert_allclose(reached, np.rad2deg(q[0]), atol=1e-3)
+    configurations, expected = document["configurations"], document["targets"][0]["expected_mm"]
+    assert (configurations is not None) == (kind in ("script", "module"))
+    if configurations is not None:
+        assert configurations["targets"] == 1
+        assert configurations["correction_spread_mm"] > 0.1
+        assert configurations["expected_min_mm"] < configurations["expected_max_mm"]
+        assert configurations["expected_min_mm"] <= expected * 1.001 <= configurations["expected_max_mm"] * 1.002
+        (sentence,) = (note for note in document["notes"] if "the expected error is between" in note)
+        assert f"{configurations['expected_max_mm']:.3f} mm" in sentence
 
 
 def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):

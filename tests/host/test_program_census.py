@@ -49,6 +49,13 @@ FRAMES = "TOOL_DATA[1]={X 0,Y 0,Z 100,A 0,B 0,C 0}\nBASE_DATA[2]={X 10,Y 0,Z 0,A
 KRL_POINTS = 'DEFDAT p\nDECL E6POS XP1={X 400,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2,E1 0.0,E2 0.0}\nDECL E6POS XP2={X 450,Y 20,Z 300,A 0,B 90,C 0,S 2,T 2,E1 0.0}\nDECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE,POINT2[] " "}\nDECL E6AXIS XHOME={A1 5,A2 -90,A3 100,A4 5,A5 10,A6 5}\nENDDAT\n'
 
 
+KRL_ARRAY = (
+    KRL_POINTS
+    + "DECL E6POS XA[3]\n"
+    + "".join(f"XA[{k}]={{X 4{k}0,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2}}\n" for k in (1, 2, 3))
+)
+
+
 def krl(body, data=KRL_POINTS, config=FRAMES):
     """Return a program with its data and the controller's."""
     return {"p.src": f"DEF p()\n{body}\nEND\n", "p.dat": data, "$config.dat": config}
@@ -180,7 +187,7 @@ URSCRIPT = {
 }  # fmt: skip
 ACTIVE = "BAS(#TOOL,1)\nBAS(#BASE,2)\n"
 KRL = {
-    "inline form": krl("FDAT_ACT=FP1\nPTP XP1 ;K\nFDAT_ACT=FP1\nLIN XP2 C_DIS ;K"),
+    "inline form": krl("FDAT_ACT=FP1\nBAS(#PTP_PARAMS,100)\nPTP XP1 ;K\nFDAT_ACT=FP1\nBAS(#CP_PARAMS,2)\nLIN XP2 C_DIS ;K"),
     "joints": krl("PTP XHOME ;K\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0} ;K\nPTP {A1 5} ;R"),
     "no frames": krl("PTP XP1 ;R"),
     "frames behind a branch": krl(f"{ACTIVE}IF x THEN\nPTP XP1 ;R\nENDIF"),
@@ -294,12 +301,39 @@ STRANGE_URSCRIPT = {
     "tool in the last operand": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nreturn True\nend\nif x and f():\nsync()\nend\nmovel(a) #R')],
     "tool set by two calls deep": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nend\ndef g():\nif x:\nf()\nend\nend\ng()\nmovel(a) #R')],
 }  # fmt: skip
+WITH = "WITH $VEL_AXIS[1]=SVEL_JOINT(100.0), $TOOL=STOOL2(FP1), $BASE=SBASE(FP1.BASE_NO), $IPO_MODE=SIPO_MODE(FP1.IPO_FRAME), $LOAD=SLOAD(FP1.TOOL_NO), $APO=SAPO_PTP(PPDAT1)"
 FOLD = ";FOLD LIN P1 Vel=2 m/s CPDAT1 Tool[1]:t Base[2]:b;%{PE}%R 8.3\n"
 STRANGE_KRL = {
     "fold": krl(f"{FOLD}$BWDSTART=FALSE\nLDAT_ACT=LCPDAT1\nFDAT_ACT=FP1\nBAS(#CP_PARAMS,2)\nLIN XP1 C_DIS ;K\n;ENDFOLD"),
-    "tool within the move": krl(f"{ACTIVE}SLIN XP1 WITH $TOOL={{X 0,Y 0,Z 50,A 0,B 0,C 0}} ;R\nSLIN XP2 ;K"),
+    "tool within the move": krl(f"{ACTIVE}SLIN XP1 WITH $TOOL={{X 0,Y 0,Z 50,A 0,B 0,C 0}} ;K\nSLIN XP2 ;K"),
     "spline": krl(f"{ACTIVE}SPLINE\nSPL XP1 ;K\nSLIN XP2 ;K\nENDSPLINE"),
-    "spline with a tool": krl(f"{ACTIVE}SPLINE WITH $TOOL=TOOL_DATA[2]\nSPL XP1 ;R\nENDSPLINE"),
+    "spline with a tool": krl(f"{ACTIVE}SPLINE WITH $TOOL=TOOL_DATA[1], $BASE=$NULLFRAME\nSPL XP1 ;K\nENDSPLINE\nSLIN XP2 ;K"),
+    "spline with an unknown tool": krl(f"{ACTIVE}SPLINE WITH $TOOL=TOOL_DATA[2]\nSPL XP1 ;R\nENDSPLINE\nSLIN XP2 ;K"),
+    "inline form of splines": krl(f"SPTP XP1 {WITH} C_SPL ;K\nIF x THEN\nSLIN XP2 {WITH} ;K\nENDIF\nSPTP XHOME {WITH} ;K"),
+    "stationary tool of splines": krl(f"SLIN XP1 {WITH} ;R", KRL_POINTS.replace("#BASE", "#TCP")),
+    "inline form without its data": krl(f"SLIN XP1 {WITH.replace('FP1', 'FP9')} ;R"),
+    "mode of a move before": krl(f"FDAT_ACT={{TOOL_NO 1,BASE_NO 2,IPO_FRAME #TCP}}\nBAS(#PTP_PARAMS,1)\n{ACTIVE}LIN XP1 ;R\n$IPO_MODE=#BASE\nLIN XP2 ;K"),
+    "data that are not in force": krl("FDAT_ACT=FP1\nPTP XP1 ;R\nBAS(#FRAMES,0)\nPTP XP2 ;K"),
+    "home": krl("$H_POS=XHOME\nPTP XHOME ;K") | {"sps.sub": "DEF sps()\n$H_POS=$H_POS\nEND\n"},
+    "home that is read": krl("$H_POS=XHOME\nPTP XHOME ;R\nx=$H_POS.A1"),
+    "home by the controller": krl("$H_POS=XHOME\nPTP $H_POS ;K"),
+    "where it is": krl(f"PTP $AXIS_ACT\n{ACTIVE}LIN $POS_ACT\nLIN XP1 ;K\nXP2=$POS_ACT\nLIN XP2 ;R"),
+    "name of a name": krl(f"{ACTIVE}XN=XP1\nLIN XN ;K\nLIN XP2 ;K", KRL_POINTS + "DECL E6POS XN\n"),
+    "name of itself": krl(f"{ACTIVE}XN=XM\nXM=XN\nLIN XN ;R", KRL_POINTS + "DECL E6POS XN,XM\n"),
+    "array": krl(f"{ACTIVE}LIN XA[1] ;K\nLIN XA[2] ;K", KRL_ARRAY),
+    "element without a value": krl(f"{ACTIVE}LIN XA[4] ;R\nLIN XA[1] ;R", KRL_ARRAY),
+    "array by a computed number": krl(f"{ACTIVE}LIN XA[1] ;R\nLIN XA[i] ;R\nLIN XP1 ;K", KRL_ARRAY),
+    "element changed": krl(f"{ACTIVE}XA[i].X=5\nLIN XA[1] ;R", KRL_ARRAY),
+    "element assigned": krl(f"{ACTIVE}XA[i]=XP1\nLIN XA[1] ;R\nLIN XP1 ;R", KRL_ARRAY),
+    "base on a kinematic": krl(f"{ACTIVE}LIN XP1 ;R", config=FRAMES + "MACHINE_FRAME_DAT[2]={MACH_DEF_INDEX 3,PARENT[] \" \"}\n"),
+    "base of the world": krl(f"{ACTIVE}LIN XP1 ;K", config=FRAMES + "MACHINE_FRAME_DAT[2]={MACH_DEF_INDEX 0,PARENT[] \"WORLD\"}\n"),
+    "base of an external axis": krl(f"{ACTIVE}BAS(#EX_BASE,2)\nLIN XP1 ;R"),
+    "offset that BAS adds": krl(f"{ACTIVE}TOOL_CORR_ON=TRUE\nLIN XP1 ;R", config=FRAMES + "BOOL TOOL_CORR_ON=FALSE\n"),
+    "offset that BAS would add": krl(f"{ACTIVE}TOOL_CORR_ON=FALSE\nLIN XP1 ;K", config=FRAMES + "BOOL TOOL_CORR_ON=FALSE\n"),
+    "base from a sensor": krl(f'{ACTIVE}ok=EKI_GetFrame("c","f",BASE_DATA[2])\nLIN XP1 ;R'),
+    "frames of a function": krl(f"{ACTIVE}ok=own()\nLIN XP1 ;R") | {"own.src": "DEFFCT BOOL own()\n$TOOL=$NULLFRAME\nRETURN TRUE\nENDFCT\n"},
+    "component passed on": krl(f"own(XP1.X)\n{ACTIVE}LIN XP1 ;R\nLIN XP2 ;K"),
+    "system file": krl(f"{ACTIVE}LIN XP1 ;K") | {"bas.src": "DEF bas(c:IN,r:IN)\n$TOOL=TOOL_DATA[TOOL_NO]\nXP1=$H_POS\nPTP posovertp\nEND\n"},
     "interrupt": {"p.src": f"DEF p()\nINTERRUPT DECL 3 WHEN $IN[1] DO isr()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;R\nLIN XP2 ;R\nEND\nDEF isr()\nXP1.Z=5\n$TOOL=TOOL_DATA[2]\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},
     "start of the motion": krl(f"{ACTIVE}BAS(#INITMOV,0)\nLIN XP1 ;R"),
     "interrupt of outside": krl(f"GLOBAL INTERRUPT DECL 3 WHEN $STOPMESS==TRUE DO IR_STOPM()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;K"),

@@ -250,9 +250,14 @@ def test_a_configuration_that_nothing_determines_needs_home(tmp_path, program_ki
     with pytest.raises(ProgramRefused) as caught:
         outcome(tmp_path, text, home=None)
     assert [(move.code, move.remedy) for move in caught.value.refused] == [("configuration", "home")]
-    notes = " ".join(outcome(tmp_path, text, home=Q[1]).notes)
-    assert "does not determine" in notes
-    assert float(re.search(r"would differ by up to ([\d.]+) mm", notes)[1]) > 0.1
+    done = outcome(tmp_path, text, home=Q[1])
+    assert "does not determine" in " ".join(done.notes)
+    assert done.others.n_targets == 1
+    assert done.others.shift.min() < 1e-9  # its own configuration
+    assert done.others.shift.max() > 1e-4
+    np.testing.assert_allclose(
+        forward(CHAIN, TRUTH, done.others.q), done.targets.asked[[0] * len(done.others.q)], atol=1e-6
+    )
 
 
 def test_quarter_turns_that_the_correction_crosses_are_written(tmp_path):

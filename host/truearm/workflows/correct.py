@@ -34,7 +34,7 @@ from truearm.workflows.correct_program import (
     ProgramOptions,
     correct_program,
 )
-from truearm.workflows.correction_findings import CorrectedTargets, Refused, document_of, findings, warnings
+from truearm.workflows.correction_findings import CorrectedTargets, Refused, comparison, document_of, findings, warnings
 from truearm.workflows.correction_report import page_of
 from truearm.workflows.program_files import (
     ALL_SUFFIXES,
@@ -137,10 +137,14 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         texts[files.residuals] = _residuals(correction, places, "row" if programs is None else "line")
     said = tuple(warnings(calibration, done.targets, done.moves))
     caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
+    configurations = None
+    if done.others is not None:
+        sentence, configurations = comparison(calibration, how.pair, done.others)
+        caveats = (*caveats, sentence)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
         found = findings(calibration, how.pair, done.targets, done.moves)
-        document = document_of(found, calibration, said, caveats, done.refused, files.out.name)
+        document = document_of(found, calibration, said, caveats, done.refused, files.out.name, configurations)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
             texts[files.report] = render(page_of(found, calibration, names, said, caveats, done.refused))

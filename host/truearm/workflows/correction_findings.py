@@ -75,6 +75,19 @@ class CorrectedMoves(NamedTuple):
     unchecked: int = 0
 
 
+class OtherConfigurations(NamedTuple):
+    """The first ``n_targets`` of those whose configuration only ``home`` determines, in m configurations of the arm.
+
+    ``shift`` (m,) [m]: how far each command is from the one in the configuration near home. ``q`` (m, j): the corrected
+    joint readings; ``tools`` (m, 4, 4) in the end frame.
+    """
+
+    n_targets: int
+    shift: Floats
+    q: Floats
+    tools: Floats
+
+
 @dataclass(frozen=True)
 class Findings:
     """What is expected of n corrected targets.
@@ -99,15 +112,8 @@ class Findings:
 def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTargets, moves: CorrectedMoves) -> Findings:
     """Evaluate a correction by the calibration on which it is based; the mountings of ``pair`` were removed."""
     q, chain = targets.correction.q, calibration.chain
-    points = (inverted(pair.mountings.tool) @ targets.tools)[:, :3, 3]
-    own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
-    known = ParametersKnown(chain, calibration.identified, calibration.covariance, calibration.unseen)
-    sigmas = end_sigmas(known, q, points, any_base=own)
     unexplained = unexplained_error(calibration.document)
-    expected = np.full((len(q), 2), np.nan)
-    if sigmas is not None:
-        both = np.stack([sigmas.position, sigmas.rotation], axis=1)
-        expected = COVERAGE * np.hypot(both, unexplained)
+    expected, relative = _expected_errors(calibration, pair, q, targets.tools)
     difference = apart(targets.told, targets.asked)
     difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     return Findings(
@@ -116,11 +122,42 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
         shift=np.stack([np.linalg.norm(part, axis=1) for part in (difference[:, :3], difference[:, 3:])], axis=1),
         expected=expected,
         unexplained=unexplained,
-        relative=sigmas is not None and sigmas.relative,
+        relative=relative,
         limits=limit_margins(chain, q),
         singular_value=singular_value(chain, calibration.nominal, q),
         outside=calibration.outside(q),
     )
+
+
+def _expected_errors(calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats) -> tuple[Floats, bool]:
+    """Return ``expected`` and ``relative`` of ``Findings`` for tools (n, 4, 4) at joint readings (n, j)."""
+    points = (inverted(pair.mountings.tool) @ tools)[:, :3, 3]
+    own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
+    known = ParametersKnown(calibration.chain, calibration.identified, calibration.covariance, calibration.unseen)
+    sigmas = end_sigmas(known, q, points, any_base=own)
+    if sigmas is None:
+        return np.full((len(q), 2), np.nan), False
+    both = np.stack([sigmas.position, sigmas.rotation], axis=1)
+    return COVERAGE * np.hypot(both, unexplained_error(calibration.document)), sigmas.relative
+
+
+def comparison(calibration: Calibration, pair: ModelPair, others: OtherConfigurations) -> tuple[str, dict[str, Any]]:
+    """Compare corrections and expected errors over the arm's configurations, as a sentence and as JSON."""
+    expected = _expected_errors(calibration, pair, others.q, others.tools)[0][:, 0]
+    shift = float(others.shift.max(initial=0.0))
+    low, high = (float(bound(expected, initial=start)) for bound, start in ((np.min, np.inf), (np.max, -np.inf)))
+    is_known = math.isfinite(low) and math.isfinite(high)
+    between = f"between {MM.text(low, '.3f')} and {MM.text(high, '.3f')}" if is_known else "unknown"
+    said = (
+        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would "
+        f"differ by up to {MM.text(shift, '.3f')}, and the expected error is {between}."
+    )
+    return said, {
+        "targets": others.n_targets,
+        "correction_spread_mm": float(MM.of(shift)),
+        "expected_min_mm": number_or_null(MM.of(low)),
+        "expected_max_mm": number_or_null(MM.of(high)),
+    }
 
 
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
@@ -191,6 +228,7 @@ def document_of(
     notes: Sequence[str],
     refused: Sequence[Refused],
     out: str,
+    configurations: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the findings and warnings as JSON (docs/reference/target-format.md)."""
     return {
@@ -203,6 +241,7 @@ def document_of(
         "warnings": list(said),
         "notes": list(notes),
         "refused": [one._asdict() for one in refused],
+        "configurations": configurations,
         "targets": _target_entries(found, calibration.joint_units),
         "moves": _move_entries(found.moves, calibration.joint_units),
     }

@@ -1,24 +1,28 @@
 """The moves of KUKA programs (.src with its .dat), each with its target, tool and base.
 
-Names of a .dat file are seen by the .src of the same name, global ones and those of $config.dat by all. The tool and
-base of a move are those that were set before it, with no branch, loop or call of another routine between.
+Names of a .dat file are seen by the .src of the same name, global ones and those of $config.dat by all. An element of
+an array by a plain number, such as TOOL_DATA[1], is a name of its own. The tool and base of a move are those of its
+WITH, or those that were set before it with no branch, loop or call of another routine between.
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 from truearm.correct.programs.poses import check_reach, matrix_of_angles
 from truearm.correct.programs.program import (
     IDENTITY,
+    MOST_TARGETS,
     Change,
     Datum,
     Form,
     Goal,
     Literal,
+    Memo,
     Move,
     Place,
     Program,
@@ -26,12 +30,13 @@ from truearm.correct.programs.program import (
     Surroundings,
     Target,
     Uncertain,
+    Uses,
     certain,
 )
 from truearm.correct.programs.tokens import (
+    DEEPEST,
     KRL,
     Source,
-    Token,
     Tokens,
     closing,
     is_bracketed,
@@ -44,146 +49,144 @@ from truearm.types import Floats
 
 MOVES = words("ptp lin circ sptp slin scirc spl")
 RELATIVE = frozenset(f"{name}_rel" for name in MOVES)
+NO_ASSIGNMENT = words("if while until for switch wait spline") | MOVES | RELATIVE
+HERE = words("$pos_act $axis_act")  # where the robot is: a move to it moves nothing
 TYPES = words("e6pos pos frame e6axis axis fdat")
 POSE, AXES = ("x", "y", "z", "a", "b", "c"), ("a1", "a2", "a3", "a4", "a5", "a6")
 QUIET = words(
-    "bas bas_command wait halt continue trigger pulse abs sin cos tan sqrt varstate ext extp extfct decl global"
-)
-FRAMES = ("tool_data", "base_data")
+    "if while until for return switch case when and or not exor bas wait halt continue trigger pulse abs sin cos tan sqrt "
+    "varstate ext extp extfct decl global stool stool2 sbase sload sipo_mode svel_joint svel_cp sacc_joint sacc_cp sapo "
+    "sapo_ptp sgear_jerk sjerk sori_typ scirc_typ scirc_m use_cm_pro_values"
+)  # words before a bracket that change no data in it, and no frames
+HEADS = words("def deffct ext extp extfct")
+SYSTEM = words("tool_data base_data machine_frame_dat $h_pos")  # data that need no declaration
+ROOT_FRAMES = words("$nullframe $world tool_data[0] base_data[0]")
 ACTIVE = words("$tool $base $ipo_mode")
+FDAT = {"tool": "tool_no", "base": "base_no", "ipo_mode": "ipo_frame"}
+PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which sets the frames of FDAT_ACT by them
+FRAMELESS = words("#acc_cp #acc_ptp #acc_glue #vel_cp #vel_ptp #cp_dat #ptp_dat #out_sync #out_async #group")
 ROOTS = words("$robroot $world")  # of all frames
-PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which takes tool and base of FDAT_ACT with them
+CORRECTIONS = words("tool_corr_on tool_corr_w_on base_corr_on m_bas_cor_on")  # switches of offsets that BAS adds
 STEPS = {
-    word: step
-    for step, names in (
-        (Step.ROUTINE, "def deffct"),
-        (Step.END, "end endfct endif endfor endwhile endloop endswitch until"),
-        (Step.IF, "if switch"),
-        (Step.LOOP, "for while loop repeat"),
-        (Step.BRANCH, "else case default"),
-        (Step.LEAVE, "exit"),
-        (Step.CALL, "interrupt resume goto"),
-    )
-    for word in names.split()
+    **dict.fromkeys(words("def deffct"), Step.ROUTINE),
+    **dict.fromkeys(words("end endfct endif endfor endwhile endloop endswitch until"), Step.END),
+    **dict.fromkeys(words("if switch"), Step.IF),
+    **dict.fromkeys(words("for while loop repeat"), Step.LOOP),
+    **dict.fromkeys(words("else case default"), Step.BRANCH),
+    "exit": Step.LEAVE,
+    **dict.fromkeys(words("interrupt resume goto"), Step.CALL),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The tokens of a line, in a file of a module."""
+    """The tokens of a line with their texts, in a routine ("" if in none) of a module."""
 
     tokens: Tokens
+    texts: Sequence[str]
     file: int
     module: str
+    routine: str
 
     @property
     def word(self) -> str:
         """Its first word, after GLOBAL."""
-        return self.tokens[is_word(self.tokens, 0, "global") and len(self.tokens) > 1].text
+        return self.texts[self.texts[0] == "global" and len(self.texts) > 1]
 
     @property
     def assigned(self) -> int:
         """The index of the sign of an assignment, 0 if it is none."""
-        sign = next((index for index, token in enumerate(self.tokens) if token.text == "="), 0)
-        return sign if self.tokens[0].text not in ("if", "while", "until", "for", "switch", "wait") else 0
+        is_other = self.texts[0] in NO_ASSIGNMENT and self.texts[1:2] != ["="]
+        return 0 if is_other or "=" not in self.texts else self.texts.index("=")
+
+    @property
+    def sets_frames(self) -> bool:
+        """Whether it may set the tool or base."""
+        is_command = self.texts[:2] == ["bas", "("] and FRAMELESS.isdisjoint(self.texts)
+        return is_command or self.texts[0] in ACTIVE or self.texts[0] == "fdat_act"
+
+
+def _lines(files: Sequence[Source]) -> Iterator[Line]:
+    """Yield the lines that are not empty of all files but bas.src, KUKA's own: what its routines do is known by their names."""
+    for number, source in enumerate(files):
+        module = source.name.lower().replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
+        routine, text = "", "" if module == "bas" else source.text
+        for is_end, group in groupby(tokens_of(KRL, text), lambda token: token.kind == "newline"):
+            if not is_end:
+                tokens = list(group)
+                texts = [token.text for token in tokens]
+                if not {"def", "deffct"}.isdisjoint(texts[:2]) and "(" in texts:
+                    routine = texts[texts.index("(") - 1]
+                yield Line(tokens, texts, number, module, routine)
+                routine = "" if texts[0] in ("end", "endfct") else routine
+
+
+def _indexed(tokens: Tokens, index: int) -> tuple[str, int]:
+    """Return the plain number in brackets after the name at an index, "" if there is none, and the index after both."""
+    if is_word(tokens, index + 1, "[") and is_word(tokens, index + 3, "]") and tokens[index + 2].kind == "number":
+        return tokens[index + 2].text, index + 4
+    return "", index + 1
 
 
 @dataclass(eq=False)
 class _Reader:
-    """Data and frames of all files. ``displaced``: why no move's tool and base are known."""
+    """Data of all files, by module, "" for those that all see; an array is one datum.
+
+    ``values``: what is assigned to each datum, by the index of an array's element. ``displaced``: why no tool and base
+    are certain. ``is_stationary``: some moves are those of a work object to a tool that stands still.
+    """
 
     program: Program
     surroundings: Surroundings
     lines: list[Line] = field(default_factory=list)
     modules: dict[str, dict[str, Datum]] = field(default_factory=lambda: defaultdict(dict))
+    values: dict[tuple[Datum, str], list[tuple[Tokens, Line]]] = field(default_factory=lambda: defaultdict(list))
     parameters: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     routines: set[str] = field(default_factory=set)
-    frames: dict[str, list[Tokens]] = field(default_factory=lambda: defaultdict(list))
-    frames_change: Uncertain | None = None
     displaced: Uncertain | None = None
+    is_stationary: bool = False
     literals: dict[Place, Literal] = field(default_factory=dict)
+    memo: Memo = field(default_factory=Memo)
 
     def read(self) -> None:
         """Read the lines of all files, then their data, then the uses of these."""
-        for number, source in enumerate(self.program.files):
-            module = source.name.lower().replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
-            line: list[Token] = []
-            for token in [*tokens_of(KRL, source.text), Token("newline", "", len(source.data), len(source.data))]:
-                if token.kind != "newline":
-                    line.append(token)
-                elif line:
-                    self.lines.append(Line(line, number, module))
-                    line = []
-        for entry in self.lines:
-            self.declare(entry)
-        for entry in self.lines:
-            self.program.names.update(token.text for token in entry.tokens if token.kind == "word")
-            self.note(entry)
-        self.note_interrupts()
-
-    def note_interrupts(self) -> None:
-        """Note the routines of interrupts and triggers that set frames, by themselves or by calls, and changes of roots."""
-        bodies: dict[str, list[Line]] = defaultdict(list)
-        name, waiting = "", []
+        self.lines = list(_lines(self.program.files))
+        self.routines = {line.routine for line in self.lines} - {""}
+        self.is_stationary = any("#tcp" in line.texts for line in self.lines)
+        self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in SYSTEM}
         for line in self.lines:
-            texts = [token.text for token in line.tokens]
-            if line.word in ("def", "deffct") and "(" in texts:
-                name = texts[texts.index("(") - 1]
-            elif line.word in ("end", "endfct", "defdat"):
-                name = ""
-            bodies[name].append(line)
-            if line.word in ("interrupt", "trigger") and "do" in texts[:-1]:
-                waiting.append(texts[texts.index("do") + 1])
-            if texts[0] in ROOTS and line.assigned:
-                self.displaced = self.displacement(line)
-        seen: set[str] = set()
-        while waiting:
-            routine = waiting.pop()
-            if routine in seen:
-                continue
-            seen.add(routine)
-            for line in bodies.get(routine, ())[1:]:
-                if sets_frames(line):
-                    self.displaced = self.displacement(line)
-                waiting += [token.text for token in line.tokens if token.text in self.routines]
-
-    def displacement(self, line: Line) -> Uncertain:
-        """Return that a line displaces the moves."""
-        name = line.tokens[0].text.upper()
-        return Uncertain("displaced", name=name, where=self.program.where(Place(line.file, line.tokens[0].start)))
+            self.declare(line)
+        for line in self.lines:
+            self.note(line)
+        home = self.modules[""]["$h_pos"]
+        if not home.uses:  # only the controller reads it, to say whether the robot is where the program calls home
+            self.program.harmless |= {Place(line.file, value[0].start) for value, line in self.values[home, ""]}
+        displacing = _displacing(self.lines, self.routines)
+        if displacing is not None:
+            where = self.program.where(Place(displacing.file, displacing.tokens[0].start))
+            self.displaced = Uncertain("displaced", name=displacing.texts[0].upper(), where=where)
 
     def declare(self, line: Line) -> None:
-        """Note the data, parameters and frames that a line declares."""
+        """Note the data and parameters that a line declares."""
         tokens = line.tokens
-        if line.word in ("def", "deffct") and "(" in (token.text for token in tokens):
-            start = next(index for index, token in enumerate(tokens) if token.text == "(")
-            self.routines.add(tokens[start - 1].text)
-            self.parameters[line.module] |= {token.text for token in tokens[start:] if token.kind == "word"}
-        if tokens[0].text in FRAMES and line.assigned:
-            key = "".join(token.text for token in tokens[: line.assigned])
-            self.frames[key].append(tokens[line.assigned + 1 :])
-            if not (len(key.split("[")) == 2 and key.endswith("]") and key.split("[")[1][:-1].isdigit()):
-                where = self.program.where(Place(line.file, tokens[0].start))
-                self.frames_change = Uncertain("assigned", name=key.upper(), where=where)
-        kind = next((index for index, token in enumerate(tokens[:4]) if token.text in TYPES), len(tokens))
-        prefix = {token.text for token in tokens[:kind]}
+        if line.word in ("def", "deffct") and line.routine:
+            self.parameters[line.module] |= set(line.texts[line.texts.index("(") :])
+        kind = next((index for index, text in enumerate(line.texts[:4]) if text in TYPES), len(tokens))
+        prefix = set(line.texts[:kind])
         if kind > len(tokens) - 2 or prefix - {"decl", "global", "const"}:
             return
-        is_global = "global" in prefix or line.module == "$config"
+        names = self.modules["" if "global" in prefix or line.module in ("$config", "$machine") else line.module]
         for declared in separated(tokens[kind + 1 :], ","):
             if declared:
-                self.add(line, declared, tokens[kind].text, is_global)
-
-    def add(self, line: Line, declared: Tokens, kind: str, is_global: bool) -> None:
-        """Add a datum with its value."""
-        name, place = declared[0].text, Place(line.file, declared[0].start)
-        names = self.modules["" if is_global else line.module]
-        datum = names.setdefault(name, Datum(name, kind, "var", place, not is_global))
-        datum.written.add(place)
-        if datum.place != place:
-            datum.changes.append(Change(place, "redeclared"))
-        if is_word(declared, 1, "="):
-            datum.values.append((declared[2:], line))
+                name, place = declared[0].text, Place(line.file, declared[0].start)
+                datum = names.setdefault(
+                    name, Datum(name, line.texts[kind], "var", place, names is not self.modules[""])
+                )
+                datum.written.add(place)
+                if datum.place != place and name not in SYSTEM:
+                    datum.changes.append(Change(place, "redeclared"))
+                if is_word(declared, 1, "="):
+                    self.values[datum, ""].append((declared[2:], line))
 
     def find(self, name: str, line: Line) -> Datum | None:
         """Return the datum of a name as seen from a line."""
@@ -191,99 +194,111 @@ class _Reader:
 
     def note(self, line: Line) -> None:
         """Note the uses of data in a line, and what may change them."""
-        tokens = line.tokens
-        callers: list[str] = []  # of the brackets that are open
+        tokens, caller = line.tokens, ""
+        if line.assigned and line.texts[: line.assigned] == line.texts[line.assigned + 1 :]:
+            return  # such as $H_POS=$H_POS of the submit interpreter
         for index, token in enumerate(tokens):
-            if token.text in ("(", "[", "{") and token.kind == "sign":
-                callers.append(tokens[index - 1].text if index and token.text == "(" else "")
-            elif token.text in (")", "]", "}") and token.kind == "sign" and callers:
-                callers.pop()
-            if (
-                token.kind == "word"
-                and index > 1
-                and is_word(tokens, index - 1, ".")
-                and is_word(tokens, index - 2, ".")
-            ):
-                self.note_path(line, index)
-            if token.kind != "word" or is_word(tokens, index - 1, "."):
+            if token.kind != "word":
                 continue
-            is_head = line.word in ("def", "deffct", "ext", "extfct", "extp")
-            if is_word(tokens, index + 1, "(") and not is_head and token.text not in QUIET | self.routines:
-                self.program.absent[token.text] = None
-            datum, place = self.find(token.text, line), Place(line.file, token.start)
-            if datum is None or place in datum.written:
-                continue
-            if index == 0 and line.assigned == 1:
-                datum.written.add(place)
-                datum.values.append((tokens[2:], line))
-                continue
-            datum.uses.add(place)
-            is_argument = is_word(tokens, index + 1, ",") or is_word(tokens, index + 1, ")")
-            if index == 0 and line.assigned:
-                datum.changes.append(Change(place, "assigned"))
-            elif callers and callers[-1] and callers[-1] not in QUIET and is_argument:
-                change = Change(place, "argument", callers[-1])
-                (datum.changes if callers[-1] in self.routines else datum.outside).append(change)
-
-    def note_path(self, line: Line, index: int) -> None:
-        """Note the use of a name of another module, as in /R1/P..XP1, which may change it."""
-        token = line.tokens[index]
-        place = Place(line.file, token.start)
-        for names in self.modules.values():
-            if (datum := names.get(token.text)) is not None:
+            if is_word(tokens, index + 1, "(") and token.text not in QUIET and line.word not in HEADS:
+                caller = token.text
+                if caller not in self.routines:
+                    self.program.absent[caller] = None
+            number, end = _indexed(tokens, index)
+            place = Place(line.file, token.start)
+            if not is_word(tokens, index - 1, "."):
+                data = [self.find(token.text, line)]
+            else:  # a component, or a name of another module, as in /R1/P..XP1
+                is_path = is_word(tokens, index - 2, ".")
+                data = [names.get(token.text) for names in self.modules.values()] if is_path else []
+            for datum in data:
+                if datum is None or place in datum.written:
+                    continue
+                if index == 0 and line.assigned == end:
+                    datum.written.add(place)
+                    self.values[datum, number].append((tokens[end + 1 :], line))
+                    continue
                 datum.uses.add(place)
-                if line.word == "import" or index < line.assigned:
+                if index < line.assigned or line.word == "import":
                     datum.changes.append(Change(place, "assigned"))
+                elif caller:
+                    changes = datum.changes if caller in self.routines else datum.outside
+                    changes.append(Change(place, "argument", caller))
 
-    def datum(self, name: str, line: Line) -> Datum:
-        """Return a certain datum. Raises Uncertain."""
-        datum = self.find(name, line)
+    def targets(self, tokens: Tokens, line: Line, depth: int = 0) -> list[tuple[Tokens, int, Uses]]:
+        """Return each {…} that tokens may stand for, with its file and the names on the way. Raises Uncertain."""
+        if is_bracketed(tokens, 0, "{"):
+            return [(tokens, line.file, ())]
+        number, end = _indexed(tokens, 0)
+        if end != len(tokens) or tokens[0].kind != "word":
+            raise Uncertain("run-time")
+        name, datum = tokens[0].text, self.find(tokens[0].text, line)
         if datum is None or name in self.parameters[line.module]:
-            code = "undeclared" if datum is None else "parameter"
+            code = "parameter" if datum is not None else "run-time" if name[0] == "$" else "undeclared"
             raise Uncertain(code, name=name.upper(), kind="parameter")
+        use = datum, Place(line.file, tokens[0].start)
+        targets = self.memo.get((datum, number), lambda: self.targets_of(datum, number, depth))
+        return [(target, file, (use, *uses)) for target, file, uses in targets]
+
+    def targets_of(self, datum: Datum, number: str, depth: int) -> list[tuple[Tokens, int, Uses]]:
+        """Return ``targets`` of a datum, or of an element. Raises Uncertain."""
         certain(self.program, datum, self.surroundings)
-        if not datum.values:
-            raise Uncertain("no-value", name=name.upper())
-        return datum
+        values = self.values[datum, number]
+        if not values:
+            name = f"{datum.name}[{number}]" if number else datum.name
+            raise Uncertain("undeclared" if datum.name in SYSTEM else "no-value", name=name.upper())
+        if depth > DEEPEST:
+            raise Uncertain("deep")
+        targets: list[tuple[Tokens, int, Uses]] = []
+        for tokens, line in values:
+            targets += self.targets(tokens, line, depth + 1)
+            if len(targets) > MOST_TARGETS:
+                raise Uncertain("many", most=MOST_TARGETS)
+        return targets
+
+    def components(self, tokens: Tokens, line: Line) -> dict[str, Tokens]:
+        """Return the components of {X 1, Y 2, …}, or of what a name certainly stands for. Raises Uncertain."""
+        targets = self.targets(tokens, line)
+        if len(targets) > 1:
+            raise Uncertain("several", name=tokens[0].text.upper())
+        return _components(targets[0][0])
 
     def literal(self, tokens: Tokens, file: int) -> Literal:
         """Return the literal {X …, Y …, …} or {A1 …, …}. Raises Uncertain."""
-        components = _components(tokens)
         place = Place(file, tokens[0].start)
         if place not in self.literals:
+            components = _components(tokens)
             names: tuple[str, ...] = AXES if "a1" in components else POSE
             if any(name not in components for name in names):
                 raise Uncertain("partial")
             for name in components:
                 if name[0] == "e" and name not in self.surroundings.unchanged and _number(components[name]):
                     raise Uncertain("axis", name=name)
+            form = Form.DEGREES if names is AXES else Form.ANGLES
             if names is POSE and "t" in components:
                 names = (*POSE, "t")
             numbers = tuple(_number(components[name]) for name in names)
             spans = tuple((components[name][0].start, components[name][-1].end) for name in names)
-            form = Form.DEGREES if names is AXES else Form.ANGLES
             literal = Literal(place, tokens[-1].end, form, numbers, spans)
             check_reach(literal)
             self.literals[place] = literal
         return self.literals[place]
 
-    def frame(self, tokens: Tokens) -> Floats:
-        """Return the pose (4, 4) of TOOL_DATA[n], BASE_DATA[n], $NULLFRAME or {X …}. Raises Uncertain."""
+    def frame(self, tokens: Tokens, subject: str, line: Line) -> Floats:
+        """Return the pose (4, 4) of TOOL_DATA[n], BASE_DATA[n], $NULLFRAME, {X …} or a name. Raises Uncertain."""
         key = "".join(token.text for token in tokens)
-        if key in ("$nullframe", "$world", "tool_data[0]", "base_data[0]"):
+        if key in ROOT_FRAMES:
             return IDENTITY
-        if key.startswith(FRAMES):
-            if self.frames_change is not None:
-                raise self.frames_change.again()
-            short = key.replace("[", "").replace("]", "")
-            if short in self.surroundings.frames and key not in self.frames:
-                return self.surroundings.frames[short]
-            values = self.frames.get(key, [])
-            if len(values) != 1:
-                subject = "tool" if key.startswith("tool") else "base"
-                raise Uncertain("several" if values else "undeclared", name=key.upper(), subject=subject)
-            tokens = values[0]
-        components = _components(tokens)
+        kinematics = self.values.get((self.modules[""]["machine_frame_dat"], key[len("base_data[") : -1]), ())
+        if subject == "base" and any(_number(_components(value).get("mach_def_index", ())) for value, _ in kinematics):
+            raise Uncertain("moved-object")
+        try:
+            components = self.components(tokens, line)
+        except Uncertain as uncertain:
+            pose = self.surroundings.frames.get(key.replace("[", "").replace("]", ""))
+            if pose is not None and uncertain.finding.code == "undeclared":
+                return pose
+            raise uncertain.about(subject) from uncertain
         if any(name not in components for name in POSE):
             raise Uncertain("not-written")
         x, y, z, a, b, c = (_number(components[name]) for name in POSE)
@@ -291,34 +306,42 @@ class _Reader:
 
 
 def _components(tokens: Tokens) -> dict[str, Tokens]:
-    """Return the components of {X 1, Y 2, …}; a type before a colon is left out. Raises Uncertain."""
-    if not is_bracketed(tokens, 0, "{"):
-        raise Uncertain("not-written")
+    """Return the components of {X 1, Y 2, …}; a type before a colon is left out."""
     content = tokens[3:-1] if is_word(tokens, 2, ":") else tokens[1:-1]
     return {component[0].text: component[1:] for component in separated(content, ",") if component}
 
 
 def _number(tokens: Tokens) -> float:
     """Return a plain number. Raises Uncertain."""
-    if (
-        not tokens
-        or len(tokens) > 2
-        or tokens[-1].kind != "number"
-        or tokens[0].text not in ("-", "+", tokens[-1].text)
-    ):
-        raise Uncertain("not-written")
-    number = float(tokens[-1].text)
+    text = "".join(token.text for token in tokens)
+    number = float(text) if tokens and tokens[-1].kind == "number" and len(tokens) < 3 else math.nan
     if not math.isfinite(number):
         raise Uncertain("not-written")
-    return -number if tokens[0].text == "-" else number
+    return number
 
 
-def sets_frames(line: Line) -> bool:
-    """Return whether a line sets the tool or base."""
-    texts = [token.text for token in line.tokens]
-    return texts[0] in ACTIVE | {"fdat_act"} or (
-        texts[:2] == ["bas", "("] and not {"#tool", "#base", "#initmov", *PARAMETERS}.isdisjoint(texts)
-    )
+def _displacing(lines: Sequence[Line], routines: set[str]) -> Line | None:
+    """Return a line that moves all frames, or sets some in a routine that an interrupt or trigger may run at any time."""
+    calls: dict[str, set[str]] = defaultdict(set)
+    reached: set[str] = set()
+    for line in lines:
+        calls[line.routine] |= routines.intersection(line.texts)
+        if line.word in ("interrupt", "trigger") and "do" in line.texts:
+            reached |= routines.intersection(line.texts[line.texts.index("do") :])
+        is_offset = any(
+            text in CORRECTIONS
+            and is_word(line.tokens, index + 1, "=")
+            and not is_word(line.tokens, index + 2, "false")
+            for index, text in enumerate(line.texts)
+        )
+        if is_offset or (line.texts[0] in ROOTS and line.assigned):
+            return line
+    waiting = list(reached)
+    while waiting:
+        called = calls[waiting.pop()] - reached
+        reached |= called
+        waiting += called
+    return next((line for line in lines if line.routine in reached and line.sets_frames), None)
 
 
 # moves
@@ -330,12 +353,15 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
     reader.read()
     active = _ActiveFrames(reader)
     for line in reader.lines:
-        is_call = (is_word(line.tokens, 1, "(") and line.word not in QUIET) or is_word(line.tokens, 1, ":")
-        if is_call or line.word in STEPS:
+        if line.word in MOVES | RELATIVE and line.assigned != 1:
+            if not HERE.issuperset(line.texts[1:2]):
+                _add_move(reader, line, active)
+            continue
+        is_call = is_word(line.tokens, 1, "(") or not reader.routines.isdisjoint(line.texts)
+        is_label = is_word(line.tokens, 1, ":")
+        if line.word in STEPS or is_label or (is_call and line.word not in QUIET):
             active.forget()
             reader.program.steps.append(STEPS.get(line.word, Step.CALL))
-        elif line.word in MOVES | RELATIVE and len(line.tokens) > 1 and line.assigned != 1:
-            _add_move(reader, line, active)
         else:
             active.note(line)
     return reader.program
@@ -343,103 +369,104 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
 
 @dataclass(eq=False)
 class _ActiveFrames:
-    """The tool and base that were set last, ``of_data`` if by FDAT_ACT; why they are not known."""
+    """The tool, base and mode that were set last, and those of FDAT_ACT; why some are not known."""
 
     reader: _Reader
     frames: dict[str, Floats] = field(default_factory=dict)
+    described: dict[str, Floats] = field(default_factory=dict)
+    outside: dict[str, Floats] = field(default_factory=dict)  # of a spline block
     reason: Uncertain = field(default_factory=lambda: Uncertain("frames"))
-    of_data: bool = False
 
     def forget(self) -> None:
-        """Forget both, at a branch, loop or call."""
-        self.frames, self.of_data = {}, False
+        """Forget all, at a branch, loop or call."""
+        self.frames, self.described = {}, {}
+        if not self.reader.is_stationary:
+            self.frames["ipo_mode"] = IDENTITY
 
     def note(self, line: Line) -> None:
-        """Note $TOOL=…, $BASE=…, $IPO_MODE=…, BAS(#TOOL,n), BAS(#BASE,n), FDAT_ACT=… and what else sets frames."""
-        texts = [token.text for token in line.tokens]
+        """Note $TOOL=…, BAS(#TOOL,n), FDAT_ACT=…, BAS(#PTP_PARAMS,n), SPLINE and what else sets frames."""
+        texts, tokens = line.texts, line.tokens
+        command = texts[2] if texts[:2] == ["bas", "("] else ""
         try:
-            if texts[0] in ("$tool", "$base"):
+            if texts[0] in ACTIVE:
                 self.frames.pop(texts[0][1:], None)
-                self.of_data = False
+                self.frames[texts[0][1:]] = self.setting(tokens, line)
+            elif command in ("#tool", "#base"):
+                self.frames.pop(command[1:], None)
+                self.frames[command[1:]] = self.numbered(command[1:], tokens[4:-1], line)
+            elif texts[0] == "fdat_act":
+                self.described = {}
                 if line.assigned == 1:
-                    self.frames[texts[0][1:]] = self.reader.frame(line.tokens[2:])
-            elif texts[:2] == ["bas", "("] and texts[2] in ("#tool", "#base") and len(texts) > 4:
-                self.of_data = False
-                self.numbered(texts[2][1:], texts[4])
-            elif texts[:2] == ["fdat_act", "="]:
-                self.forget()
-                self.described(line)
-            elif (sets_frames(line) or not ACTIVE.isdisjoint(texts)) and not (
-                texts == ["$ipo_mode", "=", "#base"] or (self.of_data and not PARAMETERS.isdisjoint(texts))
-            ):
+                    data = self.reader.components(tokens[2:], line)
+                    self.described = {name: self.numbered(name, data.get(key, ()), line) for name, key in FDAT.items()}
+            elif command in PARAMETERS:
+                self.frames = dict(self.described)
+            elif texts[0] == "spline":
+                self.outside, self.frames = self.frames, {}
+                self.frames = self.within(line, self.outside)
+            elif texts[0] == "endspline":
+                self.frames = self.outside
+            elif line.sets_frames or not ACTIVE.isdisjoint(texts):
                 self.forget()
         except Uncertain as uncertain:
             self.reason = uncertain
 
-    def described(self, line: Line) -> None:
-        """Set both by FDAT_ACT=…. Raises Uncertain."""
-        tokens = line.tokens[2:]
-        if len(tokens) == 1 and tokens[0].kind == "word":
-            values = self.reader.datum(tokens[0].text, line).values
-            if len(values) > 1:
-                raise Uncertain("several", name=tokens[0].text.upper())
-            tokens = values[0][0]
-        components = _components(tokens)
-        if "".join(token.text for token in components.get("ipo_frame", ())) not in ("#base", ""):
+    def setting(self, tokens: Tokens, line: Line) -> Floats:
+        """Return what $TOOL=…, $BASE=… or $IPO_MODE=… sets. Raises Uncertain."""
+        name, value = tokens[0].text[1:], tokens[2:]
+        if not value or tokens[1].text != "=":
+            raise Uncertain("frames")
+        if value[0].text in ("stool", "stool2", "sbase", "sipo_mode"):
+            value = value[2 : closing(value, 1)]
+            if value and value[0].kind == "word":
+                component = value[-1].text if len(value) > 1 else FDAT[name]
+                value = self.reader.components(value[:1], line).get(component, ())
+            return self.numbered(name, value, line)
+        return self.numbered(name, value, line) if name == "ipo_mode" else self.reader.frame(value, name, line)
+
+    def numbered(self, name: str, tokens: Tokens, line: Line) -> Floats:
+        """Return the tool or base of a number; for the mode, whether the robot holds the tool. Raises Uncertain."""
+        text = "".join(token.text for token in tokens)
+        if name != "ipo_mode":
+            return self.reader.frame(tokens_of(KRL, f"{name}_data[{text}]"), name, line)
+        if text not in ("#base", ""):
             raise Uncertain("fixed-tool")
-        for frame in ("tool", "base"):
-            self.numbered(frame, str(int(_number(components.get(f"{frame}_no", ())))))
-        self.of_data = True
+        return IDENTITY
 
-    def numbered(self, frame: str, number: str) -> None:
-        """Set the tool or base of a number."""
-        self.frames.pop(frame, None)
-        self.frames[frame] = self.reader.frame(tokens_of(KRL, f"{frame}_data[{number}]"))
+    def within(self, line: Line, frames: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Return frames with those that the WITH of a line sets. Raises Uncertain."""
+        settings = line.tokens[line.texts.index("with") + 1 :] if "with" in line.texts else ()
+        parts = [setting for setting in separated(settings, ",") if setting and setting[0].text in ACTIVE]
+        return {**frames, **{setting[0].text[1:]: self.setting(setting, line) for setting in parts}}
 
-    def tool_and_base(self) -> tuple[Floats, Floats]:
-        """Return both. Raises Uncertain."""
+    def tool_and_base(self, line: Line) -> tuple[Floats, Floats]:
+        """Return both for a move. Raises Uncertain."""
         if self.reader.displaced is not None:
             raise self.reader.displaced.again()
-        if len(self.frames) < 2:
+        frames = self.within(line, self.frames)
+        if len(frames) < len(FDAT):
             raise self.reason.again()
-        return self.frames["tool"], self.frames["base"]
+        return frames["tool"], frames["base"]
 
 
 def _add_move(reader: _Reader, line: Line, active: _ActiveFrames) -> None:
-    """Add a move."""
+    """Add a move with its goals."""
     tokens, program = line.tokens, reader.program
     move = Move(line.word, Place(line.file, tokens[0].start), tokens[-1].end, line.word in ("lin", "slin"))
     program.moves.append(move)
     program.steps.append(move)
+    end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(tokens))
     try:
         if line.word in RELATIVE:
             raise Uncertain("relative")
-        if not ACTIVE.isdisjoint(token.text for token in tokens):  # WITH $TOOL=…
-            raise Uncertain("frames")
-        arguments = list(separated(tokens[1:], ","))[: 1 + ("circ" in line.word)]
-        for argument in arguments:
-            end = closing(argument, 0) + 1 if is_word(argument, 0, "{") else 1
-            if not argument or (len(argument) > end and argument[end].text in (":", "[", ".")):
-                raise Uncertain("run-time")
-            move.goals += _goals(reader, line, argument[:end], active)
+        for argument in list(separated(tokens[1:end], ","))[: 1 + ("circ" in line.word)]:
+            for target, file, uses in reader.targets(argument, line):
+                literal = reader.literal(target, file)
+                if literal.form.is_joints:
+                    move.goals.append(Goal(Target(literal, uses=uses)))
+                    continue
+                turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
+                move.goals.append(Goal(Target(literal, uses=uses), *active.tool_and_base(line), turns=turns))
+        program.count(move)
     except Uncertain as uncertain:
         move.refuse(uncertain)
-
-
-def _goals(reader: _Reader, line: Line, tokens: Tokens, active: _ActiveFrames) -> list[Goal]:
-    """Return the goals of one argument of a move. Raises Uncertain."""
-    if tokens[0].text == "{":
-        targets = [Target(reader.literal(tokens, line.file))]
-    else:
-        datum = reader.datum(tokens[0].text, line)
-        uses = ((datum, Place(line.file, tokens[0].start)),)
-        targets = [Target(reader.literal(value, of.file), uses=uses) for value, of in datum.values]  # type: ignore[attr-defined]
-    goals = []
-    for target in targets:
-        if target.literal.form.is_joints:
-            goals.append(Goal(target))
-            continue
-        tool, base = active.tool_and_base()
-        numbers = target.literal.numbers
-        goals.append(Goal(target, tool, base, turns=int(numbers[6]) if len(numbers) > 6 else None))
-    return goals
