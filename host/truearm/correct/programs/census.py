@@ -58,30 +58,26 @@ class Census:
                 self._keep(datum, place)
 
     def _keep(self, datum: Datum, use: Place) -> None:
-        """Keep the numbers on the way through a datum, because of a use of it: give its moves numbers of their own."""
+        """Keep the numbers on the way through a datum, because of a use of it: give its moves numbers of their own.
+
+        What holds the numbers of a datum is needed as it is, so the names to which it leads are kept too.
+        """
         waiting = [(datum, use)]
         while waiting:
             datum, use = waiting.pop()
             for move in self._movers.pop(datum, ()):
-                waiting += self._held_by(datum, move)
-                if move.reason is not None or move in self.own:
+                for goal in move.goals:
+                    names = [name for name, _ in goal.target.uses]
+                    if datum in names:
+                        waiting += goal.target.uses[names.index(datum) + 1 :]
+                if not self._shares(move):
                     continue
                 self._released.append(move)
                 if replaceable(move):
                     self.own.add(move)
-                    continue
-                where = self.program.where(use)
-                move.reason = Finding("shared-use", {"name": datum.name, "where": where})
-                waiting += [(other, place) for other, place in self.uses(move) if other in self._movers]
-
-    def _held_by(self, datum: Datum, move: Move) -> list[tuple[Datum, Place]]:
-        """Return the names to which a datum leads: what holds their numbers is needed as it is, so they are too."""
-        held: list[tuple[Datum, Place]] = []
-        for goal in move.goals:
-            names = [name for name, _ in goal.target.uses]
-            if datum in names:
-                held += goal.target.uses[names.index(datum) + 1 :]
-        return [(name, place) for name, place in held if name in self._movers]
+                else:
+                    move.reason = Finding("shared-use", {"name": datum.name, "where": self.program.where(use)})
+                    waiting += self.uses(move)
 
     def settle(self, wanted: dict[Goal, Floats]) -> None:
         """Choose the new pose of each literal; ``wanted``: the pose (4, 4) in its frame of each goal that is a pose.

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple, assert_never
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
-from truearm.correct.programs.program import Form, Goal, Literal, Program
+from truearm.correct.programs.program import Form, Goal, Literal, Move, Program
 from truearm.correct.programs.reasons import reason_text
 from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give
+BYTES = ("utf-8", "surrogateescape")  # bytes that are no UTF-8 stay as they are
 COMMENTS = {"rapid": "!", "urscript": "#", "krl": ";", "ls": "!"}
 
 
@@ -41,31 +42,37 @@ def changes_of(
 
     ``wanted``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
     """
-    changes: dict[tuple[int, int], Change] = {}
-    goals = [goal for goal, _ in census.poses.values()]
-    literals = [goal.target.literal for goal in goals]
-    texts = texts_of_poses(literals, np.array([pose for _, pose in census.poses.values()]).reshape(-1, 4, 4))
-    numbers = [(goal, literal, text) for goal, literal, text in zip(goals, literals, texts, strict=True)]
-    for goal, literal, text in numbers:
-        new_numbers = [*text, *configuration_texts(goal, joints.get(goal))]
-        _add(changes, literal, new_numbers)
+    due: list[tuple[Goal, Floats | None, Move | None]] = [(goal, pose, None) for goal, pose in census.poses.values()]
     for move in census.program.moves:
         for goal in move.goals if move.reason is None else ():
-            literal = goal.target.literal
-            if literal.form.is_joints and not correct_joints:
-                continue
-            if move in census.own:
-                assert goal.argument is not None
-                change = Change(move.place.file, *goal.argument, _literal_text(census.program, goal, wanted, joints))
-                changes[change.file, change.start] = change
-            elif literal.form.is_joints:
-                _add(changes, literal, texts_of_readings(literal, joints[goal].after))
-    return sorted(changes.values())
+            own_move = move if move in census.own else None
+            if goal.target.literal.form.is_joints and correct_joints:
+                due.append((goal, None, own_move))
+            elif own_move is not None and goal in wanted:
+                due.append((goal, wanted[goal], own_move))
+    posed = [(goal.target.literal, pose) for goal, pose, _ in due if pose is not None]
+    pose_texts = iter(texts_of_poses([literal for literal, _ in posed], np.array([pose for _, pose in posed])))
+    changes: set[Change] = set()
+    for goal, pose, own_move in due:
+        literal = goal.target.literal
+        if pose is None:
+            texts = texts_of_readings(literal, joints[goal].after)
+        else:
+            texts = [*next(pose_texts), *configuration_texts(goal, joints.get(goal))]
+        numbers = [(start, end, text) for (start, end), text in zip(literal.spans, texts, strict=False)]
+        if own_move is None:
+            changes.update(Change(literal.place.file, *number) for number in numbers)
+        elif goal.argument is not None:
+            text = _own_text(census.program, literal, numbers)
+            changes.add(Change(own_move.place.file, *goal.argument, text))
+    return sorted(changes)
 
 
-def _add(changes: dict[tuple[int, int], Change], literal: Literal, texts: Sequence[str]) -> None:
-    for (start, end), text in zip(literal.spans, texts, strict=False):
-        changes[literal.place.file, start] = Change(literal.place.file, start, end, text)
+def _own_text(program: Program, literal: Literal, numbers: Iterable[tuple[int, int, str]]) -> str:
+    """Return the text of a literal with other numbers, which replaces the argument of a move."""
+    first = literal.place.offset
+    data = program.files[literal.place.file].data[first : literal.end]
+    return _replaced(data, [(start - first, end - first, text) for start, end, text in numbers]).decode(*BYTES)
 
 
 def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:
@@ -87,35 +94,6 @@ def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:
     return [str(turns)] if turns != goal.turns else []
 
 
-def _literal_text(program: Program, goal: Goal, wanted: Mapping[Goal, Floats], joints: Mapping[Goal, Joints]) -> str:
-    """Return a literal with numbers of its own, which replaces the argument of a move."""
-    literal = goal.target.literal
-    if literal.form.is_joints:
-        texts = texts_of_readings(literal, joints[goal].after)
-    else:
-        texts = [*texts_of_poses([literal], wanted[goal][None])[0], *configuration_texts(goal, joints.get(goal))]
-    data = program.files[literal.place.file].data
-    texts += [data[start:end].decode("latin-1") for start, end in literal.spans[len(texts) :]]
-    match literal.form:
-        case Form.VECTOR:
-            return f"p[{', '.join(texts)}]"
-        case Form.RADIANS:
-            return f"[{', '.join(texts)}]"
-        case Form.ROBTARGET:
-            sizes: tuple[int, ...] = 3, 4, 4, 6
-        case Form.DEGREES:
-            sizes = 6, 6
-        case Form.ANGLES:
-            raise AssertionError("a pose of KRL or LS has no numbers of its own")
-        case _:
-            assert_never(literal.form)
-    groups, first = [], 0
-    for size in sizes:
-        groups.append(f"[{','.join(texts[first : first + size])}]")
-        first += size
-    return f"[{','.join(groups)}]"
-
-
 def marks_of(program: Program) -> list[Change]:
     """Return a comment at the end of each line with a move that is not corrected."""
     reasons: dict[tuple[int, int], list[str]] = {}
@@ -132,14 +110,18 @@ def marks_of(program: Program) -> list[Change]:
 
 def changed_files(program: Program, changes: Iterable[Change]) -> list[bytes]:
     """Return the files of a program with changes of their text. Raises ValueError if two of them overlap."""
-    pieces: list[list[bytes]] = [[] for _ in program.files]
-    offsets = [0] * len(program.files)
-    for change in sorted(changes):
-        if change.start < offsets[change.file]:
+    by_file: list[list[tuple[int, int, str]]] = [[] for _ in program.files]
+    for file, start, end, text in changes:
+        by_file[file].append((start, end, text))
+    return [_replaced(source.data, texts) for source, texts in zip(program.files, by_file, strict=True)]
+
+
+def _replaced(data: bytes, texts: Iterable[tuple[int, int, str]]) -> bytes:
+    """Return data with texts in place of the bytes from a start to an end. Raises ValueError if two overlap."""
+    pieces, offset = [], 0
+    for start, end, text in sorted(texts):
+        if start < offset:
             raise ValueError("two corrections of one place")
-        data = program.files[change.file].data
-        pieces[change.file] += [data[offsets[change.file] : change.start], change.text.encode()]
-        offsets[change.file] = change.end
-    for source, offset, written in zip(program.files, offsets, pieces, strict=True):
-        written.append(source.data[offset:])
-    return [b"".join(written) for written in pieces]
+        pieces += [data[offset:start], text.encode(*BYTES)]
+        offset = end
+    return b"".join([*pieces, data[offset:]])

@@ -8,10 +8,10 @@ from truearm.correct.programs.program import Uncertain
 from truearm.correct.programs.tokens import Tokens, separated
 
 
-def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], float]) -> float | None:
+def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], object]) -> float | None:
     """Return the value of a sum or product, None if tokens are neither. Raises Uncertain.
 
-    ``evaluate`` returns the value of an operand, or raises Uncertain.
+    ``evaluate`` returns the value of an operand, which must be a number, or raises Uncertain.
     """
     for signs in ("+-", "*/"):
         operands = list(separated(tokens, *signs))
@@ -25,7 +25,7 @@ def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], float]) -> float
         if number == 0 and not operand and signs == "+-":
             continue  # the sign of the first operand
         value = evaluate(operand[bool(sign) :])
-        if sign == "/" and not value:
+        if not isinstance(value, float) or (sign == "/" and not value):
             raise Uncertain("run-time")
         if sign == "*":
             total *= value

@@ -6,7 +6,7 @@ This answers two questions: from which targets the robot comes to a target, and 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, TypeVar, assert_never
 
 from truearm.correct.programs.program import Step
@@ -22,7 +22,7 @@ class _Block(Generic[T]):
     step: Step
     number: int
     before: frozenset[T | None]
-    ends: set[T | None] = field(default_factory=set)
+    ends: frozenset[T | None] = frozenset()
 
 
 def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], most: int) -> dict[T, frozenset[T | None]]:
@@ -34,72 +34,48 @@ def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], most: int)
     last: dict[T, frozenset[T | None]] = {}
     for _ in range(MOST_PASSES):
         ends_before = dict(loop_ends)
-        last = _Walk(counts, most, loop_ends).follow(steps)
+        last = _followed(steps, counts, most, loop_ends)
         if loop_ends == ends_before:
             return last
     return dict.fromkeys(last, frozenset([None]))
 
 
-@dataclass(eq=False)
-class _Walk(Generic[T]):
-    """One pass over the steps; ``loop_ends``: what each loop ends with, by the number of its first step, updated."""
+def _followed(
+    steps: Sequence[Step | T], counts: Callable[[T], bool], most: int, loop_ends: dict[int, frozenset[T | None]]
+) -> dict[T, frozenset[T | None]]:
+    """Return the last entries that count before each entry, and note with what each loop ends, by its first step."""
+    unknown: frozenset[T | None] = frozenset([None])
+    last, blocks = unknown, list[_Block[T]]()
+    last_before: dict[T, frozenset[T | None]] = {}
 
-    counts: Callable[[T], bool]
-    most: int
-    loop_ends: dict[int, frozenset[T | None]]
-    blocks: list[_Block[T]] = field(default_factory=list)
-    last: frozenset[T | None] = frozenset([None])
+    def united(*alternatives: frozenset[T | None]) -> frozenset[T | None]:
+        union = frozenset[T | None]().union(*alternatives)
+        return union if len(union) <= most else unknown
 
-    def follow(self, steps: Sequence[Step | T]) -> dict[T, frozenset[T | None]]:
-        """Return the last entries that count before each entry."""
-        last_before: dict[T, frozenset[T | None]] = {}
-        for number, step in enumerate(steps):
-            if isinstance(step, Step):
-                self.enter(step, number)
-                continue
-            last_before[step] = self.united(last_before.get(step, frozenset()), self.last)
-            if self.counts(step):
-                self.last = frozenset([step])
-        return last_before
-
-    def enter(self, step: Step, number: int) -> None:
-        """Follow one step of the structure."""
+    for number, step in enumerate(steps):
+        if not isinstance(step, Step):
+            last_before[step] = united(last_before.get(step, frozenset()), last)
+            last = frozenset([step]) if counts(step) else last
+            continue
         match step:
-            case Step.ROUTINE:
-                self.blocks.append(_Block(step, number, self.last))
-                self.last = frozenset([None])
-            case Step.IF:
-                self.blocks.append(_Block(step, number, self.last))
-            case Step.LOOP:
-                self.last = self.united(self.last, self.loop_ends.setdefault(number, frozenset()))
-                self.blocks.append(_Block(step, number, self.last))
+            case Step.ROUTINE | Step.IF | Step.LOOP:
+                last = united(last, loop_ends.get(number, frozenset()))
+                blocks.append(_Block(step, number, last))
+                last = unknown if step is Step.ROUTINE else last
             case Step.BRANCH:
-                if self.blocks:
-                    self.blocks[-1].ends |= self.last
-                    self.last = self.blocks[-1].before
+                for block in blocks[-1:]:
+                    block.ends, last = block.ends | last, block.before
             case Step.LEAVE:
-                loop = next((block for block in reversed(self.blocks) if block.step is Step.LOOP), None)
-                if loop is not None:
-                    loop.ends |= self.last
+                for block in [block for block in blocks if block.step is Step.LOOP][-1:]:
+                    block.ends |= last
             case Step.END:
-                if self.blocks:
-                    self.leave(self.blocks.pop())
+                for block in [blocks.pop()] if blocks else ():
+                    ends = united(last, block.ends)
+                    if block.step is Step.LOOP:
+                        loop_ends[block.number] = ends
+                    last = block.before if block.step is Step.ROUTINE else united(ends, block.before)
             case Step.CALL:
-                self.last = frozenset([None])
+                last = unknown
             case _:
                 assert_never(step)
-
-    def leave(self, block: _Block[T]) -> None:
-        """Go on after a routine, choice or loop."""
-        if block.step is Step.ROUTINE:
-            self.last = block.before
-            return
-        ends = self.united(self.last, frozenset(block.ends))
-        if block.step is Step.LOOP:
-            self.loop_ends[block.number] = ends
-        self.last = self.united(ends, block.before)
-
-    def united(self, first: frozenset[T | None], second: frozenset[T | None]) -> frozenset[T | None]:
-        """Return all of both; unknown if they are too many."""
-        union = first | second
-        return union if len(union) <= self.most else frozenset([None])
+    return last_before

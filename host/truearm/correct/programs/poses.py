@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import assert_never
 
@@ -18,73 +19,55 @@ UNIT_QUATERNION = 1e-3  # largest deviation of a quaternion's norm from 1
 
 def matrix_of_angles(x: float, y: float, z: float, a: float, b: float, c: float) -> Floats:
     """Return the pose (4, 4) at x, y, z [mm], rotated by a, b, c [deg] about z, the new y and the new x."""
-    pose = np.eye(4)
-    pose[:3, 3] = MM.to_si(np.array([x, y, z]))
-    pose[:3, :3] = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
-    return pose
+    return np.asarray(_poses(Form.ANGLES, np.array([[x, y, z, a, b, c]]))[0])
 
 
 def matrix_of_quaternion(xyz: Sequence[float], quaternion: Sequence[float]) -> Floats:
     """Return the pose (4, 4) at xyz [mm], rotated by a quaternion, scalar first. Raises Uncertain if it is no unit one."""
     check_quaternion(quaternion)
-    pose = np.eye(4)
-    pose[:3, 3] = MM.to_si(np.array(xyz))
-    pose[:3, :3] = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
-    return pose
+    return np.asarray(_poses(Form.ROBTARGET, np.array([[*xyz, *quaternion]]))[0])
 
 
 def check_quaternion(quaternion: Sequence[float]) -> None:
     """Raise Uncertain unless a quaternion has the norm 1."""
-    norm = float(np.linalg.norm(quaternion))
+    norm = math.hypot(*quaternion)
     if not abs(norm - 1.0) <= UNIT_QUATERNION:
         raise Uncertain("quaternion", norm=norm)
 
 
 def check_reach(literal: Literal) -> None:
     """Raise Uncertain for numbers that no robot can reach."""
-    lengths, angles = UNITS["m"].largest, UNITS["rad"].largest
-    bounds: tuple[float, ...]
-    match literal.form:
-        case Form.ROBTARGET:
-            check_quaternion(literal.numbers[3:7])
-            bounds = (MM.of(lengths),) * 3
-        case Form.VECTOR:
-            bounds = (*(lengths,) * 3, *(angles,) * 3)
-        case Form.ANGLES:
-            bounds = (*(MM.of(lengths),) * 3, *(DEG.of(angles),) * 3)
-        case Form.RADIANS:
-            bounds = (angles,) * 6
-        case Form.DEGREES:
-            bounds = (DEG.of(angles),) * 6
-        case _:
-            assert_never(literal.form)
-    for number, bound in zip(literal.numbers, bounds, strict=False):
-        if not abs(number) <= bound:
-            raise Uncertain("range", number=number)
+    if literal.form is Form.ROBTARGET:
+        check_quaternion(literal.numbers[3:7])
+    number, largest = max(literal.numbers[:6], key=abs), UNITS["m"].largest
+    if not abs(number) <= (largest if literal.form in (Form.VECTOR, Form.RADIANS) else MM.of(largest)):
+        raise Uncertain("range", number=number)
 
 
 def poses_of(literals: Sequence[Literal]) -> Floats:
     """Return the poses (n, 4, 4) [m] of literals that are poses."""
     poses = np.tile(np.eye(4), (len(literals), 1, 1))
-    for form in Form:
+    for form in {literal.form for literal in literals if not literal.form.is_joints}:
         rows = [row for row, literal in enumerate(literals) if literal.form is form]
-        if not rows or form.is_joints:
-            continue
-        numbers = np.array([literals[row].numbers[: 7 if form is Form.ROBTARGET else 6] for row in rows])
-        xyz, angles = numbers[:, :3], numbers[:, 3:6]
-        match form:
-            case Form.VECTOR:
-                poses[rows] = pose_of(xyz, angles)
-                continue
-            case Form.ROBTARGET:
-                turn = Rotation.from_quat(np.roll(numbers[:, 3:7], -1, axis=1))
-            case Form.ANGLES:
-                turn = Rotation.from_euler("ZYX", angles, degrees=True)
-            case Form.RADIANS | Form.DEGREES:
-                continue
-            case _:
-                assert_never(form)
-        poses[rows, :3, 3], poses[rows, :3, :3] = MM.to_si(xyz), turn.as_matrix()
+        poses[rows] = _poses(form, np.array([literals[row].numbers[: form.size] for row in rows]))
+    return poses
+
+
+def _poses(form: Form, numbers: Floats) -> Floats:
+    """Return the poses (n, 4, 4) [m] of numbers (n, 6 or 7)."""
+    poses = np.tile(np.eye(4), (len(numbers), 1, 1))
+    poses[:, :3, 3], angles = MM.to_si(numbers[:, :3]), numbers[:, 3:]
+    match form:
+        case Form.VECTOR:
+            return pose_of(numbers[:, :3], angles)
+        case Form.ROBTARGET:
+            poses[:, :3, :3] = Rotation.from_quat(np.roll(angles, -1, axis=1)).as_matrix()
+        case Form.ANGLES:
+            poses[:, :3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
+        case Form.RADIANS | Form.DEGREES:
+            raise ValueError("joint readings are no pose")
+        case _:
+            assert_never(form)
     return poses
 
 
@@ -110,7 +93,7 @@ def texts_of_poses(literals: Sequence[Literal], poses: Floats) -> list[list[str]
     for form in {literal.form for literal in literals}:
         rows = [row for row, literal in enumerate(literals) if literal.form is form]
         turn = Rotation.from_matrix(poses[rows, :3, :3])
-        old = np.array([literals[row].numbers[3 : 7 if form is Form.ROBTARGET else 6] for row in rows])
+        old = np.array([literals[row].numbers[3 : form.size] for row in rows])
         xyz = poses[rows, :3, 3]
         match form:
             case Form.VECTOR:

@@ -45,21 +45,20 @@ T = TypeVar("T")
 class Memo:
     """Values and failures of names, each computed once: names that lead to themselves end as "deep"."""
 
-    values: dict[object, Any] = field(default_factory=dict)
-    failures: dict[object, Finding] = field(default_factory=dict)
+    results: dict[object, Any] = field(default_factory=dict)
 
     def get(self, key: object, compute: Callable[[], T]) -> T:
         """Return the value of a key, computed if it is not known yet. Raises Uncertain."""
-        if key not in self.values:
-            if key in self.failures:
-                raise Uncertain(self.failures[key].code, **self.failures[key].values)
-            self.failures[key] = Finding("deep")
+        if key not in self.results:
+            self.results[key] = Finding("deep")  # while it is computed
             try:
-                self.values[key] = compute()
+                self.results[key] = compute()
             except Uncertain as uncertain:
-                self.failures[key] = uncertain.finding
-                raise
-        value: T = self.values[key]
+                self.results[key] = uncertain.finding
+        result = self.results[key]
+        if isinstance(result, Finding):
+            raise Uncertain(result.code, **result.values)
+        value: T = result
         return value
 
 
@@ -83,6 +82,11 @@ class Form(StrEnum):
     def is_joints(self) -> bool:
         """Whether the numbers are joint readings."""
         return self in (Form.RADIANS, Form.DEGREES)
+
+    @property
+    def size(self) -> int:
+        """How many numbers determine the pose or the joints."""
+        return 7 if self is Form.ROBTARGET else 6
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,13 @@ The files are read together, and nothing is followed: a name has all values that
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from truearm.correct.programs.program import (
     Change,
     Datum,
-    Literal,
     Memo,
     Place,
     Program,
@@ -22,55 +21,32 @@ from truearm.correct.programs.program import (
     Uncertain,
 )
 from truearm.correct.programs.program import certain as certain_in_program
-from truearm.correct.programs.rapid_words import AIMLESS, BY_NAME, FUNCTIONS, MOVES, QUIET, READERS, SEARCHES
-from truearm.correct.programs.tokens import (
-    RAPID,
-    Source,
-    Token,
-    Tokens,
-    closing,
-    depth_change,
-    is_word,
-    separated,
-    tokens_of,
-    words,
-)
+from truearm.correct.programs.rapid_words import BY_NAME, DISPLACING, LANGUAGE, LOADING, READERS, SEARCHES
+from truearm.correct.programs.tokens import RAPID, Source, Tokens, closing, is_word, separated, tokens_of, words
 
 ROUTINE_ENDS = words("endproc endfunc endtrap endmodule endrecord")
-STRUCTURE: dict[str, tuple[Step, tuple[str, ...]]] = {  # the step of each word, and what ends its expression
-    "if": (Step.IF, ("then", ";")),
-    "test": (Step.IF, ("case", "default", "endtest")),
-    "while": (Step.LOOP, ("do", ";")),
-    "for": (Step.LOOP, ("do", ";")),
-    "elseif": (Step.BRANCH, ("then", ";")),
-    "case": (Step.BRANCH, (":", ";")),
-    **dict.fromkeys(("else", "default"), (Step.BRANCH, ())),
-    **dict.fromkeys(("endif", "endfor", "endwhile", "endtest"), (Step.END, ())),
-    **dict.fromkeys(("error", "undo", "backward"), (Step.CALL, ())),  # from anywhere in the routine
+STEPS = {
+    **dict.fromkeys(("if", "test"), Step.IF),
+    **dict.fromkeys(("while", "for"), Step.LOOP),
+    **dict.fromkeys(("elseif", "case", "else", "default"), Step.BRANCH),
+    **dict.fromkeys(("endif", "endfor", "endwhile", "endtest"), Step.END),
+    **dict.fromkeys(("error", "undo", "backward"), Step.CALL),  # from anywhere in the routine
 }
+EVALUATING = words("if elseif test case while for")  # an expression follows
+ENDS = ROUTINE_ENDS | words("; : then do case default endtest")  # of a statement or expression
+SKIPPED = ENDS | words("local task")
 OPERATORS = words("and or xor not div mod")
-DISPLACING = words("pdispon pdispset eoffson eoffsset")
-CONTROL = words("return goto raise exit stop retry trynext connect exitcycle break")
-LOADING = words("load startload waitload callbyvar")
 RECORDS = words("robtarget jointtarget tooldata wobjdata")  # types with several values of one name
-LANGUAGE = frozenset(MOVES) | QUIET | FUNCTIONS | READERS | CONTROL | AIMLESS | DISPLACING | BY_NAME
 
 
-@dataclass(eq=False)
-class Routine:
-    """A routine with its parameters (name and mode, "" for by value), and the data declared in it."""
-
-    name: str
-    parameters: list[tuple[str, str]] = field(default_factory=list)
-    names: dict[str, Datum] = field(default_factory=dict)
+Parameters = list[tuple[str, str]]  # of a routine: name and mode, "" for by value
 
 
 class Scope(NamedTuple):
-    """From where names are looked up."""
+    """From where names are looked up: a file, and the data of each block around, the innermost first."""
 
     file: int
-    module: str
-    routine: Routine | None
+    blocks: tuple[dict[str, Datum], ...]
 
 
 class Statement(NamedTuple):
@@ -85,29 +61,26 @@ class Statement(NamedTuple):
 class Task:
     """The modules of a task.
 
-    ``outline``: the statements with the structure around them. ``displaced``: why no pose of the task is certain.
-    ``by_name``: why no variable is. ``unwatched``: ConfL or ConfJ is switched off somewhere. ``locked``: axis 4 is.
-    ``persistents``: data that all tasks of a controller share.
+    ``modules``: the data of each. ``shared``: those that all modules see. ``outline``: the statements with the
+    structure around them. ``displaced``: why no pose of the task is certain. ``by_name``: why no variable is.
+    ``is_unwatched``: ConfL or ConfJ is off somewhere. ``persistents``: data that all tasks of a controller share.
     """
 
     program: Program
     surroundings: Surroundings
-    modules: dict[str, dict[str, Datum]] = field(default_factory=dict)
-    routines: dict[str, list[Routine]] = field(default_factory=lambda: defaultdict(list))
-    outline: list[Step | Statement] = field(default_factory=list)
+    modules: list[dict[str, Datum]] = field(default_factory=list)
     shared: dict[str, list[Datum]] = field(default_factory=lambda: defaultdict(list))
-    external: dict[str, Datum] = field(default_factory=dict)
+    routines: dict[str, list[Parameters]] = field(default_factory=lambda: defaultdict(list))
+    outline: list[Step | Statement] = field(default_factory=list)
     displaced: Uncertain | None = None
     by_name: Uncertain | None = None
-    unwatched: bool = False
-    locked: bool = False
-    literals: dict[Place, Literal] = field(default_factory=dict)
+    is_unwatched: bool = False
     memo: Memo = field(default_factory=Memo)
     persistents: list[Datum] = field(default_factory=list)
 
-    def statements(self) -> Iterator[Statement]:
-        """Yield all statements."""
-        return (entry for entry in self.outline if isinstance(entry, Statement))
+    def is_foreign(self, name: str, scope: Scope) -> bool:
+        """Return whether a name is neither a word of the language nor in the files."""
+        return name not in LANGUAGE and name not in self.routines and find(self, name, scope) is None
 
 
 def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
@@ -117,204 +90,156 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
         tokens = tokens_of(RAPID, source.text)
         task.program.names.update(token.text for token in tokens if token.kind == "word")
         _ModuleReader(task, number, tokens).read()
-    for names in task.modules.values():
-        task.program.declared.update(names)
-        for name, datum in names.items():
+    for data in task.modules:
+        task.program.declared.update(data)
+        for name, datum in data.items():
             if not datum.local:
                 task.shared[name].append(datum)
     for name in surroundings.frames:  # declared elsewhere, but these files may change it
         if name not in task.shared:
-            task.external[name] = Datum(name, "", "pers", Place(0, 0))
-    for statement in task.statements():
-        _note_uses(task, statement)
-        if statement.is_instruction:
-            _note_instruction(task, statement)
+            task.shared[name] = [Datum(name, "", "external", Place(0, 0))]
+    for statement in task.outline:
+        if isinstance(statement, Statement):
+            _note_uses(task, statement)
+            if statement.is_instruction:
+                _note_instruction(task, statement)
+    if surroundings.strict and task.program.absent:
+        task.displaced = task.displaced or Uncertain("absent-routine", name=next(iter(task.program.absent)))
     return task
 
 
+@dataclass(eq=False)
 class _ModuleReader:
-    """Reads the statements and declarations of one file."""
+    """Reads the statements and declarations of one file; ``compact``: the number of IF without THEN around."""
 
-    def __init__(self, task: Task, file: int, tokens: Tokens) -> None:
-        self.task, self.file, self.tokens = task, file, tokens
-        self.index = 0
-        self.module = ""
-        self.routine: Routine | None = None
-        self.compact = False  # the next statement belongs to an IF without THEN
+    task: Task
+    file: int
+    tokens: Tokens
+    index: int = 0
+    blocks: tuple[dict[str, Datum], ...] = ()
+    compact: int = 0
 
     def read(self) -> None:
         """Read the file."""
-        tokens = self.tokens
+        tokens, outline = self.tokens, self.task.outline
+        self.begin_module()
         while self.index < len(tokens):
-            modifier = ""
-            if tokens[self.index].text in ("local", "task") and self.index + 1 < len(tokens):
-                modifier = tokens[self.index].text
-                self.index += 1
             token = tokens[self.index]
-            read = _READERS_BY_WORD.get(token.text) if token.kind == "word" else _ModuleReader.other
-            if token.text in ("const", "var", "pers"):
-                self.declaration(modifier)
-            elif read is None:
-                self.instruction()
-            else:
-                read(self)
+            word = token.text if token.kind == "word" else ""
+            self.index += 1
+            if word == "module":
+                self.begin_module()
+                self.skip_name()
+            elif word in ("proc", "func", "trap"):
+                self.begin_routine(word)
+            elif word == "record":
+                while self.index < len(tokens) and tokens[self.index].text not in ROUTINE_ENDS:
+                    self.index += 1
+            elif word in ROUTINE_ENDS:
+                outline += [Step.END] * (len(self.blocks) > 1)
+                self.blocks = self.blocks[-1:]
+            elif word in ("const", "var", "pers"):
+                self.declaration(
+                    word, is_word(tokens, self.index - 2, "task"), is_word(tokens, self.index - 2, "local")
+                )
+            elif word in STEPS:
+                outline.append(STEPS[word])
+                self.structure(word)
+            elif word and is_word(tokens, self.index, ":"):
+                outline.append(Step.CALL)  # GOTO may come from anywhere
+            elif (word and word not in SKIPPED) or (token.text == "%" and len(self.blocks) > 1):
+                self.index -= 1
+                self.add(self.end(), is_instruction=True)
+                outline += [Step.END] * self.compact
+                self.compact = 0
 
-    def until(self, *ends: str) -> int:
-        """Return the index of the next of these tokens, or of a word that ends a routine."""
+    def end(self) -> int:
+        """Return the index of the next token that ends a statement."""
         index, tokens = self.index, self.tokens
-        while index < len(tokens) and tokens[index].text not in ends:
-            if tokens[index].kind == "word" and tokens[index].text in ROUTINE_ENDS:
-                break
+        while index < len(tokens) and tokens[index].text not in ENDS:
             index += 1
         return index
 
-    def add(self, tokens: Tokens, is_instruction: bool = False) -> None:
-        """Add a statement."""
-        if tokens:
-            scope = Scope(self.file, self.module, self.routine)
-            self.task.outline.append(Statement(tokens, scope, is_instruction))
+    def add(self, end: int, is_instruction: bool = False) -> None:
+        """Add the tokens up to ``end`` as a statement."""
+        if end > self.index:
+            scope = Scope(self.file, self.blocks)
+            self.task.outline.append(Statement(self.tokens[self.index : end], scope, is_instruction))
+            self.index = end
 
-    def step(self, step: Step) -> None:
-        """Add a step of the structure, and go on."""
-        self.task.outline.append(step)
-        self.index += 1
+    def begin_module(self) -> None:
+        """Begin a module."""
+        self.blocks = ({},)
+        self.task.modules.append(self.blocks[0])
 
-    def start_module(self) -> None:
-        """Read MODULE name(attributes)."""
-        self.index += 1
-        name = self.tokens[self.index].text if self.index < len(self.tokens) else ""
-        self.module = name if name not in self.task.modules else f"{name} {self.file}"
-        self.task.modules[self.module] = {}
+    def skip_name(self) -> None:
+        """Go on after a name and the brackets that follow it."""
         self.index += 1
         if is_word(self.tokens, self.index, "("):
             self.index = closing(self.tokens, self.index) + 1
 
-    def end_routine(self) -> None:
-        """Leave a routine or a module."""
-        if self.routine is not None:
-            self.task.outline.append(Step.END)
-        self.routine = None
-        self.index += 1
+    def begin_routine(self, word: str) -> None:
+        """Begin PROC, FUNC or TRAP, and read its parameters."""
+        self.index += word == "func"
+        first = self.index
+        self.skip_name()
+        self.task.outline.append(Step.ROUTINE)
+        parameters: Parameters = []
+        data: dict[str, Datum] = {}
+        for parameter in separated(self.tokens[first + 2 : self.index - 1], ",", "\\", "|"):
+            names = [token for token in parameter if token.kind == "word"]
+            if names:
+                name, mode = names[-1].text, names[0].text
+                parameters.append((name, mode if mode in ("inout", "var", "pers") else ""))
+                data[name] = Datum(name, "", "parameter", Place(self.file, names[-1].start))
+        if first < len(self.tokens):
+            self.task.routines[self.tokens[first].text].append(parameters)
+        self.blocks = (data, self.blocks[-1])
 
-    def record(self) -> None:
-        """Skip the components of RECORD."""
-        self.index += 1
-        self.index = self.until() + 1
-
-    def start_routine(self) -> None:
-        """Read the head of PROC, FUNC or TRAP."""
-        kind = self.tokens[self.index].text
-        self.step(Step.ROUTINE)
-        self.index += kind == "func"
-        name = self.tokens[self.index].text if self.index < len(self.tokens) else ""
-        self.routine = Routine(name)
-        self.task.routines[name].append(self.routine)
-        self.index += 1
-        if kind != "trap" and is_word(self.tokens, self.index, "("):
-            end = closing(self.tokens, self.index)
-            self.parameters(self.routine, self.tokens[self.index + 1 : end])
-            self.index = end + 1
-
-    def parameters(self, routine: Routine, tokens: Tokens) -> None:
-        """Read the parameters of a routine."""
-        for parameter in separated(tokens, ",", "\\", "|"):
-            words = [token for token in parameter if token.kind == "word"]
-            if words:
-                mode = words[0].text if words[0].text in ("inout", "var", "pers") else ""
-                name = words[-1].text
-                routine.parameters.append((name, mode))
-                routine.names[name] = Datum(name, "", "parameter", Place(self.file, words[-1].start))
-
-    def declaration(self, modifier: str) -> None:
+    def declaration(self, kind: str, is_task: bool, is_local: bool) -> None:
         """Read CONST, VAR or PERS."""
-        end = self.until(";")
-        kind, tokens = self.tokens[self.index].text, self.tokens[self.index + 1 : end]
-        self.index = end + is_word(self.tokens, end, ";")
+        end = self.end()
+        tokens = self.tokens[self.index : end]
+        self.index = min(self.index + 2, end)
         if len(tokens) < 2:
             return
-        sign = next((index for index, token in enumerate(tokens) if token.text == ":="), len(tokens))
+        sign = next((index for index, token in enumerate(tokens) if token.text == ":="), end)
         name, place = tokens[1].text, Place(self.file, tokens[1].start)
-        scope = Scope(self.file, self.module, self.routine)
-        array = is_word(tokens, 2, "{")
-        datum = Datum(name, tokens[0].text, kind, place, modifier == "local" or self.routine is not None, array)
+        is_local |= len(self.blocks) > 1
+        datum = Datum(name, tokens[0].text, kind, place, is_local)
         if tokens[sign + 1 :]:
-            datum.values.append((tokens[sign + 1 :], scope))
-        names = self.routine.names if self.routine else self.task.modules.setdefault(self.module, {})
-        if names.setdefault(name, datum) is not datum:
-            names[name].changes.append(Change(place, "redeclared"))
-        if kind == "pers" and not modifier and not datum.local:
+            datum.values.append((tokens[sign + 1 :], Scope(self.file, self.blocks)))
+        if self.blocks[0].setdefault(name, datum) is not datum:
+            self.blocks[0][name].changes.append(Change(place, "redeclared"))
+        if kind == "pers" and not is_task and not is_local:
             self.task.persistents.append(datum)
-        self.add(tokens[2:])
+        self.add(end)
 
-    def structure(self) -> None:
-        """Read a word that begins, continues or ends a block, with its expression.
+    def structure(self, word: str) -> None:
+        """Read the expression of a word that begins, continues or ends a block.
 
-        An IF without THEN has one statement, which begins where an operand follows an operand.
+        The data of a FOR are seen in it alone. An IF without THEN has one statement, which begins where an operand
+        follows an operand.
         """
-        word = self.tokens[self.index].text
-        step, ends = STRUCTURE[word]
-        self.task.outline.append(step)
-        self.index += 1
-        if word == "for" and self.routine is not None and self.index < len(self.tokens):
-            name, place = self.tokens[self.index].text, Place(self.file, self.tokens[self.index].start)
-            self.routine.names.setdefault(name, Datum(name, "num", "counter", place))
+        tokens = self.tokens
+        if word == "for" and self.index < len(tokens):
+            name, place = tokens[self.index].text, Place(self.file, tokens[self.index].start)
+            self.blocks = ({name: Datum(name, "", "counter", place)}, *self.blocks)
             self.index += 1
-        if not ends:
-            return
-        end = self.until(*ends)
-        self.compact = word == "if" and not is_word(self.tokens, end, "then")
-        if self.compact:
-            end = _statement_begin(self.tokens, self.index, end)
-        self.add(self.tokens[self.index : end])
-        self.index = end + (
-            not self.compact and end < len(self.tokens) and self.tokens[end].text in (":", ";", "then", "do")
-        )
+        elif word == "endfor" and len(self.blocks) > 2:
+            self.blocks = self.blocks[1:]
+        if word in EVALUATING:
+            end = self.end()
+            if word == "if" and not is_word(tokens, end, "then"):
+                self.compact += 1
+                end = next((index for index in range(self.index + 1, end) if self.begins_statement(index)), end)
+            self.add(end)
 
-    def other(self) -> None:
-        """Skip a sign; read the call of a routine whose name is a text: %"name"% arguments."""
-        if self.tokens[self.index].text == "%" and self.routine is not None:
-            self.instruction()
-        else:
-            self.index += 1
-
-    def instruction(self) -> None:
-        """Read an instruction, an assignment or a label."""
-        if is_word(self.tokens, self.index + 1, ":"):
-            self.step(Step.CALL)  # GOTO may come from anywhere
-            return
-        end = self.until(";")
-        self.add(self.tokens[self.index : end], is_instruction=True)
-        self.index = max(end, self.index + 1)
-        if self.compact:
-            self.compact = False
-            self.task.outline.append(Step.END)
-
-
-_READERS_BY_WORD = {
-    "module": _ModuleReader.start_module,
-    "record": _ModuleReader.record,
-    **dict.fromkeys(ROUTINE_ENDS, _ModuleReader.end_routine),
-    **dict.fromkeys(("proc", "func", "trap"), _ModuleReader.start_routine),
-    **dict.fromkeys(STRUCTURE, _ModuleReader.structure),
-}
-
-
-def _statement_begin(tokens: Tokens, start: int, end: int) -> int:
-    """Return the index of the word that follows an operand directly, outside brackets; ``end`` if there is none."""
-    depth = 0
-    for index in range(start + 1, end):
-        depth += depth_change(tokens[index - 1])
-        if not depth and _begins_statement(tokens[index - 1], tokens[index]):
-            return index
-    return end
-
-
-def _begins_statement(before: Token, token: Token) -> bool:
-    """Return whether a word follows an operand directly."""
-    if token.kind != "word" or token.text in OPERATORS:
-        return False
-    is_name = before.kind == "word" and before.text not in OPERATORS
-    return is_name or before.kind in ("number", "text") or before.text in (")", "]", "}")
+    def begins_statement(self, index: int) -> bool:
+        """Return whether a word follows an operand."""
+        before, token = self.tokens[index - 1], self.tokens[index]
+        is_operand = (before.kind != "sign" and before.text not in OPERATORS) or before.text in (")", "]", "}")
+        return is_operand and token.kind == "word" and token.text not in OPERATORS
 
 
 # names and what may change them
@@ -322,16 +247,14 @@ def _begins_statement(before: Token, token: Token) -> bool:
 
 def find(task: Task, name: str, scope: Scope) -> Datum | None:
     """Return the datum of a name as seen from a scope: the routine's, the module's, or one of another module."""
-    if scope.routine is not None and name in scope.routine.names:
-        return scope.routine.names[name]
-    own = task.modules.get(scope.module, {}).get(name)
-    if own is not None:
-        return own
+    for block in scope.blocks:
+        if name in block:
+            return block[name]
     data = task.shared.get(name, ())
-    if len(data) > 1 and not data[0].changes:
+    if len(data) > 1 and not any(change.code == "ambiguous" for change in data[0].changes):
         for datum, other in zip(data, [*data[1:], data[0]], strict=True):
             datum.changes.append(Change(other.place, "ambiguous"))
-    return data[0] if data else task.external.get(name)
+    return data[0] if data else None
 
 
 def certain(task: Task, datum: Datum) -> None:
@@ -341,29 +264,15 @@ def certain(task: Task, datum: Datum) -> None:
         raise task.by_name.again()
 
 
-def is_place(tokens: Tokens) -> bool:
-    """Return whether tokens are a name with indexes and components, to which something may be assigned."""
-    index = 1
-    while index < len(tokens):
-        if tokens[index].text == "{":
-            index = closing(tokens, index) + 1
-        elif tokens[index].text == "." and index + 1 < len(tokens):
-            index += 2
-        else:
-            return False
-    return bool(tokens) and tokens[0].kind == "word"
-
-
 def arguments_of(tokens: Tokens) -> tuple[list[Tokens], dict[str, Tokens]]:
     """Return the arguments in their order, and the optional ones (``\\Name:=value``, ``\\Name``) by name."""
     positional: list[Tokens] = []
     optional: dict[str, Tokens] = {}
-    for number, argument in enumerate(separated(tokens, ",", "\\")):
-        if argument and argument[0].text == "\\":
-            if len(argument) > 1:
-                optional[argument[1].text] = argument[2 + is_word(argument, 2, ":=") :]
-        elif argument or number:
+    for argument in filter(None, separated(tokens, ",", "\\")):
+        if argument[0].text != "\\":
             positional.append(argument)
+        elif len(argument) > 1:
+            optional[argument[1].text] = argument[2 + is_word(argument, 2, ":=") :]
     return positional, optional
 
 
@@ -380,65 +289,52 @@ def _note_uses(task: Task, statement: Statement) -> None:
             end = closing(tokens, index + 1)
             if end == len(tokens):  # what it may change is not known
                 task.by_name = Uncertain("deep")
-            else:
-                _note_call(task, scope, token.text, tokens[index + 2 : end])
+            _note_call(task, scope, token.text, tokens[index + 2 : end])
 
 
 def _note_instruction(task: Task, statement: Statement) -> None:
     """Note what an instruction or assignment changes, and what it does to all moves."""
     tokens, scope = statement.tokens, statement.scope
-    sign = next((index for index, token in enumerate(tokens) if token.text == ":="), 0)
-    if sign and is_place(tokens[:sign]):
-        _note_assignment(task, statement, sign)
+    name, place = tokens[0].text, Place(scope.file, tokens[0].start)
+    if len(tokens) > 1 and tokens[1].text in (":=", "{", "."):
+        datum = find(task, name, scope)
+        if datum is not None and tokens[1].text == ":=" and datum.type in RECORDS:
+            datum.values.append((tokens[2:], scope))
+            datum.uses.discard(place)
+        elif datum is not None:
+            datum.changes.append(Change(place, "assigned"))
         return
-    name, where = tokens[0].text, task.program.where(Place(scope.file, tokens[0].start))
     if name == "%":
         task.program.absent["a routine called by a text (%…%)"] = None
-        end = next((index for index, token in enumerate(tokens) if index and token.text == "%"), 0)
-        _note_call(task, scope, "%", tokens[end + 1 :])
-        return
-    if len(tokens) > 1 and is_place(tokens) and name not in task.routines:
-        return
+        tokens = tokens[max(index for index, token in enumerate(tokens) if token.text == "%") :]
+    elif name in LOADING:
+        task.program.absent[name] = None
     _note_call(task, scope, name, tokens[1:])
+    where, texts = task.program.where(place), {token.text for token in tokens}
     if name in DISPLACING:
         task.displaced = task.displaced or Uncertain("displaced", name=name, where=where)
+    if name == "singarea" and "lockaxis4" in texts:
+        task.displaced = task.displaced or Uncertain("locked-axis")
     if name in BY_NAME:
         task.by_name = Uncertain("by-name", name=name, where=where)
-    words = {token.text for token in tokens[1:]}
-    task.unwatched |= name in ("confl", "confj") and "off" in words
-    task.locked |= name == "singarea" and "lockaxis4" in words
-    if name in LOADING:
-        task.program.absent[name] = None
-
-
-def _note_assignment(task: Task, statement: Statement, sign: int) -> None:
-    """Note an assignment: one more value of a whole datum, or a change of a part of it."""
-    tokens, scope = statement.tokens, statement.scope
-    datum = find(task, tokens[0].text, scope)
-    if datum is None:
-        return
-    place = Place(scope.file, tokens[0].start)
-    if sign == 1 and datum.type in RECORDS and not datum.array:
-        datum.values.append((tokens[2:], scope))
-        datum.uses.discard(place)
-    else:
-        datum.changes.append(Change(place, "assigned"))
+    task.is_unwatched |= name in ("confl", "confj") and "off" in texts
 
 
 def _note_call(task: Task, scope: Scope, function: str, tokens: Tokens) -> None:
     """Note which arguments a call of an instruction or function may change."""
     routines = task.routines.get(function, ())
-    is_absent = not routines and function not in LANGUAGE and find(task, function, scope) is None
-    if is_absent and function != "%":
+    is_absent = function != "%" and task.is_foreign(function, scope)
+    if is_absent:
         task.program.absent[function] = None
-    if not routines and function in READERS - SEARCHES:
+    if not routines and function in READERS:
         return
     positional, optional = arguments_of(tokens)
     if function in SEARCHES and not routines:
         positional, optional = positional[1:2], {}
     by_key: list[tuple[int | str, Tokens]] = [*enumerate(positional), *optional.items()]
     for key, argument in by_key:
-        if not is_place(argument) or (routines and all(_takes_value(routine, key) for routine in routines)):
+        is_place = argument and argument[0].kind == "word" and not is_word(argument, 1, "(")
+        if not is_place or (routines and all(_takes_value(parameters, key) for parameters in routines)):
             continue
         datum = find(task, argument[0].text, scope)
         if datum is not None and datum.kind != "const":
@@ -446,8 +342,8 @@ def _note_call(task: Task, scope: Scope, function: str, tokens: Tokens) -> None:
             (datum.outside if is_absent else datum.changes).append(change)
 
 
-def _takes_value(routine: Routine, key: int | str) -> bool:
+def _takes_value(parameters: Parameters, key: int | str) -> bool:
     """Return whether a routine takes an argument, by its number or name, by value."""
     if isinstance(key, str):
-        return dict(routine.parameters).get(key, "?") == ""
-    return key < len(routine.parameters) and not any(mode for _, mode in routine.parameters)
+        return dict(parameters).get(key, "?") == ""
+    return key < len(parameters) and not any(mode for _, mode in parameters)

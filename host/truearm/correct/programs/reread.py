@@ -6,7 +6,7 @@ moves share, a move that was lost (docs/decisions/0031).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -40,37 +40,24 @@ def difference(
     pairs: list[tuple[Move, Goal, Goal]] = []
     for old, new in zip(before.moves, after.moves, strict=True):
         uncertain = bool(old.reason and not old.goals)
-        if old.name != new.name or len(old.goals) != len(new.goals) or uncertain != (new.reason is not None):
+        forms = [[goal.target.literal.form for goal in move.goals] for move in (old, new)]
+        if old.name != new.name or forms[0] != forms[1] or uncertain != (new.reason is not None):
             return f"{before.where(old.place)}: the corrected move has other targets"
         pairs += [(old, first, second) for first, second in zip(old.goals, new.goals, strict=True)]
-    return next(_differences(before, pairs, wanted, joints, joints_change), "")
-
-
-def _differences(
-    program: Program,
-    pairs: Sequence[tuple[Move, Goal, Goal]],
-    wanted: Mapping[Goal, Floats],
-    joints: Mapping[Goal, Joints],
-    joints_change: bool,
-) -> Iterator[str]:
-    """Yield the differences of moves with goals."""
     posed = [pair for pair in pairs if not pair[1].target.literal.form.is_joints]
-    if any(goal.target.literal.form.is_joints for _, _, goal in posed):
-        yield "a pose became joint readings"
-        return
-    due = target_poses([goal for _, goal, _ in posed])
+    due, actual = target_poses([goal for _, goal, _ in posed]), target_poses([goal for _, _, goal in posed])
     for row, (move, goal, _) in enumerate(posed):
         if move.reason is None:
             due[row] = wanted[goal]
-    actual = target_poses([goal for _, _, goal in posed])
     distances = np.abs(apart(actual, due)).max(axis=1) if posed else np.zeros(0)
     for (move, goal, again), distance in zip(posed, distances, strict=True):
         same = np.array_equal(goal.tool, again.tool) and np.array_equal(goal.frame, again.frame)
         if not distance <= CLOSE or not same:
-            yield f"{program.where(move.place)}: the corrected move misses its target by {distance:.3g} m or rad"
+            return f"{before.where(move.place)}: the corrected move misses its target by {distance:.3g} m or rad"
     for move, goal, again in pairs:
         if goal.target.literal.form.is_joints:
             changed = joints_change and move.reason is None
             readings = joints[goal].after if changed else readings_of(goal.target.literal)
             if not np.abs(readings_of(again.target.literal) - readings).max() <= CLOSE:
-                yield f"{program.where(move.place)}: the corrected move has other joint readings"
+                return f"{before.where(move.place)}: the corrected move has other joint readings"
+    return ""

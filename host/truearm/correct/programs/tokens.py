@@ -19,7 +19,7 @@ DEPTH = {**dict.fromkeys("([{", 1), **dict.fromkeys(")]}", -1)}
 
 
 class Token(NamedTuple):
-    """A word, number, text, sign or newline with its bytes. Words of RAPID and KRL are in lower case."""
+    """A word, number, text, sign, newline or row of numbers ([1,2,3] in RAPID) with its bytes. Words of RAPID and KRL are in lower case."""
 
     kind: str
     text: str
@@ -29,11 +29,12 @@ class Token(NamedTuple):
 
 Tokens = Sequence[Token]
 
-_NUMBER = r"(?P<number>(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?\d++)?)"
+_DIGITS = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
+_NUMBER = rf"(?P<number>{_DIGITS})"
 _FLAGS = re.VERBOSE | re.ASCII | re.DOTALL | re.MULTILINE
 RAPID = re.compile(
     rf"""(?:\s++|![^\r\n]*+|%%%.*?%%%)++|(?P<text>"(?:[^"\r\n]|"")*+"?)|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)
-    |(?P<sign>:=|<>|<=|>=|.)""",
+    |(?P<row>\[\s*+[-+]?+{_DIGITS}(?:\s*+,\s*+[-+]?+{_DIGITS})*+\s*+\])|(?P<sign>:=|<>|<=|>=|.)""",
     _FLAGS,
 )
 URSCRIPT = re.compile(
