@@ -115,7 +115,7 @@ def test_a_table_whose_time_began_with_the_controller(recorded, tmp_path, out):
     table = csv_of(tmp_path / "joints.csv", "t_s", recorded.t, recorded.q)
     zero_ns = recorded.result.survey.joints.clocks[0].to_host_ns(np.array([0.0]))[0]
     zero = repr(1e-9 * float(zero_ns - recorded.begin_ns))
-    assert main(["session", "add-joints", str(recorded.bare), str(table), "--zero", zero, "--out", str(out)]) == 0
+    assert main(["session", "add-joints", str(recorded.bare), str(table), "--zero-s", zero, "--out", str(out)]) == 0
     check(recorded, out)
 
 
@@ -152,8 +152,8 @@ class TestWhatIsWrong:
 
     def test_a_time_that_is_no_utc(self, recorded, tmp_path, out, capsys):
         table = csv_of(tmp_path / "other.csv", "t_s", recorded.t, recorded.q)
-        assert "at which the controller's time was 0 with --zero" in self.fails(capsys, out, recorded.bare, table)
-        assert "is --zero right?" in self.fails(capsys, out, recorded.bare, table, "--zero", "1e8")
+        assert "at which the controller's time was 0 with --zero-s" in self.fails(capsys, out, recorded.bare, table)
+        assert "is --zero-s right?" in self.fails(capsys, out, recorded.bare, table, "--zero-s", "1e8")
 
     def test_a_row_in_the_middle(self, recorded, table, out, capsys):
         table.write_text(table.read_text() + "1,2,3\n")

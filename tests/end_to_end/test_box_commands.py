@@ -97,7 +97,7 @@ def test_configuration_by_file_and_by_value(device, tmp_path, capsys):
         (["gauge", "magnetostrictive"], 2, "its stream is off"),
         (["gauge", "lvdt", "--unit", "parsec"], 2, "--unit 'parsec' is not one of mm, um, in"),
         (["gauge", "lvdt", "--order", "9"], 2, "order"),
-        (["monitor", "--duration", "0"], 2, "is not a duration"),
+        (["monitor", "--duration-s", "0"], 2, "is not a duration"),
     ],
 )
 def test_bad_input_is_one_line(arguments, code, says, tmp_path, monkeypatch, capsys):
@@ -113,8 +113,19 @@ def test_no_box_there(capsys):
     assert box("info", "--box", "/dev/gone") == 1
     assert "not found; plug the box in" in capsys.readouterr().err
     assert box("info", "--box", "ftp://x") == 2
-    assert box("info") == 2
-    assert "--box" in capsys.readouterr().err
+    assert box("info") == 1
+    assert "no box is plugged in" in capsys.readouterr().err
+
+
+def test_the_box_that_is_plugged_in_is_tested(monkeypatch, capsys):
+    """As record does, without --box."""
+    with served() as (device, _, _):
+        port = ports.UsbPort(device, "2e8a:0005", "", "MicroPython", True)
+        monkeypatch.setattr(ports, "find_boxes", lambda: [port])
+        assert box("test") in (0, 1)
+    out, err = capsys.readouterr()
+    assert f"box: {device}" in err
+    assert "passed" in out
 
 
 @pytest.mark.parametrize(
@@ -189,7 +200,7 @@ def test_the_monitor_shows_values_and_ends_with_its_time(capsys):
     world = Stage(mag_period_ns=MAG_PERIOD_NS)
     world.position = 0.0123
     with served(world) as (device, _, _):
-        assert box("monitor", "--box", device, "--duration", "3.5") == 0
+        assert box("monitor", "--box", device, "--duration-s", "3.5") == 0
         assert box("config", "get", "--box", device) == 0  # it was stopped
     lines = capsys.readouterr().out.splitlines()
     shown = [line for line in lines if line.startswith("time ")]
@@ -232,7 +243,7 @@ def on_a_terminal(command):
 
 def test_on_a_terminal_the_monitor_keeps_to_its_place():
     with served() as (device, _, _):
-        command = [sys.executable, "-m", "truearm", "box", "monitor", "--box", device, "--duration", "4"]
+        command = [sys.executable, "-m", "truearm", "box", "monitor", "--box", device, "--duration-s", "4"]
         done, shown = on_a_terminal(command)
     assert (done.returncode, done.stderr) == (0, b"")
     assert shown.count("transverse_b") >= 2

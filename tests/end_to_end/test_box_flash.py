@@ -63,7 +63,7 @@ def test_a_drive_that_is_there_is_written_to(tmp_path, no_ports, capsys):
     assert box("flash", path, "--drive", drive, "--no-check") == 0
     assert (drive / "box.uf2").read_bytes() == path.read_bytes()
     assert "without the box's firmware" in capsys.readouterr().out
-    assert box("flash", path, "--drive", drive, "--timeout", 0) == 1
+    assert box("flash", path, "--drive", drive, "--timeout-s", 0) == 1
     assert "no box answered" in capsys.readouterr().err
 
 
@@ -199,7 +199,7 @@ def test_the_real_mpremote_and_a_real_micropython(tmp_path):
 
     with served(pty=True, power_on=ChipBox, clock=clock) as (device, _, shown):
         before = json.loads(typed("info", "--box", device, "--json", tries=5))  # it boots
-        said = typed("flash", "--stock", "--box", device, "--timeout", "60")
+        said = typed("flash", "--stock", "--box", device, "--timeout-s", "60")
         assert said.splitlines()[-1].endswith(f"firmware {__version__} on rp2040")
         after = json.loads(typed("info", "--box", device, "--json"))
         assert after["boot_id"] != before["boot_id"]

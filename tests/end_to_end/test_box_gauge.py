@@ -41,7 +41,7 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         lines = [*((mm, f"{mm}") for mm in references), (3.0, "7"), "undo", "seven", "", "y"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
         by = ("--instrument", "micrometer 164-163", "--uncertainty-um", "2", "--operator", "A. B.")
-        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.3", "--serial", "LV-1", *by) == 0
+        assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--serial", "LV-1", *by) == 0
         said = capsys.readouterr().out
         assert "dropped place 13" in said
         assert "'seven' is not a reading; type the reading of the reference in mm, such as 12.5" in said
@@ -81,7 +81,7 @@ def test_references_from_a_file_and_no_at_the_end(tmp_path, monkeypatch, capsys)
     with served() as (device, world, _):
         lines = [*((mm, "") for mm in (-20, -10, 0, 10, 20)), "s", "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        options = ["--references", table, "--seconds", "0.2", "--out", page, "--order", "1"]
+        options = ["--references", table, "--sample-s", "0.2", "--out", page, "--order", "1"]
         assert box("gauge", "lvdt", "--box", device, *options) == 0
         said = capsys.readouterr().out
         assert "1 of 6: set -20.0000 mm, then Enter" in said
@@ -101,7 +101,7 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         first = [*((mm, f"{mm}") for mm in (-20, -10, 0)), "", "999", "-200"]
         then = [(10, "10"), (20, "20"), "", "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*first, *then]))
-        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2", "--order", "1") == 0
+        assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1") == 0
         said = capsys.readouterr().out
         assert "places measured: 3; a calibration needs 5 or more, over the whole travel. Measure the next one" in said
         assert "999.0000 mm and -20.0000 mm are 1019.0000 mm apart, more than the sensor's stroke of 100 mm" in said
@@ -118,7 +118,7 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n")
         lines = ["no", (-20, ""), "q", *((mm, "") for mm in (-10, 0, 10, 20)), "n"]
         monkeypatch.setattr(sys, "stdin", Operator(world, lines))
-        more = ("--references", table, "--seconds", "0.2", "--order", "1", "--force")
+        more = ("--references", table, "--sample-s", "0.2", "--order", "1", "--force")
         assert box("gauge", "lvdt", "--box", device, *more) == 0
         said = capsys.readouterr().out
         assert "places measured: 1; a calibration needs 5" in said
@@ -132,7 +132,7 @@ def test_a_magnetostrictive_head_is_calibrated(tmp_path, monkeypatch, capsys):
     with served(world) as (device, _, _):
         lines = [(mm, f"{mm + 300}") for mm in (-100, -50, 0, 50, 100)]
         monkeypatch.setattr(sys, "stdin", Operator(world, [*lines, ""]))
-        assert box("gauge", "magnetostrictive", "--box", device, "--seconds", "0.5", "--yes") == 0
+        assert box("gauge", "magnetostrictive", "--box", device, "--sample-s", "0.5", "--yes") == 0
         capsys.readouterr()
         assert box("config", "get", "--box", device) == 0
         said = capsys.readouterr().out
@@ -152,13 +152,13 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
     world.magnet = False
     with served(world) as (device, _, _):
         monkeypatch.setattr(sys, "stdin", Operator(world, ["1", ""]))
-        assert box("gauge", "magnetostrictive", "--box", device, "--seconds", "0.2") == 2
+        assert box("gauge", "magnetostrictive", "--box", device, "--sample-s", "0.2") == 2
         said = capsys.readouterr()
         assert "stop pulses are missing; is the magnet on the rod?" in said.out
         assert "places measured: 0; a calibration needs 5 or more" in said.err
         world.POLY = (0.0, 1e-3, 0.0)  # 1.5 mm are 1.5 V, beyond the converter
         monkeypatch.setattr(sys, "stdin", Operator(world, [(1.5, "1.5"), ""]))
-        assert box("gauge", "lvdt", "--box", device, "--seconds", "0.2") == 2
+        assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.2") == 2
         assert "at the end of the converter's range" in capsys.readouterr().out
 
 
@@ -251,7 +251,7 @@ def test_places_outlive_a_run_that_ends_early(tmp_path, number):
     """The next run of the same command continues from them, and both together give what one run does."""
     kept = tmp_path / "gauge-lvdt.places.toml"
     with served() as (device, world, _):
-        command = ("lvdt", "--box", device, "--seconds", "0.3", "--order", "2")
+        command = ("lvdt", "--box", device, "--sample-s", "0.3", "--order", "2")
         first = AtTheBox(tmp_path, *command)
         first.until(QUESTION)
         at_places(first, world, [-30, -15, 0, 3])
@@ -297,7 +297,7 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
     table = tmp_path / "steps.csv"
     table.write_text("reference_mm\n-20\n-10\n0\n10\n20\n0.1\n-20\n")
     with served() as (device, world, _):
-        command = ("gauge", "lvdt", "--box", device, "--seconds", "0.2", "--order", "1", "--references", table)
+        command = ("gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1", "--references", table)
         monkeypatch.setattr(sys, "stdin", Operator(world, [(-20, ""), (-10, ""), "s", "q", "q"]))
         assert box(*command) == 2
         said = capsys.readouterr()
@@ -358,7 +358,7 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
     places = [-10, -5, 0, 5, 10]
     stage = stages.Stage(3)
     with served(stage) as (device, _, _):
-        command = ["gauge", "lvdt", "--box", device, "--seconds", "0.3", "--order", "2", "--yes"]
+        command = ["gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--order", "2", "--yes"]
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
         assert box(*command) == 2
         said = capsys.readouterr()

@@ -94,5 +94,16 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
         for result in ("geometry.json", "laws.json")
     ]
     assert verdicts[1]["rms_after_mm"] < 0.5 * verdicts[0]["rms_after_mm"]
-    run("map", "laws.json", "--picture", "map.svg")
-    run("export", "laws.json", "--format", "ur", "--over", "check.csv", "--out", "laws.yaml", "--curves", "curves.csv")
+    run("map", "laws.json", "--picture-out", "map.svg")
+    run(
+        "export",
+        "laws.json",
+        "--format",
+        "ur",
+        "--over",
+        "check.csv",
+        "--out",
+        "laws.yaml",
+        "--curves-out",
+        "curves.csv",
+    )

@@ -141,7 +141,7 @@ def plan(walk, out, bar, *more):
 def test_from_a_plan_to_a_corrected_program(walk):
     short, long = bench.RIGS[walk.name].bars
     # plan, measure few, identify
-    told = plan(walk, "few.csv", short, "--poses", 40, "--program", "few.script", "--program", "few.mod")
+    told = plan(walk, "few.csv", short, "--poses", 40, "--program-out", "few.script", "--program-out", "few.mod")
     assert told["rank"] == told["free"]
     # meanwhile, where the robot is real time's: another day's session, to judge by
     plan(walk, "other.csv", short, "--poses", 25, "--seed", 9, "--criterion", "D")
@@ -224,7 +224,7 @@ def exported(walk):
 
 def mapped(walk):
     said = walk.typed(
-        "map", "result.json", "--out", "map.csv", "--picture", "map.svg", "--task", "100x100", "--cell", 40
+        "map", "result.json", "--out", "map.csv", "--picture-out", "map.svg", "--task", "100x100", "--cell-mm", 40
     )
     assert "Best place for a task of 100x100 mm" in said
     assert Path("map.svg").read_text().startswith("<svg")

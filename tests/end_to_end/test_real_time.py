@@ -48,7 +48,7 @@ def test_recorded_over_a_real_port(simulator, tmp_path):
     """Eleven seconds: the box's samples, the robot's lines, clocks, and at least one dwell with the right length."""
     assert "MicroPython" in simulator.head
     session = tmp_path / "session.mcap"
-    done = truearm_process(*simulator.record, "--duration", 12, timeout_s=60)
+    done = truearm_process(*simulator.record, "--duration-s", 12, timeout_s=60)
     assert done.returncode == 0, done.stderr
     report = truearm("inspect", session)
     assert report.returncode == 0, report.stderr
@@ -103,6 +103,6 @@ def test_kill_loses_a_second_at_most(simulator, tmp_path):
     refused = truearm("inspect", session)
     assert refused.returncode == 2
     assert len(refused.stderr.strip().splitlines()) == 1
-    allowed = truearm("inspect", session, "--allow-truncated")
+    allowed = truearm("inspect", session, "--allow-damaged")
     assert allowed.returncode == 0, allowed.stderr
     assert "adc" in allowed.stdout

@@ -31,7 +31,7 @@ def test_everything_is_there_or_counted(tmp_path, rate, seconds, poses):
     """Every sample that the box took, by its own count, is in the file or in the account of losses."""
     simulator = Simulator(tmp_path, "--pty", "--poses", str(poses))
     try:
-        done = truearm_process(*simulator.record, "--rate", rate, "--duration", seconds, timeout_s=seconds + 60)
+        done = truearm_process(*simulator.record, "--rate", rate, "--duration-s", seconds, timeout_s=seconds + 60)
     finally:
         simulator.stop()
     # the end may fall into a dwell, which is then too short (code 4); nothing else is wrong

@@ -117,7 +117,7 @@ def test_cable_and_network(tmp_path, monkeypatch):
     out = tmp_path / "s.mcap"
     try:
         address = f"tcp://127.0.0.1:{robot.number}"
-        assert main(["record", "--address", address, "--duration", "12", "--out", str(out)]) == 0
+        assert main(["record", "--address", address, "--duration-s", "12", "--out", str(out)]) == 0
     finally:
         stop.set()
         thread.join(20)

@@ -88,7 +88,7 @@ def test_both_rigs_may_be_given_and_are_saved_with_the_rows(days, tmp_path):
     write_rig(tmp_path / "m.toml", standard_rig())
     write_rig(tmp_path / "t.toml", moved_rig())
     rigs = ("--rig", f"monday={tmp_path / 'm.toml'}", "--rig", f"tuesday={tmp_path / 't.toml'}")
-    result = identified(days, *rigs, "--save-table", tmp_path / "all.csv")
+    result = identified(days, *rigs, "--table-out", tmp_path / "all.csv")
     assert result["rms_after_mm"] == identified(days)["rms_after_mm"]
     assert set(read_table(tmp_path / "all.csv").rig) == {"monday", "tuesday"}
     again = truearm("identify", tmp_path / "all.csv", "--model", "puma560", *rigs, "--json")

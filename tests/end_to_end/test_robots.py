@@ -16,7 +16,7 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
     simulator = Simulator(tmp_path, "--protocol", "rtde", "--poses", "9")
     try:
         assert any(word.startswith("rtde://127.0.0.1:") for word in simulator.record)
-        done = truearm_process(*simulator.record, "--duration", 4, timeout_s=60)
+        done = truearm_process(*simulator.record, "--duration-s", 4, timeout_s=60)
     finally:
         simulator.stop()
     assert done.returncode == 0, done.stderr

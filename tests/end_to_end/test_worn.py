@@ -20,7 +20,7 @@ from truearm_sim.lab import Lab
 from truearm_sim.world import standard_rig
 
 ROBOT = ("--model", "puma560")
-PLAN = ("plan", "characterize", *ROBOT, "--poses", 2, "--rounds", 2, "--long-s", 4)
+PLAN = ("plan", "characterize", *ROBOT, "--poses", 2, "--rounds", 2, "--long-dwell-s", 4)
 
 
 @pytest.fixture

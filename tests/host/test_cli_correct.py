@@ -96,7 +96,7 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
     residuals = bench.folder / f"residuals-{name}.csv"
-    more = ("--home", home(bench), "--residuals", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
+    more = ("--home", home(bench), "--residuals-out", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
     code, said, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err
     assert said.splitlines()[-2:] == [f"Written: {out}", f"Written: {residuals}"]
@@ -186,7 +186,7 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         offset[2, 3] = 1e-3 * float(tool.split(",")[2])
         (tmp_path / "t.csv").write_text(table(bench.targets @ offset, bench.q))
         arguments = ("correct", bench.folder / "result.json", tmp_path / "t.csv", "--tool", tool, "--force")
-        files = ("--out", tmp_path / "o.csv", "--residuals", tmp_path / "r.csv", "--report", tmp_path / "r.html")
+        files = ("--out", tmp_path / "o.csv", "--residuals-out", tmp_path / "r.csv", "--report", tmp_path / "r.html")
         _, said, _ = run(capsys, *arguments, *files)
         _, document, _ = run(capsys, *arguments, *files, "--json")
         document = json.loads(document)

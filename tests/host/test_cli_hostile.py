@@ -19,7 +19,7 @@ CORRECT = "correct result.json targets.csv --out new.csv"
 PLAN = "plan ballbar --model irb120 --rig irb120.toml --poses 36 --bar bar25 --candidates 60 --out new.csv"
 LINE = "plan line --model irb120 --rig irb120.toml --lines 2 --candidates 4 --length-mm 200 --out new.csv"
 EXPORT = "export result.json --format urdf --out new.urdf"
-MAP = "map result.json --out new.csv --picture new.svg"
+MAP = "map result.json --out new.csv --picture-out new.svg"
 VALIDATE = "validate result.json rows.csv --rig rig.toml"
 REPLAN = PLAN.replace("irb120", "puma560").replace("puma560.toml", "rig.toml").replace("bar25", "short")
 HEAD = "x_mm,y_mm,z_mm"
@@ -223,7 +223,7 @@ OPTIONS = {
     f"{PLAN} --measured rows.csv": "'short' is not in the rig",
     f"{PLAN} --out irb120.toml": "already an input",
     f"{PLAN} --out nope/x.csv": "the folder nope does not exist",
-    f"{PLAN} --program new.csv": "already an input or output",
+    f"{PLAN} --program-out new.csv": "already an input or output",
     f"{LINE} --length-mm nan": "--length-mm",
     f"{LINE} --rig-out irb120.toml": "already an input",
     f"{LINE.replace('--lines 2', '--minutes 1')}": "a budget of 1 min is too small: placing the device takes 180 s",
@@ -231,9 +231,9 @@ OPTIONS = {
     f"{MAP} --at 1e300,0,0,0,0,0": "joint 1 is 1e+300 deg, outside its limits",
     f"{MAP} --at 0,0,0,0,999,0": "joint 5 is 999 deg, outside its limits",
     f"{MAP} --task 1e9x1": "needs width and height",
-    f"{MAP} --cell nan": "--cell",
-    "map result.json --out new --picture new": "already an input or output",
-    f"{MAP} --picture result.json": "already an input",
+    f"{MAP} --cell-mm nan": "--cell-mm",
+    "map result.json --out new --picture-out new": "already an input or output",
+    f"{MAP} --picture-out result.json": "already an input",
     f"{EXPORT} --adjust nope*": "--adjust nope*: matches no parameter",
     f"{EXPORT} --adjust *.gain": "leaves no parameter",
     f"{EXPORT} --over targets.csv": "has no column 'kind'",
@@ -243,7 +243,7 @@ OPTIONS = {
     f"{CORRECT} --work 1e9,0,0,0,0,0": "--work",
     f"{CORRECT} --margin nan": "--margin",
     f"{CORRECT} --margin 1.0": "too near a singularity",
-    f"{CORRECT} --residuals new.csv": "already an input or output",
+    f"{CORRECT} --residuals-out new.csv": "already an input or output",
     f"{CORRECT} --steps 3": "--steps: 3 has no effect with method newton; leave it out, or use method false-target or joints",
     f"{CORRECT} --split": "moves that need different numbers of one target always get their own",
     f"{CORRECT} --strict": "targets.csv: is a table, and --strict is for programs; leave it out",

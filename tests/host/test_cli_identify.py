@@ -180,7 +180,7 @@ def test_several_tables_are_one_and_save_table_writes_it(run: Run, good: list[ob
     table = read_table(Path(str(first)))
     again = replace(table, value=table.value + SIGMA * np.random.default_rng(8).normal(size=len(table)))
     write_table(second, again, ("rad",) * 6)
-    both = json.loads(run(good[0], first, second, *good[2:], "--save-table", saved, "--json").out)
+    both = json.loads(run(good[0], first, second, *good[2:], "--table-out", saved, "--json").out)
     assert both["n_observations"] == 180
     back = read_table(saved, ("rad",) * 6)
     np.testing.assert_array_equal(back.q, np.concatenate([table.q, table.q]))

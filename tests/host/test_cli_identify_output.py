@@ -138,8 +138,8 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
     mine.write_text('{"my": "notes"}')
     for more, text in (
         (["--out", table], "is already an input"),
-        (["--save-table", table], "is already an input"),
-        (["--out", tmp_path / "x", "--save-table", tmp_path / "x"], "is named for two outputs"),
+        (["--table-out", table], "is already an input"),
+        (["--out", tmp_path / "x", "--table-out", tmp_path / "x"], "is named for two outputs"),
         (["--out", mine], "is not a file that this command writes"),
         ([table], "is given twice"),
     ):

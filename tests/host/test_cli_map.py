@@ -35,7 +35,7 @@ def result(tmp_path_factory, estimate):
 def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     """(31) at the joints of every row, the end in its cell, in the plane, elbow up."""
     out, picture = tmp_path / "map.csv", tmp_path / "map.svg"
-    code, said, err = run("map", result, "--out", out, "--picture", picture, "--cell", 40, "--task", "300x200")
+    code, said, err = run("map", result, "--out", out, "--picture-out", picture, "--cell-mm", 40, "--task", "300x200")
     assert code == 0, err
     rows = list(csv.DictReader(out.open()))
     assert len(rows) > 300
@@ -55,7 +55,7 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
     assert len(squares) == len(rows) + 60  # and the scale
     assert "Best place for a task of 300x200 mm: x " in said
-    code, said, err = run("map", result, "--cell", 40, "--task", "300x200", "--json")
+    code, said, err = run("map", result, "--cell-mm", 40, "--task", "300x200", "--json")
     assert code == 0, err
     document = json.loads(said)
     errors = np.array([float(row["error_mm"]) for row in rows])
@@ -158,10 +158,13 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--task", "9x9", "--within", "9:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
         (("map", result, "--task", "9x9", "--within", "nan:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
         (("map", result, "--within", "0:1,0:1"), "--within needs --task"),
-        (("map", result, "--cell", "0.1"), "--cell"),
+        (("map", result, "--cell-mm", "0.1"), "--cell-mm"),
         (("map", tmp_path / "bad.json"), "null_space: item 1: weights: item 1: 'much' is not a number"),
-        (("map", result, "--picture", tmp_path / "a.png"), "a.png: would be written as .svg; give a name that ends in"),
-        (("map", result, "--picture", tmp_path / "mine.svg"), "exists and is not a file that this command writes"),
+        (
+            ("map", result, "--picture-out", tmp_path / "a.png"),
+            "a.png: would be written as .svg; give a name that ends in",
+        ),
+        (("map", result, "--picture-out", tmp_path / "mine.svg"), "exists and is not a file that this command writes"),
     ]
     for arguments, says in cases:
         code, said, err = run(*arguments)
@@ -187,6 +190,6 @@ def test_a_map_has_no_holes_and_its_cells_are_at_their_middles(cell):
 
 
 def test_too_many_cells_are_refused(result, run):
-    code, _, err = run("map", result, "--cell", "1")
+    code, _, err = run("map", result, "--cell-mm", "1")
     assert code == 2
     assert "choose larger cells" in err

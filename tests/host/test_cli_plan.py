@@ -34,7 +34,7 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     """The documented path: 36 poses on the design, identified; the second plan on the better model counts them."""
     rig = str(folder / "rig.toml")
     plan, script = folder / "plan.csv", folder / "plan.script"
-    assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--out", str(plan), "--program", str(script)]) == 0
+    assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--out", str(plan), "--program-out", str(script)]) == 0
     said = capsys.readouterr().out
     assert "36 poses" in said
     assert "rank 30" in said
@@ -100,7 +100,7 @@ LINES = ("--model", "irb120", "--lines", "2", "--candidates", "6", "--length-mm"
 def test_lines_are_planned(folder, capsys):
     """The plan file is for record, the rig with the lines for record and identify, the program drives what the plan says."""
     out, rig, script = (folder / name for name in ("lines.csv", "lines.toml", "lines.script"))
-    written = ("--out", str(out), "--rig-out", str(rig), "--program", str(script))
+    written = ("--out", str(out), "--rig-out", str(rig), "--program-out", str(script))
     assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written]) == 0
     said = capsys.readouterr().out
     assert "plan2" in said
@@ -176,7 +176,7 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
         (["--result", "missing.json"], "missing.json"),
         (["--measured", "missing.csv"], "missing.csv"),
         (["--out", "-"], "-: is not a file name"),
-        (["--program", "x.txt"], "programs cannot be written as '.txt'"),
+        (["--program-out", "x.txt"], "programs cannot be written as '.txt'"),
         (
             ["--poses", "61"],
             "61 poses cannot be chosen from 60 candidates; ask for fewer --poses or more --candidates",
@@ -196,9 +196,9 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, 
     assert message in said[0]
 
 
-@pytest.mark.parametrize("option", ["--out", "--rig-out", "--program"])
+@pytest.mark.parametrize("option", ["--out", "--rig-out", "--program-out"])
 def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, option):
-    suffix = {"--out": ".csv", "--rig-out": ".toml", "--program": ".script"}[option]
+    suffix = {"--out": ".csv", "--rig-out": ".toml", "--program-out": ".script"}[option]
     own, precious = folder / f"own{option}{suffix}", folder / f"precious{suffix}"
     precious.write_text("precious")
     given = ("plan", "line", *LINES, "--rig", str(folder / "rig.toml"), option)
@@ -247,7 +247,7 @@ def test_a_language_that_the_robot_cannot_use_is_told_before_the_planning(folder
     branch = "-150:150,-95:95,-80:80,-165:-25,-150:150,25:165,-160:160"
     common = ["plan", "ballbar", "--model", "panda", f"--branch={branch}", "--rig", str(folder / "rig.toml")]
     plan, script = folder / "seven.csv", folder / "seven.script"
-    assert main([*common, "--poses", "36", "--out", str(plan), "--program", str(script)]) == 2
+    assert main([*common, "--poses", "36", "--out", str(plan), "--program-out", str(script)]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "URScript programs have six joints, the robot has 7; give a program that ends in .csv" in said

@@ -15,7 +15,7 @@ from truearm.results import Unusable
 COMMANDS = {
     "export": ["--format", "dh-hayati", "--out", "robot.toml"],
     "correct": ["targets.csv", "--home", "0,-45,90,0,45,0", "--own-frames", "--out", "corrected.csv"],
-    "map": ["--cell", "60", "--out", "map.csv"],
+    "map": ["--cell-mm", "60", "--out", "map.csv"],
 }
 
 
@@ -58,6 +58,6 @@ def test_results_of_earlier_versions_say_only_whether_they_converged(folder, run
     for later in ("checksum", "usable", "unusable_because", "explanations"):
         del document[later]
     bad.write_text(json.dumps(document | {"format_version": 2}))
-    code, _, err = run("map", bad, "--cell", "60")
+    code, _, err = run("map", bad, "--cell-mm", "60")
     assert code == 2
     assert "(not converged)" in err

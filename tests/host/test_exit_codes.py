@@ -58,12 +58,13 @@ def test_a_file_that_is_not_there_is_wrong_input_and_a_box_a_failure(run, words,
     """Of every command that needs one or the other."""
     needed = [one for one in COMMANDS[words].params if one.required]
     files = [one for one in needed if one.name in ("rig", "plan", "file") or one.param_type_name == "argument"]
-    box = [one for one in needed if one.name == "device"]
+    talks = words[0] == "box" and words[-1] not in ("list", "flash")
+    box = [one for one in COMMANDS[words].params if one.name == "box" and talks]
     if not files and not box:
         return
     arguments = []
-    for one in needed:
-        value = {"robot": "puma560", "device": "socket://127.0.0.1:1"}.get(one.name, tmp_path / "none" / "absent")
+    for one in needed + box:
+        value = {"model": "puma560", "box": "socket://127.0.0.1:1"}.get(one.name, tmp_path / "none" / "absent")
         arguments += [value] if one.param_type_name == "argument" else [one.opts[0], value]
     outcome = run(*words, *arguments)
     allowed = [ExitCode.INPUT] * bool(files) + [ExitCode.FAILED] * bool(box)  # whichever is looked for first

@@ -62,7 +62,7 @@ def test_recording(disk, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG + "".join(f"# {random.Random(k).getrandbits(256):x}\n" for k in range(150)))
     with box_on_a_socket(waits=True) as (box, device):
-        arguments = ["--unchecked", "--box", device, "--rig", rig, "--out", disk.path / "s.mcap", "--duration", "30"]
+        arguments = ["--unchecked", "--box", device, "--rig", rig, "--out", disk.path / "s.mcap", "--duration-s", "30"]
         done = disk.run("record", *arguments)
         sent = box.sent
     assert done.returncode == 4, done.stderr

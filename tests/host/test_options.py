@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 import typer
 
+from truearm.cli import command as declaration
 from truearm.cli.main import command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
+from truearm.workflows.plan import BallBarOptions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
 ROWS = {
@@ -19,12 +21,12 @@ ROWS = {
 }
 
 
-def commands(command=None, name="truearm"):
+def commands(tree=None, name="truearm"):
     """Every command that is not a group, by what is typed."""
-    command = command or command_tree()
-    below = getattr(command, "commands", None)
+    tree = tree or command_tree()
+    below = getattr(tree, "commands", None)
     if below is None:
-        return {name: command}
+        return {name: tree}
     return {key: one for word, sub in below.items() for key, one in commands(sub, f"{name} {word}").items()}
 
 
@@ -44,7 +46,7 @@ def test_an_option_of_several_commands_has_one_kind_of_value():
     """Where the page does not name it: what it takes is the same anyway."""
     takes = {}
     for name, word, one in options():
-        if word.startswith("--") and word not in ROWS and not name.startswith("truearm box"):
+        if word.startswith("--") and word not in ROWS and not one.is_flag and not name.startswith("truearm box"):
             takes.setdefault(word, {}).setdefault(str(one.metavar), []).append(name)
     assert {word for word, kinds in takes.items() if len(kinds) > 1} == {"--format"}  # each writes formats of its own
 
@@ -68,6 +70,8 @@ def test_every_word_of_the_page_is_an_option():
             "--rig takes a rig file (.toml); choose what is simulated with truearm demo --experiment",
         ),
         ("identify t.csv --model puma560 --rig line", "--rig takes a rig file (.toml)"),
+        ("identify t.csv --save-table x.csv", "--save-table is now --table-out"),
+        ("inspect s.mcap --allow-truncated", "--allow-truncated is now --allow-damaged"),
         ("demo --device x", "No such option: --device"),  # it has no box
         ("recover session.mcap", "truearm recover is now truearm session recover"),
         ("export-session session.mcap --out x", "truearm export-session is now truearm session export"),
@@ -84,7 +88,7 @@ def test_no_command_has_an_earlier_word():
         for earlier, now in EARLIER.items():
             *of, old = earlier.split()
             if not of or name == f"truearm {of[0]}":
-                assert not {old, now} <= words - {"--rig"}, name
+                assert old not in words - {"--rig"} or now not in words, name
             assert name != f"truearm {earlier}"
 
 
@@ -118,11 +122,41 @@ def test_the_list_of_commands_has_five_tasks_and_room_for_sixteen():
 
 def test_what_writes_a_file_has_force():
     """An existing file is refused without it. Folders are judged by their content."""
-    files = ("--out", "--report", "--picture", "--save-table", "--program", "--curves", "--residuals", "--truth-out")
     for name, command in commands().items():
         words = {one.opts[0]: one for one in command.params}
-        if any(file in words and words[file].metavar == "FILE" for file in files):
+        writes = [one for word, one in words.items() if word in ("--out", "--report") or word.endswith("-out")]
+        if any(one.metavar == "FILE" for one in writes):
             assert "--force" in words, name
+
+
+def test_a_help_page_shows_ten_options_and_describes_all():
+    for name, _, one in options():
+        assert one.help, (name, one.name)
+    for name, command in commands().items():
+        shown = [
+            one.opts[0] for one in command.params if one.opts[0][0] == "-" and one.rich_help_panel != declaration.EXPERT
+        ]
+        assert len(shown) <= 10, name
+
+
+def test_a_docstring_describes_parameters_that_exist():
+    def wrong(*, here: bool = False) -> None:
+        """Do nothing.
+
+        Options
+        -------
+        there
+            A typing error.
+        """
+
+    with pytest.raises(TypeError, match="there"):
+        declaration.command()(wrong)
+
+
+def test_options_become_a_record_in_si():
+    given = {"dwell_s": 3.0, "spread_mm": 2.0, "bars": ["b1"], "visits": None, "json": True}
+    made = declaration.fill(BallBarOptions, given, candidates=9)
+    assert made == BallBarOptions(dwell=3.0, spread=2e-3, bars=("b1",), candidates=9)
 
 
 WITHOUT_JSON = {

@@ -64,7 +64,7 @@ def test_a_urdf_begins_with_its_branch(tmp_path, run, monkeypatch):
     assert (project.model, project.branch) == ("../arm.urdf", bounds)
     monkeypatch.chdir(tmp_path / "cell")
     assert defaults(Path())["plan"]["ballbar"]["branch"]() == bounds
-    assert Path(defaults(Path())["identify"]["robot"]()).is_file()
+    assert Path(defaults(Path())["identify"]["model"]()).is_file()
 
 
 def test_a_project_is_found_from_below(tmp_path):
@@ -413,7 +413,7 @@ def test_status_names_a_session_of_another_robot(project, run):
 
 def test_record_takes_address_and_rig(project, run):
     (project / FILE).write_text(format_project(Project("puma560", address="nonsense://x", box="/dev/none")))
-    code, _, err = run("record", "--duration", 1)
+    code, _, err = run("record", "--duration-s", 1)
     assert code in (1, 2)
     assert err.startswith("from truearm.toml: --box /dev/none --out sessions/")
     assert "--address nonsense://x --rig rig.toml" in err
@@ -487,4 +487,4 @@ def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, ru
         in run("report").err
     )
     assert "type: truearm report result.json rehearsal/session.mcap (" in run("report", "result.json").err
-    assert "type: truearm map --cell 50 result.json (" in run("map", "--cell", 50).err
+    assert "type: truearm map --cell-mm 50 result.json (" in run("map", "--cell-mm", 50).err

@@ -53,7 +53,7 @@ def test_a_recording_ended_by_time(tmp_path, capsys):
     write_plan(tmp_path / "plan.csv", plan)
     with box_on_a_socket() as (box, device):
         box.lvdt = CALIBRATED
-        options = ["--duration", "0.5", "--rate", "2000", "--mounted", "bar=bar46,chuck=c1"]
+        options = ["--duration-s", "0.5", "--rate", "2000", "--mounted", "bar=bar46,chuck=c1"]
         files = ["--out", str(out), "--rig", str(tmp_path / "rig.toml"), "--plan", str(tmp_path / "plan.csv")]
         assert main(["record", "--box", device, *options, *files]) == 0
     assert not box.streaming
@@ -85,7 +85,7 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (box, device):
         box.lvdt = {"scale": [1]}
-        assert main(["record", "--box", device, "--duration", "0.5", "--out", str(out)]) == 0
+        assert main(["record", "--box", device, "--duration-s", "0.5", "--out", str(out)]) == 0
     said = capsys.readouterr()
     fault = "channel 'c0' of stream adc: scale must be [mantissa, exponent]"
     warnings = [line.split("s: ", 1)[1] for line in said.err.splitlines() if "warning" in line]
@@ -106,7 +106,7 @@ def test_a_pseudo_terminal(tmp_path):
     thread = threading.Thread(target=play, args=(box, lab, master, stop), daemon=True)
     thread.start()
     out = tmp_path / "s.mcap"
-    assert main(["record", "--box", os.ttyname(device), "--duration", "0.4", "--out", str(out)]) == 0
+    assert main(["record", "--box", os.ttyname(device), "--duration-s", "0.4", "--out", str(out)]) == 0
     stop.set()
     thread.join(PATIENCE_S)
     os.close(device)
@@ -140,8 +140,8 @@ class TestRefused:
         [
             (["--rate", "5"], "--rate 5 Hz is not within"),
             (["--rate", "nan"], "--rate must be a finite number, is nan"),
-            (["--duration", "-1"], "--duration -1 is not a duration"),
-            (["--duration", "inf"], "--duration must be a finite number"),
+            (["--duration-s", "-1"], "--duration-s -1 is not a duration"),
+            (["--duration-s", "inf"], "--duration-s must be a finite number"),
             (["--mounted", "bar46"], "is not KEY=NAME"),
             (["--mounted", "bar=a,bar=b"], "bar is named twice"),
             (["--plan", "none.csv"], "no such file"),

@@ -97,7 +97,7 @@ class TestWhatIsThereStays:
     def test_once_the_box_has_started_it_is_overwritten(self, out):
         out.write_bytes(PRECIOUS * 100_000)
         with box_on_a_socket() as (box, device):
-            assert main(["record", "--box", device, "--out", str(out), "--force", "--duration", "0.3"]) == 0
+            assert main(["record", "--box", device, "--out", str(out), "--force", "--duration-s", "0.3"]) == 0
         assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
     @pytest.mark.parametrize("option", ["--rig", "--plan"])
@@ -159,7 +159,7 @@ class TestTheBoxGoes:
 
     def test_for_good(self, out, capsys):
         with self.mortal_box(0.8) as device:
-            assert main(["record", "--box", device, "--out", str(out), "--duration", "4"]) == 4
+            assert main(["record", "--box", device, "--out", str(out), "--duration-s", "4"]) == 4
         said = capsys.readouterr()
         *lines, gone = said.err.splitlines()
         assert sum("the link to the box was lost" in line for line in lines) == 1

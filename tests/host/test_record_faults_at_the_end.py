@@ -17,7 +17,7 @@ from truearm.session.session_file import open_session
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 END_NS = HOST_0 + 6 * SECOND
-ENDINGS = [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  # None: --duration
+ENDINGS = [None, signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  # None: --duration-s
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def record(monkeypatch, lab, out, ending, fault=lambda box, robot: None, more=()
     fault(box, robot)
     monkeypatch.setattr("truearm.record.ports.BoxPort", lambda *_: lambda: box.link)
     monkeypatch.setattr("truearm.record.robots.sources.open_source", lambda *_: robot.link)
-    options = ["--duration", "6"]
+    options = ["--duration-s", "6"]
     if ending is not None:
         options = []
         lab.at(END_NS, lambda: signal.raise_signal(ending))
@@ -142,7 +142,7 @@ def test_a_second_recorder_with_the_same_name_is_refused_before_its_box_is_start
         def run():
             with monkeypatch.context() as patch:
                 patch.setattr("truearm.record.ports.BoxPort", lambda *_: lambda: other.link)
-                codes.append(main(["record", "--box", "memory", "--duration", "1", "--out", str(out)]))
+                codes.append(main(["record", "--box", "memory", "--duration-s", "1", "--out", str(out)]))
 
         box.link.on_write, write = lambda data: (run() if not codes else None, write(data)), box.link.on_write
 

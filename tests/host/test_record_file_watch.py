@@ -258,7 +258,7 @@ def flood(lines=None):
 def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
-        options = ["--unchecked", "--box", device, "--address", flood(), "--duration", "4", "--out", out]
+        options = ["--unchecked", "--box", device, "--address", flood(), "--duration-s", "4", "--out", out]
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 4, done.stderr
@@ -282,7 +282,7 @@ def test_a_flood_of_junk_does_not_end_the_recording(tmp_path):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
         address = flood(b"x" * 4095 + b"\n")
-        options = ["--unchecked", "--box", device, "--address", address, "--duration", "4", "--out", out]
+        options = ["--unchecked", "--box", device, "--address", address, "--duration-s", "4", "--out", out]
         command = [sys.executable, "-m", "truearm", "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 4, done.stderr

@@ -187,7 +187,7 @@ class TestBox:
         thread = threading.Thread(target=handle)
         thread.start()
         out = tmp_path / "s.mcap"
-        assert main(["record", "--box", first, "--duration", "3", "--out", str(out)]) == 0
+        assert main(["record", "--box", first, "--duration-s", "3", "--out", str(out)]) == 0
         thread.join(PATIENCE_S)
         assert usb.device != first
         assert events(out) == ["start", "link-lost", "link-back", "box-restarted", "start", "stop"]

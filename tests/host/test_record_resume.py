@@ -178,10 +178,11 @@ class TestParts:
             ["session", "export", str(first), "--out", str(tmp_path / "tables")],
             [
                 "session",
+                "session",
                 "add-joints",
                 str(first),
                 str(tmp_path / "j.csv"),
-                "--zero",
+                "--zero-s",
                 "0",
                 "--out",
                 str(tmp_path / "o.mcap"),
@@ -215,7 +216,7 @@ def test_recorded_on(tmp_path, capsys):
     for options in (["--out", str(out), *given, *mounted], ["--resume", str(out)], ["--resume", str(tmp_path)]):
         with box_on_a_socket() as (box, device):
             box.lvdt = CALIBRATED
-            assert main(["record", "--box", device, "--duration", "0.3", *options]) == 0
+            assert main(["record", "--box", device, "--duration-s", "0.3", *options]) == 0
         if options[0] == "--out":
             shutil.copy(out, tmp_path / "copy")
     assert out.read_bytes() == (tmp_path / "copy").read_bytes()

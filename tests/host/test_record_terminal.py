@@ -268,7 +268,7 @@ class TestChecked:
     def test_all_the_same(self, tmp_path, capsys):
         out = tmp_path / "s.mcap"
         with box_on_a_socket() as (_, device):
-            options = ["--mounted", "bar=b46", "--unchecked", "--duration", "0.3"]
+            options = ["--mounted", "bar=b46", "--unchecked", "--duration-s", "0.3"]
             assert main(["record", "--box", device, *options, "--out", str(out)]) == 0
         assert "warning: the box has no channel lvdt" in capsys.readouterr().err
         assert json.loads(open_session(out).metadata["box"]["ident"])

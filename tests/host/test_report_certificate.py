@@ -107,7 +107,7 @@ def test_a_tolerance_is_compared_with_twice_the_error_of_the_tool(made, tmp_path
     worst = max(expected, 2.0 * document["held_out"]["rms_mm"])
     said = {}
     for tolerance in (0.9 * worst, 1.1 * worst):
-        assert run(*made, "--tolerance", f"{tolerance:.4f}", "--force").code == 0
+        assert run(*made, "--tolerance-mm", f"{tolerance:.4f}", "--force").code == 0
         page = (tmp_path / "page.html").read_text("utf-8")
         said[tolerance] = re.search(r'<p class="decision">(.*?)</p>', page).group(1)
         assert of_page(page, "after: expanded uncertainty (k = 2)") == size(expected / 1e3, "m")

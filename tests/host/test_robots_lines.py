@@ -394,7 +394,7 @@ class TestUdp:
             thread = threading.Thread(target=play)
             thread.start()
             address = f"lines+udp://127.0.0.1:{free}?columns=t_s,q1_rad"
-            code = main(["record", "--box", device, "--address", address, "--duration", "1.5", "--out", str(out)])
+            code = main(["record", "--box", device, "--address", address, "--duration-s", "1.5", "--out", str(out)])
             stop.set()
             thread.join()
         assert code == 0

@@ -22,7 +22,7 @@ def recorded(tmp_path, capsys, talk, address):
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device), server(talk) as peer:
         assert (
-            main(["record", "--box", device, "--address", address.format(peer), "--patience", "0", "--out", str(out)])
+            main(["record", "--box", device, "--address", address.format(peer), "--patience-s", "0", "--out", str(out)])
             == 0
         )
     capsys.readouterr()
@@ -70,7 +70,7 @@ def test_a_header_that_is_not_understood_is_said(tmp_path, capsys):
 
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device), server(robot) as peer:
-        arguments = ["--box", device, "--address", f"lines+tcp://{peer}", "--out", str(out), "--duration", "3"]
+        arguments = ["--box", device, "--address", f"lines+tcp://{peer}", "--out", str(out), "--duration-s", "3"]
         assert main(["record", *arguments]) == 4
     # the box here has no calibrated channel; whether its warning comes before the end is a matter of milliseconds
     complaint = [line for line in capsys.readouterr().err.splitlines() if "warning: no channel" not in line]

@@ -354,7 +354,7 @@ def test_a_package_of_an_impossible_size_costs_a_connection_and_not_the_recordin
     controller = Controller(WHOLE, talk, connections=2)
     out = tmp_path / "s.mcap"
     with box_on_a_socket() as (_, device):
-        code = main(["record", "--box", device, "--address", controller.url, "--duration", "1.5", "--out", str(out)])
+        code = main(["record", "--box", device, "--address", controller.url, "--duration-s", "1.5", "--out", str(out)])
     controller.finish()
     assert code == 0
     assert [kind for kind in events(out) if kind.startswith("robot")] == ["robot-lost", "robot-back"]

@@ -45,7 +45,7 @@ def test_correction(folder, tmp_path, capsys):
 
 
 def test_map_and_exported_robot(folder, tmp_path, capsys):
-    files = ("--allow-unusable", "--cell", 200, "--picture", tmp_path / "map.svg")
+    files = ("--allow-unusable", "--cell-mm", 200, "--picture-out", tmp_path / "map.svg")
     assert "SIMULATED" in run(capsys, "map", folder / "result.json", *files)
     assert "Simulated" in (tmp_path / "map.svg").read_text()
     files = ("--allow-unusable", "--format", "sheth-uicker", "--out", tmp_path / "robot.toml")

@@ -68,7 +68,7 @@ def copy(tmp_path_factory):
 
 
 def test_it_is_identified_judged_and_reported(copy):
-    outputs = ("--out", "result.json", "--report", "page.html", "--save-table", "saved.csv")
+    outputs = ("--out", "result.json", "--report", "page.html", "--table-out", "saved.csv")
     said = copy.run("identify", "poses.csv", *COMMAND, "--hold-out", "inclinometer=i2", *outputs)
     assert "error [mm]" in said
     assert "error [deg]" in said
@@ -104,7 +104,7 @@ def test_it_is_proposed_where_it_would_show_more(copy):
 
 def test_a_saved_table_gives_the_same_result(copy):
     said = copy.run_each(
-        ("identify", "poses.csv", *COMMAND, "--save-table", "again.csv", "--out", "first.json"),
+        ("identify", "poses.csv", *COMMAND, "--table-out", "again.csv", "--out", "first.json"),
         ("identify", "again.csv", *COMMAND, "--out", "second.json"),
     )
     assert [one.code for one in said] == [0, 0]

@@ -30,7 +30,10 @@ def said(copy):
     """Return what the commands print."""
     wrong = ("identify", "none.csv", "--model", "ur3", "--rig", "rig.toml")
     return copy.run_each(
-        ("identify", "--help"), ("plan", "ballbar", "--help"), wrong, (*PLAN, "plan.csv", "--program", "plan.script")
+        ("identify", "--help"),
+        ("plan", "ballbar", "--help"),
+        wrong,
+        (*PLAN, "plan.csv", "--program-out", "plan.script"),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import sys
+from typing import Any
 
 import typer
 
@@ -11,11 +12,12 @@ from truearm.cli.box_config import config
 from truearm.cli.box_flash import flash
 from truearm.cli.box_gauge import gauge
 from truearm.cli.box_monitor import monitor
-from truearm.cli.options import BoxOption, JsonOption, StopOption
+from truearm.cli.command import command
 from truearm.cli.output import command_group, print_result
 from truearm.cli.project import ProjectCommand
 from truearm.errors import InputError, TruearmError
 from truearm.exit_codes import ExitCode
+from truearm.live.choose_box import choose_box
 
 _LIST_RETRIES = 6  # 3 s: a box that was just plugged in waits 2 s before it runs
 
@@ -27,13 +29,12 @@ app = command_group(
 
 
 @app.command("list", cls=ProjectCommand)
+@command()
 def list_boxes(
-    device: Annotated[
-        list[str] | None,
-        typer.Option("--box", metavar="DEVICE", help="Ask this port too, such as socket://127.0.0.1:7007; repeatable."),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Ask every serial port, not only those of a Pico.")] = False,
-    as_json: JsonOption = False,
+    *,
+    box: list[str] | None = None,
+    all: bool = False,
+    json: bool = False,
 ) -> None:
     """List the boxes that are plugged in.
 
@@ -41,18 +42,25 @@ def list_boxes(
     are listed too. Other serial devices are asked only with --all or --box, because the question may disturb them.
 
     Example: truearm box list
+
+    Options
+    -------
+    box : DEVICE
+        Ask this port too, such as socket://127.0.0.1:7007; repeatable.
+    all
+        Ask every serial port, not only those of a Pico.
     """
     from truearm.box.boot_drive import find_drives
     from truearm.box.description import port_lines
     from truearm.box.uf2 import CHIPS
     from truearm.record.ports import UsbPort, usb_ports
 
-    ports = [port for port in usb_ports() if port.candidate or every]
+    ports = [port for port in usb_ports() if port.candidate or all]
     known = {port.device for port in ports}
-    ports += [UsbPort(name, "", "", "", True) for name in dict.fromkeys(device or []) if name not in known]
+    ports += [UsbPort(name, "", "", "", True) for name in dict.fromkeys(box or []) if name not in known]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
-    print_result({"ports": rows, "boot_drives": drives}, port_lines(rows, drives), as_json)
+    print_result({"ports": rows, "boot_drives": drives}, port_lines(rows, drives), json)
 
 
 def _asked(port: Any) -> dict[str, Any]:
@@ -70,20 +78,31 @@ def _asked(port: Any) -> dict[str, Any]:
 
 
 @app.command(cls=ProjectCommand)
-def info(device: BoxOption, as_json: JsonOption = False) -> None:
+@command()
+def info(
+    *,
+    box: str | None = None,
+    json: bool = False,
+) -> None:
     """Print the description that a box gives of itself: firmware, streams, channels, calibrations, faults.
 
     Example: truearm box info --box /dev/ttyACM0
     """
     from truearm.box.description import ident_lines
 
-    with conversation(device) as box:
-        ident = ident_of(box)
-    print_result(ident.document, ident_lines(ident), as_json)
+    with conversation(choose_box(box, sys.stderr)) as connected:
+        ident = ident_of(connected)
+    print_result(ident.document, ident_lines(ident), json)
 
 
 @app.command("test", cls=ProjectCommand)
-def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption = False) -> None:
+@command()
+def self_test(
+    *,
+    box: str | None = None,
+    stop: bool = False,
+    json: bool = False,
+) -> None:
     """Run the self-test of a box, and print each result with what to do about it.
 
     The exit code is 1 if a test failed. A warning marks what was not measured or is near its limit.
@@ -93,29 +112,36 @@ def self_test(device: BoxOption, stop: StopOption = False, as_json: JsonOption =
     from truearm.box.description import finding_lines
     from truearm.box.selftest import FAIL, WARN, findings
 
-    with conversation(device, stop=stop) as box:
-        results = box.self_test()
-        ident = box.identify()  # its faults are those of this test
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        results = connected.self_test()
+        ident = connected.identify()  # its faults are those of this test
     found = findings(results, device)
     failed, warned = (sum(f.verdict == verdict for f in found) for verdict in (FAIL, WARN))
     faults = [fault for fault in ident.faults if not fault.startswith("the box says 'self-test")]
     counts = f"{len(found) - failed - warned} passed, {warned} with a warning, {failed} failed"
     lines = [one_line_of(ident), *finding_lines(found), *(f"warning: {fault}" for fault in faults), counts]
-    print_result([vars(f) for f in found], lines, as_json)
+    print_result([vars(f) for f in found], lines, json)
     if failed:
         raise typer.Exit(ExitCode.FAILED)
 
 
 @app.command(cls=ProjectCommand)
-def reset(device: BoxOption, stop: StopOption = False) -> None:
+@command()
+def reset(
+    *,
+    box: str | None = None,
+    stop: bool = False,
+) -> None:
     """Restart a box. This clears its stored traceback.
 
     Example: truearm box reset --box /dev/ttyACM0
     """
     from truearm_wire.messages import RESTART
 
-    with conversation(device, stop=stop) as box:
-        box.reset(RESTART)
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        connected.reset(RESTART)
     typer.echo(f"{device}: the box restarts")
 
 

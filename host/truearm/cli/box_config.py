@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from truearm.box.conversation import conversation
-from truearm.cli.options import BoxOption, ForceOption, JsonOption, StopOption, out_file
+from truearm.cli.command import command
 from truearm.cli.output import command_group, print_json, print_lines
 from truearm.cli.project import ProjectCommand
 from truearm.errors import ConfigError
+from truearm.live.choose_box import choose_box
 
 config = command_group(
     "config",
@@ -21,28 +23,36 @@ config = command_group(
 
 
 @config.command(cls=ProjectCommand)
+@command()
 def get(
-    device: BoxOption,
-    out: Annotated[Path | None, out_file("the configuration (.toml), instead of printing it")] = None,
-    force: ForceOption = False,
-    stop: StopOption = False,
-    as_json: JsonOption = False,
+    *,
+    box: str | None = None,
+    out: Path | None = None,
+    force: bool = False,
+    stop: bool = False,
+    json: bool = False,
 ) -> None:
     """Print a box's configuration as TOML.
 
     Example: truearm box config get --box /dev/ttyACM0 --out box.toml
+
+    Options
+    -------
+    out : FILE
+        File to write: the configuration (.toml), instead of printing it.
     """
     from truearm.box.configuration import format_config, looks_like_config
     from truearm.files.disk import check_writable, write_atomic
 
     if out is not None:
         check_writable(out, force, ours=looks_like_config, suffixes=[".toml"])
-    with conversation(device, stop=stop) as box:
-        found = box.config()
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        found = connected.config()
     text = format_config(found)
     if out is not None:
         write_atomic(out, text)
-    if as_json:
+    if json:
         print_json(found)
     elif out is None:
         typer.echo(text, nl=False)
@@ -51,17 +61,14 @@ def get(
 
 
 @config.command("set", cls=ProjectCommand)
+@command()
 def put(
-    changes: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="FILE.toml | KEY=VALUE...", help="A file that truearm box config get wrote, or single values."
-        ),
-    ],
-    device: BoxOption,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would change, and change nothing.")] = False,
-    stop: StopOption = False,
-    as_json: JsonOption = False,
+    changes: list[str],
+    *,
+    box: str | None = None,
+    dry_run: bool = False,
+    stop: bool = False,
+    json: bool = False,
 ) -> None:
     """Change a box's configuration; print what changes.
 
@@ -69,21 +76,31 @@ def put(
     channel.lvdt.over. The box stores the new configuration at once. If the power fails meanwhile, it
     keeps either the old or the new one.
 
-    \b
     Example:
       truearm box config set osr=2048 channel.lvdt.gain=2 magnetostrictive.us_per_inch=9.031 --box /dev/ttyACM0
+
+    Arguments
+    ---------
+    changes : FILE.toml | KEY=VALUE...
+        A file that truearm box config get wrote, or single values.
+
+    Options
+    -------
+    dry_run
+        Show what would change, and change nothing.
     """
     from truearm.box.configuration import change_lines, checked_config
 
     texts = _read(changes)
-    with conversation(device, stop=stop) as box:
-        before = checked_config(box)
+    device = choose_box(box, sys.stderr)
+    with conversation(device, stop=stop) as connected:
+        before = checked_config(connected)
         after = _changed(before, texts)
         changed = change_lines(before, after)
         stored = bool(changed) and not dry_run
         if stored:
-            box.put_config(after)
-    if as_json:
+            connected.put_config(after)
+    if json:
         print_json({"changes": changed, "stored": stored, "config": after})
         return
     print_lines(changed)

@@ -2,62 +2,35 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from truearm.cli.options import BoxOption, ForceOption, StopOption, out_file
-from truearm.units import MM, UM
+from truearm.bounds import Within
+from truearm.cli.command import command, fill
+from truearm.live.choose_box import choose_box
 
 
+@command()
 def gauge(
-    channel: Annotated[
-        str, typer.Argument(metavar="CHANNEL", help="Channel to calibrate: lvdt, transverse_a, magnetostrictive …")
-    ],
-    device: BoxOption,
-    references: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The references in order (.csv with a column reference_mm, _um or _in)."),
-    ] = None,
-    unit: Annotated[str, typer.Option(metavar="UNIT", help="Unit of what you type: mm, um or in.")] = "mm",
-    seconds: Annotated[
-        float, typer.Option(metavar="S", min=0.1, max=600, help="How long to sample at each place.")
-    ] = 2.0,
-    order: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, max=7, help="Order of the polynomial. Default: chosen by cross-validation."),
-    ] = None,
-    serial: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="Serial number of the sensor. Default: unchanged.")
-    ] = None,
-    stroke_mm: Annotated[
-        float | None,
-        typer.Option(
-            min=0.1,
-            max=1e4,
-            metavar="MM",
-            help="Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor "
-            "as far as its pulses reach.",
-        ),
-    ] = None,
-    out: Annotated[Path | None, out_file("the report (.html; default: gauge-CHANNEL.html)")] = None,
-    instrument: Annotated[
-        str, typer.Option(metavar="TEXT", help="The reference, for the report: type, serial number and certificate.")
-    ] = "",
-    uncertainty_um: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=1e4,
-            metavar="UM",
-            help="Expanded uncertainty (k = 2) of the reference, from its certificate.",
-        ),
-    ] = None,
-    operator: Annotated[str, typer.Option(metavar="TEXT", help="Name of the operator, for the report.")] = "",
-    yes: Annotated[bool, typer.Option("--yes", help="Store the calibration without asking.")] = False,
-    stop: StopOption = False,
-    force: ForceOption = False,
+    channel: str,
+    *,
+    box: str | None = None,
+    references: Path | None = None,
+    unit: str = "mm",
+    sample_s: Annotated[float, Within(0.1, 600)] = 2.0,
+    order: Annotated[int | None, Within(1, 7)] = None,
+    serial: str | None = None,
+    stroke_mm: Annotated[float | None, Within(0.1, 10000.0)] = None,
+    out: Path | None = None,
+    instrument: str = "",
+    uncertainty_um: Annotated[float | None, Within(0.0, 10000.0)] = None,
+    operator: str = "",
+    yes: bool = False,
+    stop: bool = False,
+    force: bool = False,
 ) -> None:
     """Calibrate a sensor against a reference: gauge blocks, a micrometer, a stage with a scale.
 
@@ -68,18 +41,45 @@ def gauge(
     delay are estimated. The report shows the remaining errors. If you agree, the box stores the calibration with its date and
     temperature. If a run ends early, the same command continues from the places that were measured.
 
-    \b
     Example:
       truearm box gauge lvdt --box /dev/ttyACM0 --instrument "micrometer head 164-163, certificate 4711" --uncertainty-um 2
+
+    Arguments
+    ---------
+    channel : CHANNEL
+        Channel to calibrate: lvdt, transverse_a, magnetostrictive …
+
+    Options
+    -------
+    references : FILE
+        The references in order (.csv with a column reference_mm, _um or _in).
+    unit : UNIT
+        Unit of what you type: mm, um or in.
+    sample_s : S
+        How long to sample at each place.
+    serial : TEXT
+        Serial number of the sensor. Default: unchanged.
+    out : FILE
+        File to write: the report (.html; default: gauge-CHANNEL.html).
+    instrument : TEXT
+        The reference, for the report: type, serial number and certificate.
+    uncertainty_um : UM
+        Expanded uncertainty (k = 2) of the reference, from its certificate.
+    yes
+        Store the calibration without asking.
+
+    Expert options
+    --------------
+    order : N
+        Order of the polynomial. Default: chosen by cross-validation.
+    stroke_mm : MM
+        Stroke of the sensor; references farther apart are refused. Default: 100, and for the magnetostrictive sensor as
+        far as its pulses reach.
     """
     from truearm.box.gauge_run import GaugeOptions, gauge_channel
 
-    uncertainty = None if uncertainty_um is None else UM.to_si(uncertainty_um)
-    stroke = None if stroke_mm is None else MM.to_si(stroke_mm)
-    options = GaugeOptions(
-        channel, references, unit, seconds, order, serial, stroke, out, yes, force, instrument, uncertainty, operator
-    )
-    gauge_channel(device, options, _Terminal(), stop)
+    options = fill(GaugeOptions, locals(), seconds=sample_s, page=out, agreed=yes)
+    gauge_channel(choose_box(box, sys.stderr), options, _Terminal(), stop)
 
 
 class _Terminal:

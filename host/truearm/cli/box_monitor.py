@@ -6,21 +6,24 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from truearm.cli.options import BoxOption, DurationOption, PlainOption
+from truearm.cli.command import command
 from truearm.cli.output import print_lines
+from truearm.live.choose_box import choose_box
 
 SHOW_S = 0.5
 PLAIN_S = 1.0
 
 
+@command()
 def monitor(
-    device: BoxOption,
-    duration: DurationOption = None,
-    plain: PlainOption = False,
+    *,
+    box: str | None = None,
+    duration_s: float | None = None,
+    plain: bool = False,
 ) -> None:
     """Show what a box measures: values in physical units with their noise, rates, losses, clock, temperature.
 
-    Starts the box, and stops it at the end (Ctrl-C or --duration). Nothing is recorded.
+    Starts the box, and stops it at the end (Ctrl-C or --duration-s). Nothing is recorded.
 
     Example: truearm box monitor --box /dev/ttyACM0
     """
@@ -29,7 +32,7 @@ def monitor(
     with ExitStack() as stack:
         plain = plain or not sys.stdout.isatty()
         show = _plain if plain else _live(stack)
-        print_lines(monitor_box(device, duration, PLAIN_S if plain else SHOW_S, show))
+        print_lines(monitor_box(choose_box(box, sys.stderr), duration_s, PLAIN_S if plain else SHOW_S, show))
 
 
 def _plain(rows: list[tuple[str, str]]) -> None:

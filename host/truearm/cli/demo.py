@@ -6,43 +6,22 @@ the session file, the clocks. What is found is judged by rows that were not fitt
 
 from __future__ import annotations
 
-import json
 import shlex
 from enum import StrEnum
 from functools import partial
+from json import loads
 from pathlib import Path
 from typing import Annotated, assert_never
 
 import typer
 
-from truearm.cli.options import (
-    BaseOption,
-    BranchOption,
-    JsonOption,
-    SeedOption,
-    TipOption,
-    branch_given,
-    out_folder,
-)
+from truearm.bounds import REPEATABILITY, SEED, Within
+from truearm.cli.command import command
+from truearm.cli.options import branch_given
 from truearm.cli.output import print_result
-from truearm.cli.truth_options import (
-    DEFAULT_MODEL,
-    DEFAULT_PERIODS,
-    DEFAULT_STIFFNESS,
-    GearErrorOption,
-    GearPeriodsOption,
-    MassesOption,
-    ModelOption,
-    RepeatabilityOption,
-    StiffnessOption,
-    ToleranceOption,
-    TruthForceOption,
-    TruthOutOption,
-    TruthSeedOption,
-    WornOption,
-    truth_of,
-)
+from truearm.cli.truth_options import DEFAULT_MODEL, DEFAULT_PERIODS, DEFAULT_STIFFNESS, truth_of
 from truearm.text import counted
+from truearm.units import MM
 
 MARK = ".truearm-demo"  # marks a folder that the demo created and may overwrite
 RATE_HZ = 500.0  # the robot stands still in a dwell; 1000 Hz takes ten seconds longer and gives the same
@@ -69,50 +48,57 @@ def what_is_planned(experiment: Experiment, poses: int) -> str:
             assert_never(experiment)
 
 
+@command()
 def demo(
     context: typer.Context,
-    out: Annotated[Path, out_folder("session, tables, result and report")] = Path("out/demo"),
-    poses: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            min=90,
-            max=5000,
-            help="Dwells with each of two bars. Those of the first bar are fitted, those of the second are held out.",
-        ),
-    ] = 800,
-    seed: SeedOption = 1,
-    rate: Annotated[float, typer.Option(metavar="HZ", help="Samples per second of each channel.")] = RATE_HZ,
-    experiment: Annotated[
-        Experiment,
-        typer.Option(help="What measures the robot: the ball-bar, lines driven along a line device, or both."),
-    ] = Experiment.ballbar,
-    model: ModelOption = DEFAULT_MODEL,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    branch: BranchOption = None,
-    worn: WornOption = False,
-    tolerance: ToleranceOption = None,
-    repeatability: RepeatabilityOption = None,
-    gear_error: GearErrorOption = 0.0,
-    gear_periods: GearPeriodsOption = DEFAULT_PERIODS,
-    masses: MassesOption = None,
-    stiffness: StiffnessOption = DEFAULT_STIFFNESS,
-    truth_out: TruthOutOption = None,
-    truth_seed: TruthSeedOption = None,
-    force: TruthForceOption = False,
-    as_json: JsonOption = False,
+    *,
+    out: Path = Path("out/demo"),
+    poses: Annotated[int, Within(90, 5000)] = 800,
+    seed: Annotated[int, SEED] = 1,
+    rate: float = RATE_HZ,
+    experiment: Experiment = Experiment.ballbar,
+    model: str = DEFAULT_MODEL,
+    base: str | None = None,
+    tip: str | None = None,
+    branch: str | None = None,
+    worn: bool = False,
+    tolerance: str | None = None,
+    repeatability_mm: Annotated[float | None, REPEATABILITY, MM] = None,
+    gear_error_mrad: Annotated[float, Within(0.0)] = 0.0,
+    gear_periods_deg: str = DEFAULT_PERIODS,
+    masses_kg: str | None = None,
+    stiffness_nm_rad: Annotated[float, Within(1.0)] = DEFAULT_STIFFNESS,
+    truth_out: Path | None = None,
+    truth_seed: Annotated[int | None, SEED] = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Calibrate a simulated robot (default: the PUMA 560) with a ball-bar or a line device, from the firmware to the report.
 
     The box runs the real firmware in MicroPython, in virtual time. Without MicroPython the firmware runs in CPython, with
     a note.
 
-    \b
     Example:
       truearm demo --out out/demo
       truearm demo --experiment line --out out/line
       truearm demo --model ur5e --poses 200 --out out/ur5e
+
+    Options
+    -------
+    out : FOLDER
+        Folder to write: session, tables, result and report.
+    poses : N
+        Dwells with each of two bars. Those of the first bar are fitted, those of the second are held out.
+    experiment
+        What measures the robot: the ball-bar, lines driven along a line device, or both.
+
+    Expert options
+    --------------
+    force
+        Overwrite the file of --truth-out if truearm wrote it. Files of the same command in the folder of --out are
+        overwritten in any case.
+    rate : HZ
+        Samples per second of each channel.
     """
     from truearm.cli import demo_text
     from truearm.files.disk import check_writable, own_folder
@@ -134,10 +120,10 @@ def demo(
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World, standard_plan
 
-    say = partial(typer.echo, err=as_json)
-    command = shlex.join(["truearm", *(context.obj or [])])
+    say = partial(typer.echo, err=json)
+    command_line = shlex.join(["truearm", *(context.obj or [])])
     osr = nearest_osr(rate)
-    truth = truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed)
+    truth = truth_of(locals())
     subject = robot_subject(RobotChoice(model, base, tip), branch_given(branch), truth, seed)
     simulated, robot = subject.simulated, subject.robot
     if truth_out is not None:
@@ -177,18 +163,18 @@ def demo(
             with steps.step("identify, validate"):
                 found = demo_ball_bar.calibrate(out, result.table, subject)
             with steps.step("report"):
-                page = demo_ball_bar.write_page(out, found, result, clock, steps, command)
+                page = demo_ball_bar.write_page(out, found, result, clock, steps, command_line)
             found_lines, used = demo_text.ball_bar_lines(found), f"{len(result.table)} dwells used"
         case Experiment.line | Experiment.both:
             with steps.step("identify, validate"):
                 lines = demo_lines.calibrate(experiment is Experiment.both, out, result.table, subject)
             with steps.step("report"):
-                page = demo_lines.write_page(out, lines, result, clock, steps, command)
+                page = demo_lines.write_page(out, lines, result, clock, steps, command_line)
             found_lines, used = demo_text.line_lines(lines), demo_text.used(result.table)
         case _:
             assert_never(experiment)
     print_result(
-        {"report": str(page), "result": json.loads((out / "result.json").read_bytes())},
+        {"report": str(page), "result": loads((out / "result.json").read_bytes())},
         [*demo_text.recording_lines(result, clock, steps, used), *found_lines, f"\nreport          {page}"],
-        as_json,
+        json,
     )

@@ -6,47 +6,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from truearm.cli.options import (
-    AllowDamagedOption,
-    BaseOption,
-    JsonOption,
-    OptionalRobotOption,
-    SessionArgument,
-    SessionRigOption,
-    TipOption,
-    out_folder,
-)
+from truearm.bounds import Within
+from truearm.cli.command import command, fill
 from truearm.cli.output import print_result, warn_of_further_parts
 from truearm.text import counted, one_line
 
 
+@command()
 def export_session(
-    session: SessionArgument,
-    out: Annotated[Path, out_folder("the tables; it must be new or empty")],
-    format: Annotated[
-        str,
-        typer.Option(
-            "--format",
-            metavar="KIND",
-            help="csv, npz, parquet (needs truearm[parquet]), or mcap: JSON for Foxglove and PlotJuggler.",
-        ),
-    ] = "csv",
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            metavar="HZ",
-            help="With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.",
-        ),
-    ] = None,
-    rig: SessionRigOption = None,
-    robot: OptionalRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    allow_damaged: AllowDamagedOption = False,
-    as_json: JsonOption = False,
+    session: Path,
+    *,
+    out: Path,
+    format: str = "csv",
+    rate: Annotated[float | None, Within(0.0)] = None,
+    rig: Path | None = None,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    allow_damaged: bool = False,
+    json: bool = False,
 ) -> None:
     """Write a session as tables: all samples, joint readings, clock exchanges, events, plan, dwells, passes and observations.
 
@@ -55,19 +33,26 @@ def export_session(
     Gaps are marked, not filled. session.json lists losses and describes the columns. --model determines which joints are prismatic;
     without it all are revolute.
 
-    \b
     Example:
       truearm session export session.mcap --out tables --format parquet
       truearm session export session.mcap --out viewers --format mcap
+
+    Options
+    -------
+    out : FOLDER
+        Folder to write: the tables; it must be new or empty.
+    format : KIND
+        csv, npz, parquet (needs truearm[parquet]), or mcap: JSON for Foxglove and PlotJuggler.
+    rate : HZ
+        With --format mcap: largest number of samples per second of a stream; 0: all. Default: 100.
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export_session import ExportSession, export_session_files
 
-    choice = RobotChoice(robot, base, tip)
-    tables = export_session_files(ExportSession(session, out, format, rig, choice, allow_damaged, rate))
+    tables = export_session_files(fill(ExportSession, locals(), robot=RobotChoice(model, base, tip), rate_hz=rate))
     lines = (f"{one_line(str(out))}/{name}: {_size(table)}" for name, table in tables.items())
     rows = {name: table["rows"] for name, table in tables.items()}
-    print_result({"folder": str(out), "rows": rows}, lines, as_json)
+    print_result({"folder": str(out), "rows": rows}, lines, json)
     warn_of_further_parts(session, "export each part separately: each has clocks of its own")
 
 

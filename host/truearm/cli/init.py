@@ -8,86 +8,46 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 
-from truearm.cli.options import BranchOption, JsonOption, branch_given
+from truearm.bounds import Within
+from truearm.cli.command import command
+from truearm.cli.options import branch_given
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.file_names import no_such_file
 from truearm.model.builtin import builtin_names
-from truearm.record.robots.sources import check_address, sources_help
+from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
 T = TypeVar("T")
 UNKNOWN = "unknown"
-PARTS: dict[str, Any] = {"min": 1, "max": 9}  # of a kind: more than a table or a flange has room for
+PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
 
 
+@command()
 def init(
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder of the project; created if missing.")
-    ] = Path(),
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ROBOT", help=f"Built-in robot ({', '.join(builtin_names())}), robot file (.toml) or URDF (.urdf)."
-        ),
-    ] = None,
-    base: Annotated[str, typer.Option(metavar="LINK", help="First link of a URDF.")] = "",
-    tip: Annotated[str, typer.Option(metavar="LINK", help="Last link of a URDF.")] = "",
-    branch: BranchOption = None,
-    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Name of the robot in reports.")] = None,
-    serial: Annotated[str | None, typer.Option(metavar="TEXT", help="Serial number of the robot.")] = None,
-    operator: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="Name of the operator, for the certificate.")
-    ] = None,
-    address: Annotated[
-        str | None, typer.Option(metavar="URL", help=f"Source of the robot's joint readings: {sources_help()}.")
-    ] = None,
-    box: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DEVICE",
-            help="Port of the box. Without it, truearm record uses the box that is plugged in, and truearm box needs --box.",
-        ),
-    ] = None,
-    chucks: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Chucks (magnetic cups) on the table. Default: 3.", **PARTS),
-    ] = None,
-    spheres: Annotated[
-        int | None, typer.Option(metavar="N", help="Spheres (steel balls) on the robot's end. Default: 3.", **PARTS)
-    ] = None,
-    bars: Annotated[
-        str | None,
-        typer.Option(
-            "--bars-mm", metavar="MM,…", help="Lengths of the bars at mid-travel. Default: two that suit the arm."
-        ),
-    ] = None,
-    known: Annotated[
-        str | None,
-        typer.Option(
-            "--known-mm",
-            metavar=f"MM|{UNKNOWN}",
-            help=f"Standard deviation of the positions of chucks and spheres. Default: {UNKNOWN}; they are estimated.",
-        ),
-    ] = None,
-    zero: Annotated[
-        float | None,
-        typer.Option(
-            "--zero-sigma-mm", min=0.0, metavar="MM", help="Standard deviation of the first bar's length. Default: 0.1."
-        ),
-    ] = None,
-    minutes: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=1000.0, metavar="M", help="Budget of the first plan in minutes of an operator; 0: no plan."
-        ),
-    ] = 30.0,
-    as_json: JsonOption = False,
+    folder: Path = Path(),
+    *,
+    model: str | None = None,
+    base: str = "",
+    tip: str = "",
+    branch: str | None = None,
+    name: str | None = None,
+    serial: str | None = None,
+    operator: str | None = None,
+    address: str | None = None,
+    box: str | None = None,
+    chucks: Annotated[int | None, PARTS] = None,
+    spheres: Annotated[int | None, PARTS] = None,
+    bars_mm: str | None = None,
+    known_mm: str | None = None,
+    zero_sigma_mm: Annotated[float | None, Within(0.0)] = None,
+    minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
+    json: bool = False,
 ) -> None:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
@@ -95,9 +55,33 @@ def init(
     commented out in rig.toml: remove the "#" in front of those that you have. In this folder and below it, commands
     take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
-    \b
     Example:
       truearm init cell3 --model ur5e --address rtde://192.168.0.2
+
+    Arguments
+    ---------
+    folder : FOLDER
+        Folder of the project; created if missing.
+
+    Options
+    -------
+    chucks : N
+        Chucks (magnetic cups) on the table. Default: 3.
+    spheres : N
+        Spheres (steel balls) on the robot's end. Default: 3.
+    bars_mm : MM,…
+        Lengths of the bars at mid-travel. Default: two that suit the arm.
+    known_mm : MM|unknown
+        Standard deviation of the positions of chucks and spheres. Default: unknown; they are estimated.
+    minutes : M
+        Budget of the first plan in minutes of an operator; 0: no plan.
+
+    Expert options
+    --------------
+    operator
+    zero_sigma_mm : MM
+        Standard deviation of the first bar's length. Default: 0.1.
+    json
     """
     from truearm.cli.plan_text import visit_lines
     from truearm.files.project_file import Project
@@ -151,20 +135,22 @@ def init(
         )
     )
     lengths = ask(
-        bars, "Lengths of the bars at mid-travel [mm], separated by commas (Enter for two that suit the arm)", _lengths
+        bars_mm,
+        "Lengths of the bars at mid-travel [mm], separated by commas (Enter for two that suit the arm)",
+        _lengths,
     )
     places = ask(
-        known, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", _known, UNKNOWN
+        known_mm, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", _known, UNKNOWN
     )
     length = (
-        zero
-        if zero is not None
+        zero_sigma_mm
+        if zero_sigma_mm is not None
         else ask(None, "Standard deviation of the first bar's length [mm]", _number_of("--zero-sigma-mm"), "0.1")
     )
     bounds = branch_given(branch or None)
     wanted = ProjectWanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
     created = create(folder, wanted)
-    if as_json:
+    if json:
         print_json({"written": [str(path) for path in created.written], "plan": created.plan})
         return
     print_lines(f"{path.name:<16}{path}" for path in created.written)
@@ -196,8 +182,8 @@ def _number_of(option: str) -> Callable[[str], float]:
 
 def _count(option: str) -> Callable[[str], int]:
     def read(text: str) -> int:
-        if not (text.isdecimal() and PARTS["min"] <= int(text) <= PARTS["max"]):
-            raise InputError(f"{option} {text[:40]}: needs a number from {PARTS['min']} to {PARTS['max']}")
+        if not (text.isdecimal() and PARTS.least <= int(text) <= PARTS.most):
+            raise InputError(f"{option} {text[:40]}: needs a number from {PARTS.least:g} to {PARTS.most:g}")
         return int(text)
 
     return read

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import typer
 
-from truearm.cli.options import AllowDamagedOption, JsonOption, SessionArgument
+from truearm.cli.command import command
 from truearm.cli.output import print_json, print_lines
 from truearm.text import one_line
 
 
+@command()
 def inspect(
-    session: SessionArgument,
-    as_json: JsonOption = False,
-    allow_damaged: AllowDamagedOption = False,
+    session: Path,
+    *,
+    json: bool = False,
+    allow_damaged: bool = False,
 ) -> None:
     """Show what is in a session: rates, gaps, losses, clock quality, dwells.
 
@@ -24,7 +28,7 @@ def inspect(
     from truearm.workflows.session_parts import session_parts
 
     first, *more = [describe(open_session(part, allow_damaged)) for part in session_parts(session)]
-    if as_json:
+    if json:
         print_json({**first, "parts": more})
         return
     print_lines(lines(first))

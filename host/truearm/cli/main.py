@@ -19,6 +19,7 @@ import typer
 from truearm import __version__
 from truearm.cli.box import app as box
 from truearm.cli.characterize import characterize
+from truearm.cli.command import stem_of
 from truearm.cli.correct import correct
 from truearm.cli.demo import demo
 from truearm.cli.export import export
@@ -51,6 +52,7 @@ TASKS: dict[str, tuple[Any, ...]] = {
     "Box": (box,),
 }
 UNLISTED = (reproduce,)
+ARGUMENTS = {"robot": "model", "bars": "bar", "as_json": "json"}  # names in errors, where an option has another one
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
     for task, commands in {**TASKS, "": UNLISTED}.items()
@@ -176,8 +178,13 @@ def _option_of(arguments: Sequence[str]) -> Callable[[str], str]:
         if word not in getattr(command, "commands", {}):
             break
         command = command.commands[word]
-    options = {one.name: one.opts[0] for one in command.params if one.opts[0].startswith("-")}
-    return lambda name: options.get(name, f"--{name.replace('_', '-')}")
+    options = {
+        key: one.opts[0]
+        for one in command.params
+        if one.opts[0].startswith("-")
+        for key in (stem_of(one.name), one.name)
+    }
+    return lambda name: options.get(ARGUMENTS.get(name, name), f"--{name.replace('_', '-')}")
 
 
 def _plain(message: str) -> str:

@@ -7,25 +7,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, assert_never
 
-import typer
-
 from truearm.bounds import CELL
-from truearm.cli.options import (
-    AllowUnusableOption,
-    ForceOption,
-    IdentifiedBaseOption,
-    IdentifiedRobotOption,
-    IdentifiedTipOption,
-    JsonOption,
-    OwnFramesOption,
-    PayloadOption,
-    ResultArgument,
-    bounded,
-    joints_of,
-    numbers_of,
-    out_file,
-    payload_of,
-)
+from truearm.cli.command import command
+from truearm.cli.options import joints_of, numbers_of, payload_of
 from truearm.cli.output import print_result
 from truearm.errors import InputError
 from truearm.text import one_line
@@ -39,48 +23,53 @@ class Elbow(StrEnum):
     down = "down"
 
 
+@command()
 def map_(
-    result: ResultArgument,
-    out: Annotated[Path | None, out_file("the cells as a table (.csv)")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the map as a picture (.svg).")] = None,
-    robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
-    joints: Annotated[
-        str,
-        typer.Option(
-            "--vary", metavar="I,J", help="The two joints that span the section; their axes must be parallel."
-        ),
-    ] = "2,3",
-    at: Annotated[
-        str | None,
-        typer.Option(
-            metavar="Q1,Q2,...", help="Values of all joints [deg, mm]; those of --vary do not matter. Default: 0."
-        ),
-    ] = None,
-    elbow: Annotated[Elbow, typer.Option(help="Configuration of the elbow.")] = Elbow.up,
-    cell: Annotated[float, typer.Option(metavar="MM", help="Size of a cell.", **bounded(CELL, MM))] = 25.0,
-    task: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Find the best place for a task of this size [mm].")
-    ] = None,
-    within: Annotated[
-        str | None,
-        typer.Option(
-            metavar="U0:U1,V0:V1",
-            help="Range of the search for --task, along the section's axes [mm]. Default: the whole section.",
-        ),
-    ] = None,
-    own_frames: OwnFramesOption = False,
-    payload: PayloadOption = None,
-    allow_unusable: AllowUnusableOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    result: Path,
+    *,
+    out: Path | None = None,
+    picture_out: Path | None = None,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    vary: str = "2,3",
+    at: str | None = None,
+    elbow: Elbow = Elbow.up,
+    cell_mm: Annotated[float, CELL, MM] = 25.0,
+    task: str | None = None,
+    within: str | None = None,
+    own_frames: bool = False,
+    payload: str | None = None,
+    allow_unusable: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Map the error of the uncalibrated robot over a section of its workspace, with the uncertainty of the map.
 
-    \b
     Example:
-      truearm map result.json --picture map.svg --task 300x200 --within 300:900,0:800
+      truearm map result.json --picture-out map.svg --task 300x200 --within 300:900,0:800
+
+    Options
+    -------
+    out : FILE
+        File to write: the cells as a table (.csv).
+    picture_out : FILE
+        Write the map as a picture (.svg).
+    vary : I,J
+        The two joints that span the section; their axes must be parallel.
+    at : Q1,Q2,...
+        Values of all joints [deg, mm]; those of --vary do not matter. Default: 0.
+    cell_mm : MM
+        Size of a cell.
+    task : WxH
+        Find the best place for a task of this size [mm].
+    within : U0:U1,V0:V1
+        Range of the search for --task, along the section's axes [mm]. Default: the whole section.
+
+    Expert options
+    --------------
+    elbow
+        Configuration of the elbow.
     """
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
@@ -90,14 +79,14 @@ def map_(
 
     if task is None and within is not None:
         raise InputError("--within needs --task WxH: it says where the task may be placed")
-    varied, shown = _joints_of(joints), numbers_of("--at", at)
+    varied, shown = _joints_of(vary), numbers_of("--at", at)
     wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
-    files = MapFiles(result, RobotChoice(robot, base, tip), out, picture, force)
+    files = MapFiles(result, RobotChoice(model, base, tip), out, picture_out, force)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
-    section = Section(varied, stand, _is_up(elbow), MM.to_si(cell), own_frames)
+    section = Section(varied, stand, _is_up(elbow), MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
-    written = [str(path) for path in (out, picture) if path is not None]
+    written = [str(path) for path in (out, picture_out) if path is not None]
     origin = [SIMULATED] if calibration.simulated else []
     print_result(
         {"simulated": calibration.simulated, **document(found, section.cell), "written": written},
@@ -106,7 +95,7 @@ def map_(
             *lines(found, section.cell, task, within is not None),
             *(f"Written: {one_line(path)}" for path in written),
         ],
-        as_json,
+        json,
     )
 
 

@@ -17,6 +17,24 @@ EARLIER = {
     "record --robot": "--address",
     "simulate --robot": "--protocol",
     "demo --rig": "--experiment",
+    "--allow-truncated": "--allow-damaged",
+    "--save-table": "--table-out",
+    "--picture": "--picture-out",
+    "--program": "--program-out",
+    "--curves": "--curves-out",
+    "--residuals": "--residuals-out",
+    "--duration": "--duration-s",
+    "--patience": "--patience-s",
+    "--timeout": "--timeout-s",
+    "--seconds": "--sample-s",
+    "--long-s": "--long-dwell-s",
+    "--zero": "--zero-s",
+    "--cell": "--cell-mm",
+}
+REMOVED = {
+    "--split": "moves that need different numbers of one target always get their own; leave it out",
+    "--harmless": "routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis "
+    "that nothing outside changes, give --unchanged NAME",
 }
 # What people call the work of a command. Names of subcommands ("gauge") need no entry: the tree has them.
 MEANINGS = {
@@ -48,7 +66,9 @@ def command_for(root: Any, word: str) -> str | None:
 
 
 def option_for(command: Any, path: str, word: str) -> str | None:
-    """Return that the option ``word`` of the command at ``path`` has a new name, None if it has none that the command has."""
+    """Return what is used instead of an earlier option ``word`` of the command at ``path``, None if nothing is."""
+    if word in REMOVED:
+        return f"{word}: {REMOVED[word]}"
     now = EARLIER.get(f"{path} {word}", EARLIER.get(word))
     return f"{word} is now {now}" if any(now in option.opts for option in command.params) else None
 

@@ -1,19 +1,130 @@
-"""Arguments and options shared by several commands. --help imports this module, so it imports nothing slow."""
+"""What several commands have: the descriptions of their arguments and options, and readers of their values.
+
+``--help`` imports this module, so it imports nothing slow. An option has the same meaning in every command. Where it
+reads or writes something of the command's own, the command describes it again. The value that ``{name}`` stands for is in ``TEXTS``.
+
+Arguments
+---------
+session : SESSION
+    Session file (.mcap) of truearm record.
+inputs : INPUT...
+    Sessions (.mcap) and tables (.csv), which are read as one table.
+result : RESULT
+    What truearm identify --out wrote (.json).
+
+Options
+-------
+model : ROBOT
+    Built-in robot ({robots}), robot file (.toml) or URDF (.urdf).
+rig : FILE
+    Rig: chucks, spheres, bars, sockets, devices (.toml).
+plan : FILE
+    Plan: what the robot visits (.csv).
+box : DEVICE
+    Port of the box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007. Default: the box that is plugged in.
+address : URL
+    Source of the robot's joint readings: {sources}.
+name : TEXT
+    Name of the robot in reports.
+serial : TEXT
+    Serial number of the robot.
+operator : TEXT
+    Name of the operator, for the certificate.
+customer : TEXT
+    Whom the certificate is for.
+tolerance_mm : MM
+    Permitted error of the tool, for the certificate: pass or fail.
+own_frames
+    Use the robot's own base and flange frames: leave out the mounting of base and tool.
+minutes : M
+    Budget in minutes of the operator's time.
+result : FILE
+    Plan with the robot of an earlier result.json instead of the nominal one.
+program_out : FILE
+    Write the program: {dialects} (repeatable).
+worn
+    Simulate a worn arm: backlash, slow settling, oscillation, noisy readings.
+duration_s : S
+    End after S seconds. Ctrl-C ends earlier.
+json
+    Print JSON and nothing else.
+
+Expert options
+--------------
+controller : TEXT
+    Controller of the robot and its software, for the certificate.
+number : TEXT
+    Number of the certificate.
+base : LINK
+    First link of a URDF. Default: that of the result, or the root.
+tip : LINK
+    Last link of a URDF. Default: that of the result, or the only leaf.
+branch : LOW:HIGH,…
+    Bounds of every joint [deg], within which the arm keeps one configuration. Default: the robot file's [branch], which
+    {branches} have.
+payload : KG[,X,Y,Z]
+    Payload [kg], and its centre in the end frame [mm]. Needs a result that was identified under different payloads.
+allow_damaged
+    Read the intact part of a file that is damaged or unfinished.
+allow_unusable
+    Use the result although its fit is not usable.
+line_points : N
+    Largest number of points of each pass along a line. Default: as many as the noise allows.
+stop
+    Stop the box first if it is streaming, for example after a recorder was killed.
+plain
+    Print lines instead of a live view. Always so if the output is not a terminal.
+force
+    Overwrite the output file if it is of the kind that this command writes.
+seed : N
+    Random seed.
+criterion
+    What to minimise. {criteria}.
+measured : FILE
+    Sessions and tables that are already measured (repeatable).
+reserve_mm : MM
+    Travel reserved for errors of the model. Default: {reserves} with --result.
+dwell_s : S
+    Duration of the rest at each pose.
+output_line : N
+    Digital output that is on while the robot rests at a pose or drives a line (UR).
+input_line : N
+    Digital input of the controller on which another device acknowledges --output-line: the program waits up to 5 s for
+    this input. The box does not acknowledge. Default: no waiting.
+tolerance : MM,DEG
+    Standard deviations of the true lengths and angles about the nominal ones. Default: 0.5,0.1146; for the PUMA 560,
+    Goswami's Table II instead.
+gear_error_mrad : MRAD
+    Amplitude of the gear error at each period.
+gear_periods_deg : DEG,…
+    Periods of the gear error, in joint angle.
+masses_kg : KG,…
+    Masses of the links, one per joint: the joints sag under them. Default: no sag.
+stiffness_nm_rad : NM/RAD
+    Stiffness of each joint that sags.
+repeatability_mm : MM
+    Repeatability of the bars, which the rig declares too. Default: 0.084.
+truth_out : FILE
+    Write the hidden truth (.json).
+truth_seed : N
+    Random seed of the hidden truth. The same value with another --seed is the same arm on another day. Default: --seed.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from truearm.bounds import SEED, Within
+from truearm import option_defaults
 from truearm.errors import InputError
 from truearm.model.builtin import builtin_names, names_with_branch
+from truearm.plan.criteria import Criterion, criterion_summary
+from truearm.plan.route_program import dialects_help
+from truearm.record.robots.sources import sources_help
 from truearm.units import DEG, MM, Scale, from_shown
 
 if TYPE_CHECKING:
@@ -24,176 +135,29 @@ if TYPE_CHECKING:
 
 LARGEST_MM, LARGEST_DEG = 1e5, 720.0  # of a frame
 LONGEST_NAME = 64  # letters of a rig's name, as of a table's identifiers
+TEXTS = {
+    "robots": ", ".join(builtin_names()),
+    "branches": ", ".join(names_with_branch()),
+    "sources": sources_help(),
+    "dialects": dialects_help(),
+    "criteria": ". ".join(f"{name}: {criterion_summary(name)}" for name in Criterion),
+    "reserves": f"{MM.of(option_defaults.DESIGN_RESERVE):g}, {MM.of(option_defaults.RESULT_RESERVE):g}",
+    "named_rigs": "NAME=FILE is for rows with NAME in their column rig and for the session NAME.mcap (repeatable)",
+}
 
 
-def bounded(by: Within, scale: Scale | None = None) -> dict[str, Any]:
-    """Return the keywords that declare an option's bounds, converted from SI to the unit of the option."""
-    ends = {"min": by.least, "max": by.most}
-    shown = {name: end if scale is None else scale.of(end) for name, end in ends.items()}
-    return {name: end if math.isfinite(end) else None for name, end in shown.items()}
-
-
-def completed(names: Collection[str]) -> Callable[[str], list[str]]:
-    """Return a function that completes a partly typed option value from ``names``."""
-    return lambda incomplete: [
-        name for name in names if name.startswith(incomplete)
-    ]  # typer requires this argument name
-
-
-# What is read
-SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Session file (.mcap) of truearm record.")]
-InputsArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="INPUT...", help="Sessions (.mcap) and tables (.csv), which are read as one table."),
-]
-ResultArgument = Annotated[Path, typer.Argument(metavar="RESULT", help="What truearm identify --out wrote (.json).")]
-AllowDamagedOption = Annotated[
-    bool,
-    typer.Option(
-        "--allow-damaged",
-        "--allow-truncated",
-        help="Read the intact part of a file that is damaged or unfinished.",
-    ),
-]
-
-
-AllowUnusableOption = Annotated[
-    bool, typer.Option("--allow-unusable", help="Use the result although its fit is not usable.")
-]
-
-
-# The robot
-def _robot(default: str = "") -> Any:
-    names = ", ".join(builtin_names())
-    return typer.Option(
-        "--model",
-        metavar="ROBOT",
-        autocompletion=completed(builtin_names()),
-        help=f"Built-in robot ({names}), robot file (.toml) or URDF (.urdf).{default}",
-    )
-
-
-RobotOption = Annotated[str, _robot()]
-OptionalRobotOption = Annotated[str | None, _robot()]
-IdentifiedRobotOption = Annotated[str | None, _robot(" Default: the built-in robot of the result.")]
-BaseOption = Annotated[
-    str | None, typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: its root.")
-]
-TipOption = Annotated[
-    str | None, typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: its only leaf.")
-]
-IdentifiedBaseOption = Annotated[
-    str | None, typer.Option("--base", metavar="LINK", help="First link of a URDF. Default: the one of the result.")
-]
-IdentifiedTipOption = Annotated[
-    str | None, typer.Option("--tip", metavar="LINK", help="Last link of a URDF. Default: the one of the result.")
-]
-BranchOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="LOW:HIGH,…",
-        help="Bounds of every joint [deg], within which the arm keeps one configuration. Default: the robot file's [branch], "
-        f"which {', '.join(names_with_branch())} have.",
-    ),
-]
-OwnFramesOption = Annotated[
-    bool,
-    typer.Option(
-        "--own-frames",
-        help="Use the robot's own base and flange frames: leave out the mounting of base and tool.",
-    ),
-]
-PayloadOption = Annotated[
-    str | None,
-    typer.Option(
-        "--payload",
-        metavar="KG[,X,Y,Z]",
-        help="Payload [kg], and its centre in the end frame [mm]. Needs a result that was identified under different payloads.",
-    ),
-]
-
-# Rig and plan
-_RIG = "Rig: chucks, spheres, bars, sockets, devices (.toml)."
-RigOption = Annotated[Path, typer.Option("--rig", metavar="FILE", help=_RIG)]
-RecordedRigOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--rig",
-        metavar="FILE",
-        help=f"{_RIG} It is stored in the session. Default with --resume: the rig of that session.",
-    ),
-]
-SessionRigOption = Annotated[
-    Path | None, typer.Option("--rig", metavar="FILE", help=f"{_RIG} Default: the rig in the session.")
-]
-NamedRigsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--rig",
-        metavar="[NAME=]FILE",
-        help=f"{_RIG} NAME=FILE is for rows with NAME in their column rig and for the session NAME.mcap "
-        "(repeatable). Default: the rig in each session.",
-    ),
-]
-PlanOption = Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Plan: what the robot visits (.csv).")]
-
-# The certificate; what is not given comes from truearm.toml
-NameOption = Annotated[str | None, typer.Option("--name", metavar="TEXT", help="Name of the robot.")]
-SerialOption = Annotated[str | None, typer.Option("--serial", metavar="TEXT", help="Serial number of the robot.")]
-OperatorOption = Annotated[str | None, typer.Option("--operator", metavar="TEXT", help="Name of the operator.")]
-ControllerOption = Annotated[
-    str | None, typer.Option("--controller", metavar="TEXT", help="Controller of the robot and its software.")
-]
-CustomerOption = Annotated[str | None, typer.Option("--customer", metavar="TEXT", help="Whom the certificate is for.")]
-NumberOption = Annotated[str, typer.Option("--number", metavar="TEXT", help="Number of the certificate.")]
-ToleranceOption = Annotated[
-    float | None,
-    typer.Option("--tolerance", metavar="MM", min=1e-3, max=100.0, help="Permitted error of the tool: pass or fail."),
-]
-
-
-def issue_of(number: str, tolerance_mm: float | None, **texts: str | None) -> Issue:
-    """Return whom a certificate is for, by the options and the project's file."""
+def issue_of(given: Mapping[str, Any]) -> Issue:
+    """Return whom a certificate is for, from a command's parameters and the project's file."""
     from truearm.files.project_file import Project, read_project
     from truearm.files.project_folder import find_project
     from truearm.workflows.certificates import Issue
 
     file = find_project(Path.cwd())
     project = Project("") if file is None else read_project(file)
-    given = {key: text for key, text in texts.items() if text is not None}
-    return Issue(replace(project, **given), number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
-
-
-# The box
-_BOX = "Port of the box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007."
-BoxOption = Annotated[str, typer.Option("--box", metavar="DEVICE", help=_BOX)]
-OptionalBoxOption = Annotated[str | None, typer.Option("--box", metavar="DEVICE", help=_BOX)]
-StopOption = Annotated[
-    bool, typer.Option("--stop", help="Stop the box first if it is streaming, for example after a recorder was killed.")
-]
-DurationOption = Annotated[
-    float | None, typer.Option("--duration", metavar="S", help="End after S seconds. Ctrl-C ends earlier.")
-]
-PlainOption = Annotated[
-    bool, typer.Option("--plain", help="Print lines instead of a live view. Always so if the output is not a terminal.")
-]
-
-# What is written
-ForceOption = Annotated[
-    bool, typer.Option("--force", help="Overwrite the output file if it is of the kind that this command writes.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
-SeedOption = Annotated[int, typer.Option("--seed", metavar="N", help="Random seed.", **bounded(SEED))]
-
-
-def out_file(what: str) -> Any:
-    """Return the option ``--out FILE`` of a command that writes ``what``."""
-    return typer.Option("--out", metavar="FILE", help=f"File to write: {what}.")
-
-
-def out_folder(what: str) -> Any:
-    """Return the option ``--out FOLDER`` of a command that writes ``what``."""
-    return typer.Option("--out", metavar="FOLDER", help=f"Folder to write: {what}.")
+    named = ("serial", "operator", "name", "controller", "customer")
+    texts = {key: given[key] for key in named if given[key] is not None}
+    tolerance = given["tolerance_mm"]
+    return Issue(replace(project, **texts), given["number"], None if tolerance is None else MM.to_si(tolerance))
 
 
 def rigs_of(given: list[str] | None) -> dict[str, Path]:
@@ -213,22 +177,6 @@ def rigs_of(given: list[str] | None) -> dict[str, Path]:
     if "" in files and len(files) > 1:
         raise InputError(f"--rig {files['']}: several rigs need names; write --rig NAME=FILE")
     return files
-
-
-def one_of(names: Collection[str]) -> Callable[[str], str]:
-    """Return a function that checks an option against ``names``. It raises typer.BadParameter for another name."""
-
-    def checked(text: str) -> str:
-        if text not in names:
-            raise typer.BadParameter(f"{text!r} is not one of {', '.join(names)}")
-        return text
-
-    return checked
-
-
-def choices(names: Collection[str]) -> str:
-    """Return ``names`` as ``--help`` shows the values of an option."""
-    return f"<{'|'.join(names)}>"
 
 
 def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple[float, ...] | None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from truearm.cli.command import ARGUMENTS, EXPERT
 from truearm.cli.names import command_for
 from truearm.errors import InputError
 from truearm.files.project_folder import find_project
@@ -35,6 +36,18 @@ class ProjectCommand(TyperCommand):
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the usage line's parts; typer sets braces about a required argument."""
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """List arguments and options below their headings."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for one in self.get_params(ctx):
+            if row := one.get_help_record(ctx):
+                usual = "Options" if one.opts[0].startswith("-") else ARGUMENTS
+                panels.setdefault(getattr(one, "rich_help_panel", None) or usual, []).append(row)
+        for heading in (ARGUMENTS, "Options", EXPERT):
+            if heading in panels:
+                with formatter.section(heading):
+                    formatter.write_dl(panels[heading])
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for an experiment
@@ -167,11 +180,10 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
     def model() -> str:
         return shown(home / project.model) if (home / project.model).is_file() else project.model
 
-    robot: Mapping[str, Answer] = {"robot": model, "base": text(project.base), "tip": text(project.tip)}
+    robot: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
     rig = {"rig": there(project.rig)}
 
     branch = {"branch": text(project.branch)}
-    simulated: Mapping[str, Answer] = {"model": model, "base": text(project.base), "tip": text(project.tip)}
     planned = {"plan": there(project.plan), **rig}
 
     def plan() -> str:
@@ -180,14 +192,14 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         return shown(new_plan(home / project.plan))
 
     planning: Mapping[str, Answer] = {**robot, **branch, **rig, "out": plan}
-    box: Mapping[str, Answer] = {"device": text(project.box)}
+    box: Mapping[str, Answer] = {"box": text(project.box)}
     gauging = {"gauge": {"operator": text(project.operator)}}
     result: Mapping[str, Answer] = {"result": newest_result, **robot}
     return {
-        "demo": simulated,
-        "simulate": {**simulated, **branch, **planned},
+        "demo": robot,
+        "simulate": {**robot, **branch, **planned},
         "record": {
-            "device": text(project.box),
+            **box,
             "address": text(project.address),
             "plan": there(project.plan),
             **rig,

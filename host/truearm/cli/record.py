@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
-from truearm.cli.options import (
-    DurationOption,
-    ForceOption,
-    JsonOption,
-    OptionalBoxOption,
-    PlainOption,
-    PlanOption,
-    RecordedRigOption,
-    out_file,
-)
+from truearm.cli.command import command, fill
 from truearm.cli.output import print_result
 from truearm.cli.project import ProjectCommand, project_model, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
-from truearm.record.robots.sources import sources_help
 
 _PATIENCE_S = 600.0
 
@@ -38,78 +27,73 @@ class RecordCommand(ProjectCommand):
         return super().invoke(ctx)
 
 
+@command()
 def record(
-    device: OptionalBoxOption = None,
-    out: Annotated[Path | None, out_file("a session (.mcap); not with --resume")] = None,
-    resume: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Continue this session in a further file beside it, with its plan, rig, rate and robot. A folder that holds one "
-            "session is accepted too.",
-        ),
-    ] = None,
-    address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            help=f"The robot's joint readings: {sources_help()}. Without it, dwells are found from the sensor alone.",
-        ),
-    ] = None,
-    plan: PlanOption = None,
-    rig: RecordedRigOption = None,
-    mounted: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LIST", help="What is mounted at the start: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1."
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Samples per second; the box's nearest rate is used. Default: 1000."),
-    ] = None,
-    duration: DurationOption = None,
-    patience: Annotated[
-        float,
-        typer.Option(metavar="S", help="How long to wait for a box or robot whose link was lost; 0: do not wait."),
-    ] = _PATIENCE_S,
-    plain: PlainOption = False,
-    unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Record even if the box cannot measure what the plan or rig requires.")
-    ] = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    *,
+    box: str | None = None,
+    out: Path | None = None,
+    resume: Path | None = None,
+    address: str | None = None,
+    plan: Path | None = None,
+    rig: Path | None = None,
+    mounted: str | None = None,
+    rate: float | None = None,
+    duration_s: float | None = None,
+    patience_s: float = _PATIENCE_S,
+    plain: bool = False,
+    unchecked: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Record a sensor box and a robot into a session file.
 
-    Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration, when the
-    robot's program reports its end, or when a box or robot that was lost does not return within --patience. The file is complete in
+    Without --box, truearm uses the box that is plugged in. The recording ends with Ctrl-C, with q and Enter, after --duration-s, when the
+    robot's program reports its end, or when a box or robot that was lost does not return within --patience-s. The file is complete in
     each case; the exit code is 4 if something that was asked for is missing. --force overwrites an earlier file only once the box has
     started. On a terminal you can type during the recording: Enter confirms what you are asked to mount,
     bar=NAME,chuck=NAME,sphere=NAME or line=NAME,target=NAME names another one, and note TEXT is stored.
 
-    \b
     Example:
       truearm record --address tcp://127.0.0.1:7008 --rig rig.toml --plan plan.csv --out session.mcap
       truearm record --resume session.mcap
+
+    Options
+    -------
+    out : FILE
+        File to write: a session (.mcap); not with --resume.
+    resume : FILE
+        Continue this session in a further file beside it, with its plan, rig, rate and robot. A folder that holds one
+        session is accepted too.
+    address : URL
+        Source of the robot's joint readings: {sources}. Without it, dwells are found from the sensor alone.
+    rig : FILE
+        Rig (.toml). It is stored in the session. Default with --resume: the rig of that session.
+    mounted : LIST
+        What is mounted at the start: bar=bar46,chuck=c1,sphere=s1 or line=l1,target=t1.
+    rate : HZ
+        Samples per second; the box's nearest rate is used. Default: 1000.
+
+    Expert options
+    --------------
+    patience_s : S
+        How long to wait for a box or robot whose link was lost; 0: do not wait.
+    unchecked
+        Record even if the box cannot measure what the plan or rig requires.
     """
     from truearm.cli.record_text import document, lines
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     osr = None if rate is None else nearest_osr(rate)
-    if duration is not None and not 0 < duration < math.inf:
-        raise InputError(f"--duration {duration:g} is not a duration; give seconds above 0")
-    if not 0 <= patience < math.inf:
-        raise InputError(f"--patience {patience:g} is not a duration; give seconds, or 0 not to wait")
+    if duration_s is not None and duration_s <= 0:
+        raise InputError(f"--duration-s {duration_s:g} is not a duration; give seconds above 0")
+    if patience_s < 0:
+        raise InputError(f"--patience-s {patience_s:g} is not a duration; give seconds, or 0 not to wait")
     recorded = record_request(
-        Request(
-            *(device, out, resume, address, plan, rig, mounted, osr, duration, patience, plain, unchecked, force),
-            model=project_model(Path.cwd()),
-        ),
+        fill(Request, locals(), device=box, robot=address, model=project_model(Path.cwd())),
         sys.stderr,
         lambda text: typer.echo(text, err=True),
     )
-    print_result(document(recorded), lines(recorded), as_json)
+    print_result(document(recorded), lines(recorded), json)
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
     interrupted = recorded.summary.reason == "interrupted"

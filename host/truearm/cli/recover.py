@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from truearm.cli.options import ForceOption, JsonOption, SessionArgument, out_file
+from truearm.cli.command import command
 from truearm.cli.output import print_json, print_lines, warn_of_further_parts
 from truearm.text import counted, one_line
 
@@ -18,11 +18,13 @@ if TYPE_CHECKING:
 SHOWN = 10  # damaged places that are listed
 
 
+@command()
 def recover(
-    session: SessionArgument,
-    out: Annotated[Path | None, out_file("a session (default: NAME-recovered.mcap for NAME.mcap)")] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    session: Path,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Write all intact data of a damaged or unfinished session to a new file that every command reads.
 
@@ -30,15 +32,19 @@ def recover(
     and lost data are listed by place, time and topic; gaps are not filled. An intact file is left alone. Exit code 0 if the data
     were saved, however many are lost, or if the file is intact; 2 if nothing could be saved.
 
-    \b
     Example:
       truearm session recover session.mcap --out recovered.mcap
+
+    Options
+    -------
+    out : FILE
+        File to write: a session (default: NAME-recovered.mcap for NAME.mcap).
     """
     from truearm.workflows.recover import recover_file, recovered_name
 
     out = out or recovered_name(session)
     found = recover_file(session, out, force)
-    if as_json:
+    if json:
         print_json(
             {"whole": found is None, "out": None if found is None else str(out), **(asdict(found) if found else {})}
         )

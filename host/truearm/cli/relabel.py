@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from truearm.cli.options import (
-    BaseOption,
-    JsonOption,
-    OptionalRobotOption,
-    SessionArgument,
-    SessionRigOption,
-    TipOption,
-)
+from truearm.bounds import OneOf
+from truearm.cli.command import command
 from truearm.cli.output import print_result
 from truearm.exit_codes import ExitCode
 from truearm.live.keyboard import may_ask
@@ -24,24 +19,20 @@ if TYPE_CHECKING:
     from truearm.session.dwell_labels import Pairing
     from truearm.workflows.relabel import Run
 
-TRUSTS = "plan|typed|evidence"  # workflows.relabel.Trust
+TRUSTS = ("plan", "typed", "evidence")  # workflows.relabel.Trust
 
 
+@command()
 def relabel(
-    session: SessionArgument,
-    robot: OptionalRobotOption = None,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    rig: SessionRigOption = None,
-    trust: Annotated[
-        str | None,
-        typer.Option(
-            metavar=TRUSTS,
-            help="Accept the plan, the typed confirmations, or the evidence of both and the readings together (needs --model). Default: ask.",
-        ),
-    ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Undo the last decision.")] = False,
-    as_json: JsonOption = False,
+    session: Path,
+    *,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    rig: Path | None = None,
+    trust: Annotated[str | None, OneOf(TRUSTS)] = None,
+    undo: bool = False,
+    json: bool = False,
 ) -> None:
     """Decide what was mounted at each dwell of a session where plan, operator and readings disagree.
 
@@ -50,10 +41,17 @@ def relabel(
     probability of at least 99.8 %, otherwise it is left out. Without --trust you are asked about each series of neighbouring
     doubtful dwells.
 
-    \b
     Example:
       truearm session relabel session.mcap --model puma560 --trust evidence
       truearm session relabel session.mcap --undo
+
+    Options
+    -------
+    trust
+        Accept the plan, the typed confirmations, or the evidence of both and the readings together (needs --model).
+        Default: ask.
+    undo
+        Undo the last decision.
     """
     from truearm.errors import InputError
     from truearm.files.robot_file import RobotChoice
@@ -66,15 +64,13 @@ def relabel(
             raise InputError("--undo undoes a decision and --trust makes one; give one of them")
         document = undo_labels(session)
     else:
-        if trust is not None and trust not in tuple(Trust):
-            raise InputError(f"--trust {trust[:40]!r} is not one of {', '.join(Trust)}")
-        ask = _ask if may_ask() and not as_json else None
-        options = RelabelOptions(RobotChoice(robot, base, tip), rig, None if trust is None else Trust(trust), ask)
+        ask = _ask if may_ask() and not json else None
+        options = RelabelOptions(RobotChoice(model, base, tip), rig, Trust(trust) if trust else None, ask)
         try:
             document = relabel_session(session, options)
         except StopAsking:  # before the first answer: nothing was saved
             raise typer.Abort from None
-    print_result(document, lines(document, str(session)), as_json)
+    print_result(document, lines(document, str(session)), json)
     if document.get("unanswered"):
         raise typer.Exit(ExitCode.INTERRUPTED)
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from truearm.cli.options import JsonOption, SeedOption, out_folder
+from truearm.bounds import SEED
+from truearm.cli.command import command
 from truearm.cli.output import print_result
 from truearm.workflows.reproduce import Paper
 
@@ -37,22 +38,33 @@ class _Steps:
         typer.echo(f"{self.done[-1][1]:7.1f} s", err=self._err)
 
 
+@command()
 def reproduce(
-    paper: Annotated[
-        Paper, typer.Argument(metavar="PAPER", help="goswami: the ball-bar, 1993. renders: the straight line, 1991.")
-    ],
-    out: Annotated[Path | None, out_folder("report.html and numbers.json; default: out/PAPER")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer Monte Carlo runs and line sets.")] = False,
-    seed: SeedOption = 1,
-    as_json: JsonOption = False,
+    paper: Paper,
+    *,
+    out: Path | None = None,
+    quick: bool = False,
+    seed: Annotated[int, SEED] = 1,
+    json: bool = False,
 ) -> None:
     """Compute the tables and figures of a paper again, and compare them with the paper's numbers.
 
     Writes report.html and numbers.json. If a number cannot be reproduced, the report says why.
 
-    \b
     Example:
       truearm reproduce goswami --quick
+
+    Arguments
+    ---------
+    paper : PAPER
+        goswami: the ball-bar, 1993. renders: the straight line, 1991.
+
+    Options
+    -------
+    out : FOLDER
+        Folder to write: report.html and numbers.json; default: out/PAPER.
+    quick
+        Fewer Monte Carlo runs and line sets.
     """
     from truearm.files.disk import own_folder
     from truearm.report.reproduce_page import document
@@ -60,14 +72,14 @@ def reproduce(
 
     folder = out or Path("out") / paper.value
     own_folder(folder, MARK)
-    steps = _Steps(as_json)
+    steps = _Steps(json)
     page = reproduced(paper, quick, seed, steps)
-    command = f"truearm reproduce {paper.value} --seed {seed}{' --quick' * quick}"
-    report, numbers = write_page(folder, replace(page, steps=tuple(steps.done), command=command))
+    command_line = f"truearm reproduce {paper.value} --seed {seed}{' --quick' * quick}"
+    report, numbers = write_page(folder, replace(page, steps=tuple(steps.done), command=command_line))
     print_result(
         {**document(page), "report": str(report), "numbers": str(numbers)},
         [*lines(page), f"\nreport          {report}", f"numbers         {numbers}"],
-        as_json,
+        json,
     )
 
 

@@ -11,35 +11,13 @@ from typing import Annotated, Any
 
 import typer
 
-from truearm.cli.options import (
-    BaseOption,
-    BranchOption,
-    PlanOption,
-    SeedOption,
-    TipOption,
-    branch_given,
-    out_folder,
-)
+from truearm.bounds import REPEATABILITY, SEED, Within
+from truearm.cli.command import command, fill
+from truearm.cli.options import branch_given
 from truearm.cli.project import ProjectCommand, typed
-from truearm.cli.truth_options import (
-    DEFAULT_MODEL,
-    DEFAULT_PERIODS,
-    DEFAULT_STIFFNESS,
-    GearErrorOption,
-    GearPeriodsOption,
-    MassesOption,
-    ModelOption,
-    RepeatabilityOption,
-    StiffnessOption,
-    ToleranceOption,
-    TruthForceOption,
-    TruthOutOption,
-    TruthSeedOption,
-    WornOption,
-    truth_of,
-)
+from truearm.cli.truth_options import DEFAULT_MODEL, DEFAULT_PERIODS, DEFAULT_STIFFNESS, truth_of
 from truearm.errors import InputError
-from truearm.units import MS
+from truearm.units import MM, MS
 
 FAST_RATE_HZ = 500.0
 
@@ -57,105 +35,41 @@ class SimulateCommand(ProjectCommand):
         return super().invoke(ctx)
 
 
+@command(fast_rate=f"{FAST_RATE_HZ:.0f}")
 def simulate(
-    out: Annotated[Path, out_folder("plan.csv and rig.toml, with --fast session.mcap")] = Path("out/simulated"),
-    model: ModelOption = DEFAULT_MODEL,
-    base: BaseOption = None,
-    tip: TipOption = None,
-    branch: BranchOption = None,
-    fast: Annotated[
-        bool,
-        typer.Option(
-            "--fast", help="Record in virtual time, directly into session.mcap. This takes seconds instead of minutes."
-        ),
-    ] = False,
-    rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="HZ", help=f"With --fast: samples per second of each channel. Default: {FAST_RATE_HZ:.0f}."
-        ),
-    ] = None,
-    port: Annotated[
-        int, typer.Option(metavar="PORT", min=0, max=65535, help="TCP port of the box; 0 takes a free one.")
-    ] = 7007,
-    protocol: Annotated[
-        str, typer.Option(metavar="KIND", help="Protocol of the robot: lines (JSON) or rtde (Universal Robots).")
-    ] = "lines",
-    robot_port: Annotated[
-        int | None,
-        typer.Option(
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="TCP port of the robot; 0 takes a free one. Default: 7008, or 30004 with --protocol rtde.",
-        ),
-    ] = None,
-    pty: Annotated[
-        bool, typer.Option("--pty", help="Put the box behind a pseudo-terminal, like a serial device.")
-    ] = False,
-    poses: Annotated[int, typer.Option(metavar="N", min=9, max=5000, help="Poses with each of the two bars.")] = 72,
-    lines: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            min=0,
-            max=50,
-            help="Number of lines along a line device, driven there and back. 0: use a ball-bar instead.",
-        ),
-    ] = 0,
-    plan: PlanOption = None,
-    rig: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The rig of --plan (.toml). Default: the simulator's own.")
-    ] = None,
-    robot_delay_ms: Annotated[
-        float, typer.Option(min=0.0, max=1000.0, metavar="MS", help="Delay of the robot's joint readings.")
-    ] = 0.0,
-    trigger: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=15, metavar="INPUT", help="Digital input of the robot that the box's trigger output toggles."
-        ),
-    ] = None,
-    warming: Annotated[
-        float | None,
-        typer.Option(
-            metavar="K",
-            min=-20.0,
-            max=20.0,
-            help="Warm up the laboratory, with bar and sensor, by this many kelvin; both have thermometers.",
-        ),
-    ] = None,
-    worn: WornOption = False,
-    tolerance: ToleranceOption = None,
-    repeatability: RepeatabilityOption = None,
-    gear_error: GearErrorOption = 0.0,
-    gear_periods: GearPeriodsOption = DEFAULT_PERIODS,
-    masses: MassesOption = None,
-    stiffness: StiffnessOption = DEFAULT_STIFFNESS,
-    truth_out: TruthOutOption = None,
-    truth_seed: TruthSeedOption = None,
-    force: TruthForceOption = False,
-    seed: SeedOption = 1,
-    level: Annotated[
-        str,
-        typer.Option(metavar="LEVEL", help="vm: the firmware in MicroPython; chip: its image in an RP2040 emulator."),
-    ] = "vm",
-    stage: Annotated[
-        bool,
-        typer.Option(
-            "--stage",
-            help="Simulate the sensors without a robot, to rehearse truearm box gauge: they follow a reference position that you type in mm.",
-        ),
-    ] = False,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SECONDS:KIND",
-            help="Fault to simulate, such as 20:reboot (repeatable). KIND: short-write (of a frame), flip (a bit), lose or double (a "
-            "data frame), text (between frames), stall (for 0.2 s), crash, reboot (power lost), hang (until the watchdog acts), bad-crc or "
-            "converter-reset (of the converter), no-stop (no pulses of the magnetostrictive head).",
-        ),
-    ] = None,
+    *,
+    out: Path = Path("out/simulated"),
+    model: str = DEFAULT_MODEL,
+    base: str | None = None,
+    tip: str | None = None,
+    branch: str | None = None,
+    fast: bool = False,
+    rate: float | None = None,
+    port: Annotated[int, Within(0, 65535)] = 7007,
+    protocol: str = "lines",
+    robot_port: Annotated[int | None, Within(0, 65535)] = None,
+    pty: bool = False,
+    poses: Annotated[int, Within(9, 5000)] = 72,
+    lines: Annotated[int, Within(0, 50)] = 0,
+    plan: Path | None = None,
+    rig: Path | None = None,
+    robot_delay_ms: Annotated[float, Within(0.0, 1000.0)] = 0.0,
+    trigger: Annotated[int | None, Within(0, 15)] = None,
+    warming: Annotated[float | None, Within(-20.0, 20.0)] = None,
+    worn: bool = False,
+    tolerance: str | None = None,
+    repeatability_mm: Annotated[float | None, REPEATABILITY, MM] = None,
+    gear_error_mrad: Annotated[float, Within(0.0)] = 0.0,
+    gear_periods_deg: str = DEFAULT_PERIODS,
+    masses_kg: str | None = None,
+    stiffness_nm_rad: Annotated[float, Within(1.0)] = DEFAULT_STIFFNESS,
+    truth_out: Path | None = None,
+    truth_seed: Annotated[int | None, SEED] = None,
+    force: bool = False,
+    seed: Annotated[int, SEED] = 1,
+    level: str = "vm",
+    stage: bool = False,
+    fault: list[str] | None = None,
 ) -> None:
     """Simulate a sensor box and a robot, to rehearse a session on your own arm.
 
@@ -165,10 +79,53 @@ def simulate(
     may be slower than real time. Time starts with the first connection. The simulation ends when the robot's program has ended and
     the recorder has disconnected, or with Ctrl-C.
 
-    \b
     Example:
       truearm simulate     (and in another terminal the truearm record line that it prints)
       truearm simulate --model ur5e --plan plan.csv --rig rig.toml --fast --out rehearsal
+
+    Options
+    -------
+    out : FOLDER
+        Folder to write: plan.csv and rig.toml, with --fast session.mcap.
+    fast
+        Record in virtual time, directly into session.mcap. This takes seconds instead of minutes.
+    poses : N
+        Poses with each of the two bars.
+    lines : N
+        Number of lines along a line device, driven there and back. 0: use a ball-bar instead.
+    rig : FILE
+        The rig of --plan (.toml). Default: the simulator's own.
+    fault : SECONDS:KIND
+        Fault to simulate, such as 20:reboot (repeatable). KIND: short-write (of a frame), flip (a bit), lose or double
+        (a data frame), text (between frames), stall (for 0.2 s), crash, reboot (power lost), hang (until the watchdog
+        acts), bad-crc or converter-reset (of the converter), no-stop (no pulses of the magnetostrictive head).
+
+    Expert options
+    --------------
+    rate : HZ
+        With --fast: samples per second of each channel. Default: {fast_rate}.
+    port : PORT
+        TCP port of the box; 0 takes a free one.
+    protocol : KIND
+        Protocol of the robot: lines (JSON) or rtde (Universal Robots).
+    robot_port : PORT
+        TCP port of the robot; 0 takes a free one. Default: 7008, or 30004 with --protocol rtde.
+    pty
+        Put the box behind a pseudo-terminal, like a serial device.
+    robot_delay_ms : MS
+        Delay of the robot's joint readings.
+    trigger : INPUT
+        Digital input of the robot that the box's trigger output toggles.
+    warming : K
+        Warm up the laboratory, with bar and sensor, by this many kelvin; both have thermometers.
+    force
+        Overwrite the file of --truth-out if truearm wrote it. Files of the same command in the folder of --out are
+        overwritten in any case.
+    level : LEVEL
+        vm: the firmware in MicroPython; chip: its image in an RP2040 emulator.
+    stage
+        Simulate the sensors without a robot, to rehearse truearm box gauge: they follow a reference position that you
+        type in mm.
     """
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.record import nearest_osr
@@ -179,27 +136,15 @@ def simulate(
         simulate_stage,
     )
 
-    options = SimulateOptions(
+    options = fill(
+        SimulateOptions,
+        locals(),
         folder=out,
         model=RobotChoice(model, base, tip),
         branch=branch_given(branch),
-        truth=truth_of(tolerance, gear_error, gear_periods, masses, stiffness, repeatability, worn, truth_seed),
-        truth_out=truth_out,
-        force=force,
+        truth=truth_of(locals()),
         osr=nearest_osr(FAST_RATE_HZ if rate is None else rate),
-        port=port,
-        protocol=protocol,
-        robot_port=robot_port,
-        pty=pty,
-        poses=poses,
-        lines=lines,
-        plan=plan,
-        rig=rig,
         robot_delay_s=MS.to_si(robot_delay_ms),
-        trigger=trigger,
-        warming=warming,
-        seed=seed,
-        level=level,
         faults=tuple(fault or ()),
     )
     if rate is not None and not fast:

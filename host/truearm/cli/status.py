@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, assert_never
 
-from truearm.cli.options import JsonOption
+from truearm.cli.command import command
 from truearm.cli.output import print_result
 from truearm.errors import InputError
 from truearm.files.project_folder import FILE, find_project
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from truearm.workflows.project import ProjectState, ResultState, SessionState
 
 
-def status(as_json: JsonOption = False) -> None:
+@command()
+def status(*, json: bool = False) -> None:
     """Show the files of this folder's project, and the command that comes next.
 
     \b
@@ -30,7 +31,7 @@ def status(as_json: JsonOption = False) -> None:
     if file is None:
         raise InputError(f"no {FILE} here or in a folder above; create one with truearm init")
     state = state_of(file)
-    print_result(_document(state), _lines(state), as_json)
+    print_result(_document(state), _lines(state), json)
 
 
 def _lines(state: ProjectState) -> Iterator[str]:

@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
 
 import typer
 
-from truearm.cli.options import (
-    AllowDamagedOption,
-    IdentifiedBaseOption,
-    IdentifiedRobotOption,
-    IdentifiedTipOption,
-    InputsArgument,
-    JsonOption,
-    NamedRigsOption,
-    ResultArgument,
-    rigs_of,
-)
+from truearm.cli.command import command
+from truearm.cli.options import rigs_of
 from truearm.cli.output import print_lines, warn
 
 
+@command()
 def validate(
-    result: ResultArgument,
-    inputs: InputsArgument,
-    robot: IdentifiedRobotOption = None,
-    base: IdentifiedBaseOption = None,
-    tip: IdentifiedTipOption = None,
-    rig: NamedRigsOption = None,
-    keep_rig: Annotated[
-        bool,
-        typer.Option(
-            "--keep-rig",
-            help="Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated over all rows (without @FIRST). Only if nothing was moved since.",
-        ),
-    ] = False,
-    as_json: JsonOption = False,
-    allow_damaged: AllowDamagedOption = False,
+    result: Path,
+    inputs: list[Path],
+    *,
+    model: str | None = None,
+    base: str | None = None,
+    tip: str | None = None,
+    rig: list[str] | None = None,
+    keep_rig: bool = False,
+    json: bool = False,
+    allow_damaged: bool = False,
 ) -> None:
     """Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.
 
@@ -43,9 +30,16 @@ def validate(
     calibration alike, or held with --keep-rig. For the errors without the calibration, the poses of base and tool are estimated
     from these rows too if the rows determine them; the output says so.
 
-    \b
     Example:
       truearm validate result.json friday.csv --rig rig.toml
+
+    Options
+    -------
+    rig : [NAME=]FILE
+        Rig (.toml). {named_rigs}. Default: the rig in each session.
+    keep_rig
+        Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated
+        over all rows (without @FIRST). Only if nothing was moved since.
     """
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
@@ -54,8 +48,8 @@ def validate(
     from truearm.workflows.validate import validate_files
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    document = validate_files(result, RobotChoice(robot, base, tip), sources, keep_rig).document
-    if as_json:
+    document = validate_files(result, RobotChoice(model, base, tip), sources, keep_rig).document
+    if json:
         typer.echo(format_document(document))
     else:
         print_lines(validation_lines(document))

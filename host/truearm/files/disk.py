@@ -49,7 +49,7 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
             named = path.suffix.lower() == ".mcap"
             raise error(
                 f"{path}: is a session; {'' if named else 'where a session is wanted, its name must end in .mcap; otherwise '}"
-                "give what truearm identify writes of it: a table (--save-table FILE) or a result (--out FILE)"
+                "give what truearm identify writes of it: a table (--table-out FILE) or a result (--out FILE)"
             ) from exc
         raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
     if "\0" in text:
