@@ -136,7 +136,7 @@ FORMS = {
     "circle": (f"movej({six(POSES[1])})", f"movec({six(POSES[2])}, {six(POSES[3])})"),
     "joints": (f"movej({written(Q[1])})", f"movel({written(Q[2])})"),
     "approach": (f"W = {six(POSES[1])}", "movej(pose_trans(W, p[0,0,-0.02,0,0,0]))", "movel(W)"),
-    "added": (f"movej(pose_add({six(POSES[1])}, p[0,0,0.01,0,0,0.1]))", f"movel(pose_sub({six(POSES[2])}, p[0,0.01,0,0.1,0,0]))"),
+    "added": (f"movej(pose_add({six(POSES[1])}, p[0,0,0.01,0,0,0.1]))", f"movel(pose_add({six(POSES[2])}, p[0,0.01,0,0.1,0,0]))"),
     "three tools": tuple(line for k in range(3) for line in (f"set_tcp(p{written(TOOLS[k])})", f"movej({six(tool_point(k + 1, k))})", f"movel({six(tool_point(k + 4, k))})")),
     "three tools and features": tuple(line for k in range(3) for line in (f"set_tcp(p{written(TOOLS[k])})", f"global Plane_{k} = {six(feature(k))}", *(f"movej(pose_trans(Plane_{k}, {six(np.linalg.inv(feature(k)) @ tool_point(3 * k + i, k))}))" for i in range(3)))),
     "tool of its own": (f"movej(get_inverse_kin({six(tool_point(1, 2))}, {NEAR}, tcp=p{written(TOOLS[2])}))",),
@@ -171,6 +171,7 @@ FROM_JOINTS = {
     "by joints": (f"movej({written(flipped(Q[1]))})", f"movej({six(POSES[2])})"),
     "circle": (f"movej({written(flipped(Q[1]))})", f"movec({six(POSES[2])}, {six(POSES[3])})"),
     "circle after a target": (f"movej({written(Q[1])})", f"movel({six(POSES[2])})", f"movej({written(flipped(Q[1]))})", f"movec({six(POSES[3])}, {six(POSES[5])})"),
+    "in functions": ("def go():", f"  movej({written(flipped(Q[1]))})", "end", "def pick():", f"  movel({six(POSES[2])})", "end", "go()", "pick()", f"movel({six(POSES[3])})"),
     "from a qnear": (f"movej(get_inverse_kin({six(POSES[1])}, qnear={written(flipped(Q[1]))}))", f"movel({six(POSES[2])})"),
     "a rough qnear": (f"movej(get_inverse_kin({six(POSES[2])}, qnear={written(np.round(flipped(Q[2])) + np.array([0.5, 0.5, -0.5, -0.5, 0.6, 0.5]))}))",),
 }  # fmt: skip
@@ -208,7 +209,7 @@ REFUSED = {
     "round a loop": (f"movej({written(Q[2])})", "while True:", f"  movel({six(POSES[1])})", f"  movej({written(flipped(Q[2]))})", "end", {4: "other-configuration"}),
     "struct": (f"w = struct(pose={six(POSES[1])})", "movej(w.pose)", {3: "run-time"}),
     "parameter": ("def go(w):", "  movej(w)", "end", f"go({six(POSES[1])})", {3: "parameter"}),
-    "inverse of a literal": (f"movej(pose_inv({six(np.linalg.inv(POSES[1]))}))", {2: "not-written"}),
+    "inverse of a literal": (f"movej(pose_inv({six(np.linalg.inv(POSES[1]))}))", {2: "run-time"}),
     "element assigned": (f"W = {six(POSES[1])}", "W[2] = 0.5", "movej(W)", {4: "assigned"}),
     "several tools": ("if random() > 0.5:", f"  set_tcp(p{written(TOOLS[1])})", "end", f"movej({six(POSES[1])})", {5: "several-tools", 7: "several-tools"}),
     "tool in a condition that may be skipped": (f"x = True or set_tcp(p{written(TOOLS[1])})", f"movej({six(POSES[1])})", {3: "several-tools", 5: "several-tools"}),
@@ -221,7 +222,10 @@ REFUSED = {
     "no robot": ("movel(p[1000000,0,0,0,0,0])", {2: "range"}),
     "force": ("force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,1,0,0,0],2,[1,1,1,1,1,1])", {2: "aimless"}),
     "passed on": (f"W = {six(POSES[1])}", "elsewhere(W)", "movel(pose_trans(W, p[0,0,0,random(),0,0]))", {4: "run-time"}),
-    "recursion": ("def f():", f"  movel({six(POSES[1])})", f"  set_tcp(p{written(TOOLS[1])})", "  f()", "end", f"set_tcp(p{written(TOOLS[0])})", "f()", {3: "several-tools", 10: "deep"}),
+    "recursion": ("def f():", f"  movel({six(POSES[1])})", f"  set_tcp(p{written(TOOLS[1])})", "  f()", "end", f"set_tcp(p{written(TOOLS[0])})", "f()", {3: "several-tools", 10: "several-tools"}),
+    "a hundred tools": (*100 * ("if random() > 0.5:", f"  set_tcp(p{written(TOOLS[1])})", "end"), f"movej({six(POSES[1])})", {302: "several-tools", 304: "several-tools"}),
+    "a thread sets the tool": ("thread t():", f"  set_tcp(p{written(TOOLS[1])})", "end", f"set_tcp(p{written(TOOLS[0])})", f"movej({six(POSES[1])})", {6: "several-tools", 8: "several-tools"}),
+    "deep brackets": ("x0 = 1", *(f"x{k + 1} = {'(' * 39}x{k}{')' * 39}" for k in range(60)), "movej(p[x60,0,0,0,0,0])", {63: "deep"}),
     "itself": ("a = b", "b = a", "movel(a)", {4: "deep"}),
 }  # fmt: skip
 
@@ -258,6 +262,11 @@ def test_a_configuration_that_nothing_determines_needs_home(tmp_path, program_ki
     np.testing.assert_allclose(
         forward(CHAIN, TRUTH, done.others.q), done.targets.asked[[0] * len(done.others.q)], atol=1e-6
     )
+
+
+def test_moves_in_texts_are_not_corrected_in_silence(tmp_path):
+    text = program(f"movej({six(POSES[1])})", "socket_send_string('movel(p[0.1,0.2,0.3,0,0,0])')")
+    assert "1 text with moves, such as in p.script line 3" in " ".join(outcome(tmp_path, text).notes)
 
 
 def test_quarter_turns_that_the_correction_crosses_are_written(tmp_path):

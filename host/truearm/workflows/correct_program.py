@@ -289,7 +289,7 @@ def _visits(programs: Sequence[Program], joints_change: bool) -> list[Visit]:
 
 def _visits_of(number: int, program: Program) -> Iterator[Visit]:
     """Yield the goals of all moves with the goals from where the robot may come."""
-    before = preceding(program.steps, lambda move: True, MOST_ORIGINS)
+    before = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
     for move in program.moves:
         origins: list[Goal | None] = list(_ends(before.get(move, ())))
         for goal in move.goals:
@@ -483,6 +483,8 @@ def _notes(
     n_kept = sum(_is_joints(goal) for move in moves for goal in move.goals)
     if n_kept and options.joint_moves is not JointMoves.CORRECT:
         yield f"{counted(n_kept, 'move')} to joint values kept as {'it is' if n_kept == 1 else 'they are'}."
+    if texts := [program.where(place) for program in programs for place in program.texts]:
+        yield f"{counted(len(texts), 'text')} with moves, such as in {texts[0]}: texts are not corrected."
 
 
 def _written(

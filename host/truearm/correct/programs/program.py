@@ -203,18 +203,20 @@ class Program:
     """The files that run together.
 
     ``steps``: moves and the structure around them, in the order of the text (``order.py``). ``absent``: routines that
-    none of the files defines. ``harmless``: uses of data that a correction may change, such as joints near a target.
-    ``names``: all words; ``declared``: those that the files declare as data.
+    none of the files defines. ``origins``: the moves from which each may come, where the steps do not show it. ``harmless``: uses of data that a correction may change, such as joints near a target.
+    ``names``: all words; ``declared``: those that the files declare as data. ``texts``: texts that contain moves.
     """
 
     language: str
     files: list[Source]
     moves: list[Move] = field(default_factory=list)
     steps: list[Step | Move] = field(default_factory=list)
+    origins: dict[Move, frozenset[Move | None]] = field(default_factory=dict)
     absent: dict[str, None] = field(default_factory=dict)
     harmless: set[Place] = field(default_factory=set)
     names: set[str] = field(default_factory=set)
     declared: set[str] = field(default_factory=set)
+    texts: list[Place] = field(default_factory=list)
     n_goals: int = 0
 
     def count(self, move: Move) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,32 +22,21 @@ from truearm.correct.programs.program import (
     Move,
     Place,
     Program,
-    Step,
     Surroundings,
     Target,
     Uncertain,
     Uses,
 )
-from truearm.correct.programs.tokens import DEEPEST, Source, Token, Tokens, closing, is_bracketed, is_word, separated
-from truearm.correct.programs.urscript_names import (
-    LANGUAGE,
-    POSE_FUNCTIONS,
-    Routine,
-    Script,
-    Statement,
-    call_of,
-    calls_in,
-    certain,
-    find,
-    read_names,
-)
-from truearm.correct.programs.urscript_tools import Event, Tools
-from truearm.correct.programs.urscript_words import AIMLESS, MOVES, STRAIGHT
-from truearm.model.poses import frame_of, inverted
+from truearm.correct.programs.tokens import Source, Tokens, is_bracketed, is_word, separated
+from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, certain, find, read_names
+from truearm.correct.programs.urscript_order import LastCalls, closure
+from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
+from truearm.model.poses import frame_of
 from truearm.types import Floats
 from truearm.units import DEG
 
-SIX = 6
+MOST_TOOLS = 100  # calls of set_tcp that may be the last one before a move
+MOST_ORIGINS = 4  # moves that may be the last one before a move
 CURRENT_JOINTS = frozenset(("get_actual_joint_positions", "get_target_joint_positions"))  # as qnear: no choice
 T = TypeVar("T")
 
@@ -57,23 +47,25 @@ class Factor(NamedTuple):
     constant: Floats = IDENTITY
     literal: Literal | None = None
     uses: Uses = ()
-    is_inverse: bool = False
+
+
+class Value(NamedTuple):
+    """What an argument may be: a product of poses, or joint readings as its only factor.
+
+    Poses that ``get_inverse_kin`` turns into joint readings have the ``tool`` in force there, its ``near``, and the bytes
+    (``span``) of its argument, unless a name has the joint readings.
+    """
+
+    factors: tuple[Factor, ...]
+    tool: Floats | None = None
+    near: tuple[float, ...] = ()
+    span: tuple[int, int] | None = None
 
     @property
-    def pose(self) -> Floats:
-        """Its pose (4, 4)."""
-        pose = self.constant if self.literal is None else frame_of(self.literal.numbers)  # type: ignore[arg-type]
-        return inverted(pose) if self.is_inverse else pose
-
-
-Product = tuple[Factor, ...]
-
-
-class Readings(NamedTuple):
-    """Six joint readings [rad]; ``literal``: their numbers in the text; computed ones have no bytes in it."""
-
-    literal: Literal
-    uses: Uses = ()
+    def readings(self) -> Literal | None:
+        """The joint readings that it is, None if it is a pose."""
+        literal = self.factors[0].literal
+        return literal if literal is not None and literal.form.is_joints else None
 
 
 @dataclass(eq=False)
@@ -81,67 +73,49 @@ class _Reader:
     """Evaluates the expressions of a script. Values of names are kept: each name is evaluated once."""
 
     script: Script
+    tools: LastCalls
     literals: dict[Place, Literal] = field(default_factory=dict)
     memo: Memo = field(default_factory=Memo)
-    depth: int = 0
 
-    def through(self, datum: Datum, evaluate: Callable[[Tokens, Statement], T]) -> T:
-        """Return what a name with one value stands for."""
+    def through(self, datum: Datum, evaluate: Callable[[Tokens, Any], list[T]], kind: str) -> list[T]:
+        """Return all that a name may stand for, as something of a kind."""
         certain(self.script, datum)
-        if len(datum.values) != 1:
-            raise Uncertain("several" if datum.values else "no-value", name=datum.name)
-        return self.memo.get((datum, evaluate.__name__), lambda: self.deeper(datum, evaluate, *datum.values[0]))
-
-    def through_all(self, datum: Datum, evaluate: Callable[[Tokens, Statement], list[T]]) -> list[T]:
-        """Return all that a name may stand for."""
-        certain(self.script, datum)
-        if not datum.values:
-            raise Uncertain("no-value", name=datum.name)
 
         def results() -> list[T]:
-            alternatives: list[T] = []
-            for tokens, statement in datum.values:
-                alternatives += self.deeper(datum, evaluate, tokens, statement)
-                check_number(alternatives)
-            return alternatives
+            values = [value for tokens, statement in datum.values for value in evaluate(tokens, statement)]
+            check_number(values)
+            return values
 
-        return self.memo.get((datum, evaluate.__name__), results)
+        return self.memo.get((datum, kind), results)
 
-    def deeper(self, datum: Datum, evaluate: Callable[..., T], tokens: Tokens, statement: object) -> T:
-        """Evaluate the value of a name, unless names lead to names without end."""
-        if self.depth > DEEPEST:
-            raise Uncertain("deep")
-        self.depth += 1
-        try:
-            return evaluate(tokens, statement)
-        finally:
-            self.depth -= 1
-
-    def number(self, tokens: Tokens, statement: Statement, depth: int = 0) -> float:
+    def number(self, tokens: Tokens, statement: Statement) -> float:
         """Return the value of a constant expression. Raises Uncertain."""
-        if depth > DEEPEST:
-            raise Uncertain("deep")
         if len(tokens) == 1 and tokens[0].kind == "number":
             return float(tokens[0].text)
+        if len(tokens) == 2 and tokens[0].text in "+-" and tokens[1].kind == "number":
+            return float(tokens[0].text + tokens[1].text)
         if is_bracketed(tokens, 0, "("):
-            return self.number(tokens[1:-1], statement, depth + 1)
-        total = sum_or_product(tokens, lambda operand: self.number(operand, statement, depth + 1))
+            return self.number(tokens[1:-1], statement)
+        total = sum_or_product(tokens, lambda operand: self.number(operand, statement))
         if total is not None:
             return total
-        call = call_of(tokens)
-        if call and call.function == "d2r" and len(call.positional) == 1 and "d2r" not in self.script.routines:
-            return float(DEG.to_si(self.number(call.positional[0], statement, depth + 1)))
+        call = self.script.call(tokens, statement)
+        if call is not None and call.name == "d2r":
+            return float(DEG.to_si(self.number(call.argument(0, "d"), statement)))
         datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
         if datum is None:
             raise Uncertain("run-time")
-        return self.through(datum, self.number)
+        first, *others = set(self.through(datum, lambda tokens, scope: [self.number(tokens, scope)], "number"))
+        if others:
+            raise Uncertain("several", name=datum.name)
+        return first
 
-    def six(self, tokens: Tokens, statement: Statement, form: Form, start: int) -> Literal:
-        """Return the six numbers in square brackets; the literal has no spans if they are computed."""
-        place = Place(statement.file, start)
+    def six(self, tokens: Tokens, statement: Statement, form: Form) -> list[Value]:
+        """Return six numbers in square brackets; computed ones have no bytes in the text."""
+        place = statement.place(tokens[0])
         if place not in self.literals:
-            items = list(separated(tokens[1:-1], ","))
-            if len(items) != SIX:
+            items = list(separated(tokens[1 + (form is Form.VECTOR) : -1], ","))
+            if len(items) != 6:
                 raise Uncertain("type", type="list of six numbers")
             numbers = tuple(self.number(item, statement) for item in items)
             written = all(item[-1].kind == "number" and len(item) <= 2 for item in items)
@@ -149,66 +123,114 @@ class _Reader:
             literal = Literal(place, tokens[-1].end, form, numbers, spans)
             check_reach(literal)
             self.literals[place] = literal
-        return self.literals[place]
+        return [Value((Factor(literal=self.literals[place]),))]
 
-    def poses(self, tokens: Tokens, statement: Statement, depth: int = 0) -> list[Product]:
-        """Return the products that an argument may be: one, or one for each element of a list. Raises Uncertain."""
-        if depth > DEEPEST:
-            raise Uncertain("deep")
-        if is_word(tokens, 0, "p") and is_bracketed(tokens, 1, "["):
-            literal = self.six(tokens[1:], statement, Form.VECTOR, tokens[0].start)
-            if literal.spans:
-                return [(Factor(literal=literal),)]
-            return [(Factor(frame_of(literal.numbers)),)]  # type: ignore[arg-type]
-        call = call_of(tokens)
-        if call and call.function not in self.script.routines:
-            arguments = [self.poses(argument, statement, depth + 1) for argument in call.positional]
-            return _applied(call.function, arguments)
-        if tokens and tokens[0].kind == "word" and (len(tokens) == 1 or is_bracketed(tokens, 1, "[")):
-            return self.poses_of_name(tokens, statement)
-        raise Uncertain("run-time")
+    def values(self, tokens: Tokens, statement: Statement, index: str = "") -> list[Value]:
+        """Return what an argument may be, or an element of it. Raises Uncertain.
 
-    def poses_of_name(self, tokens: Tokens, statement: Statement) -> list[Product]:
-        """Return the products that a name, or an element of it, may be."""
+        ``index``: the text of an index such as [1], or "". An index that is no number stands for all elements.
+        """
+        if len(tokens) == 1 and tokens[0].kind == "word":
+            return self.named(tokens, statement, index)
+        if not is_word(tokens, 0, "p") and is_bracketed(tokens, 1, "["):
+            return self.values(tokens[:1], statement, index + "".join(token.text for token in tokens[1:]))
+        if index:
+            if not is_bracketed(tokens, 0, "["):
+                raise Uncertain("not-written")
+            items = list(separated(tokens[1:-1], ","))
+            if index[1:-1].isdecimal():
+                items = items[int(index[1:-1]) :][:1]
+            return [value for item in items for value in self.values(item, statement)]
+        if is_bracketed(tokens, 0, "["):
+            return self.six(tokens, statement, Form.RADIANS)
+        if is_bracketed(tokens, 1, "["):
+            return self.six(tokens, statement, Form.VECTOR)
+        call = self.script.call(tokens, statement)
+        if call is None:
+            raise Uncertain("run-time")
+        return self.solved(call) if call.name == SOLVER else self.product(call)
+
+    def named(self, tokens: Tokens, statement: Statement, index: str) -> list[Value]:
+        """Return what a name may stand for; its literals are reached by this use of it, too."""
         datum = find(self.script, tokens[0].text, statement)
         if datum is None:
             raise Uncertain("undeclared", name=tokens[0].text)
         use = datum, statement.place(tokens[0])
-        is_whole = len(tokens) == 1
-        products = self.through_all(datum, self.poses) if is_whole else self.elements(datum, tokens[2:-1])
-        return [tuple(f._replace(uses=(use, *f.uses)) if f.literal else f for f in product) for product in products]
+        values = self.through(datum, lambda tokens, scope: self.values(tokens, scope, index), index)
+        factors = [tuple(f._replace(uses=(use, *f.uses)) for f in value.factors) for value in values]
+        return [value._replace(factors=f, span=None) for value, f in zip(values, factors, strict=True)]
 
-    def elements(self, datum: Datum, index: Tokens) -> list[Product]:
-        """Return the elements of a list of poses: one by a plain number, else all."""
-        certain(self.script, datum)
-        if len(datum.values) != 1 or not is_bracketed(datum.values[0][0], 0, "["):
-            raise Uncertain("not-written")
-        tokens, statement = datum.values[0]
-        items = list(separated(tokens[1:-1], ","))
-        if len(index) == 1 and index[0].kind == "number" and index[0].text.isdigit():
-            items = items[int(index[0].text) :][:1]
-        if not items:
-            raise Uncertain("element", name=datum.name)
-        check_number(items)
-        return [product for item in items for product in self.deeper(datum, self.poses, item, statement)]
-
-    def joints(self, tokens: Tokens, statement: Statement) -> list[Readings]:
-        """Return the joint readings that an argument may be. Raises Uncertain."""
-        if is_bracketed(tokens, 0, "["):
-            return [Readings(self.six(tokens, statement, Form.RADIANS, tokens[0].start))]
-        datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
-        if datum is None:
+    def product(self, call: Call) -> list[Value]:
+        """Return the values of pose_trans and pose_add."""
+        if call.name not in ("pose_trans", "pose_add"):
             raise Uncertain("run-time")
-        use = datum, statement.place(tokens[0])
-        several = self.through_all(datum, self.joints)
-        return [Readings(readings.literal, (use, *readings.uses)) for readings in several]
+        first = self.values(call.argument(0, "p_from", "p_1"), call.statement)
+        if call.name == "pose_add":  # positions are added, orientations are multiplied
+            step, turn = IDENTITY.copy(), IDENTITY.copy()
+            offset = self.pose(call.argument(1, "p_2"), call.statement)
+            step[:3, 3], turn[:3, :3] = offset[:3, 3], offset[:3, :3]
+            return [Value((Factor(step), *value.factors, Factor(turn))) for value in first]
+        second = self.values(call.argument(1, "p_from_to"), call.statement)
+        check_number(range(len(first) * len(second)))
+        return [Value(a.factors + b.factors) for a in first for b in second]
+
+    def solved(self, call: Call) -> list[Value]:
+        """Return the values of get_inverse_kin(x, qnear=…, tcp=…)."""
+        near, tool = call.argument(1, "qnear"), call.argument(4, "tcp")
+        readings: tuple[float, ...] = ()
+        source = self.script.call(near, call.statement)
+        if near and (source is None or source.name not in CURRENT_JOINTS):
+            values = self.values(near, call.statement)
+            if len(values) != 1 or values[0].readings is None:
+                raise Uncertain("several", name="its qnear")
+            self.script.program.harmless.update(place for _, place in values[0].factors[0].uses)
+            readings = values[0].readings.numbers
+        pose = self.pose(tool, call.statement) if tool else self.tool(call)
+        argument = call.argument(0, "x")
+        values = self.values(argument, call.statement)
+        return [Value(v.factors, pose, readings, (argument[0].start, argument[-1].end)) for v in values]
 
     def pose(self, tokens: Tokens, statement: Statement) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
-        matrices = [_product(factors) for factors in self.poses(tokens, statement)]
-        if any(not np.array_equal(matrix, matrices[0]) for matrix in matrices):
-            raise Uncertain("several", name="it")
-        return matrices[0]
+        poses = [_product(value.factors) for value in self.values(tokens, statement)]
+        return only(poses, Uncertain("several", name="it"))
+
+    def tool(self, call: Call) -> Floats:
+        """Return the tool (4, 4) in force at a call. Raises Uncertain."""
+        setters = self.tools.before(call)
+        return self.memo.get(setters, lambda: only(list(map(self.set_tool, setters)), Uncertain("several-tools")))
+
+    def set_tool(self, setter: Entry | None) -> Floats:
+        """Return the tool that a set_tcp sets, or that of the beginning."""
+        if setter is None:
+            raise Uncertain("several-tools")
+        if isinstance(setter, Call):
+            try:
+                return self.memo.get(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
+            except Uncertain as uncertain:
+                raise uncertain.about("tool") from None
+        if self.script.surroundings.tool is None:
+            raise Uncertain("tool")
+        return self.script.surroundings.tool
+
+    def goals(self, call: Call) -> list[Goal]:
+        """Return the goals of a move. Raises Uncertain."""
+        if call.name in AIMLESS:
+            raise Uncertain("aimless")
+        if self.script.displaced is not None:
+            raise self.script.displaced.again()
+        goals: list[Goal] = []
+        for number, names in enumerate(MOVES[call.name]):
+            argument = call.argument(number, *names)
+            if not argument:
+                raise Uncertain("arguments")
+            values = self.values(argument, call.statement)
+            for value in values:
+                span = (argument[0].start, argument[-1].end) if value.tool is None else value.span
+                tool = IDENTITY if value.readings else self.tool(call) if value.tool is None else value.tool
+                span = span if len(values) == 1 else None
+                goals.append(Goal(_target(value.factors), tool, argument=span, near=value.near))
+        return goals
 
 
 def check_number(alternatives: Sequence[object]) -> None:
@@ -217,194 +239,60 @@ def check_number(alternatives: Sequence[object]) -> None:
         raise Uncertain("many", most=MOST_TARGETS)
 
 
-def _applied(function: str, arguments: Sequence[list[Product]]) -> list[Product]:
-    """Return a function of the language applied to poses."""
-    if function not in POSE_FUNCTIONS or len(arguments) != 1 + (function != "pose_inv"):
-        raise Uncertain("run-time")
-    if function == "pose_inv":
-        return [
-            tuple(factor._replace(is_inverse=not factor.is_inverse) for factor in reversed(product))
-            for product in arguments[0]
-        ]
-    first, second = arguments
-    check_number(range(len(first) * len(second)))
-    if function == "pose_trans":
-        return [a + b for a in first for b in second]
-    if len(second) != 1:
-        raise Uncertain("several", name="an offset")
-    step, turn = IDENTITY.copy(), IDENTITY.copy()  # positions are added, orientations are multiplied
-    other = _product(second[0])
-    step[:3, 3], turn[:3, :3] = other[:3, 3], other[:3, :3]
-    if function == "pose_sub":
-        step, turn = inverted(step), inverted(turn)
-    return [(Factor(step), *product, Factor(turn)) for product in first]
+def only(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
+    """Return the pose that all are. Raises Uncertain."""
+    if not poses or np.ptp(poses, axis=0).max() > 1e-12:
+        raise otherwise
+    return poses[0]
 
 
 def _product(factors: Sequence[Factor]) -> Floats:
     product = IDENTITY
-    for factor in factors:
-        product = product @ factor.pose
+    for constant, literal, _ in factors:
+        pose = constant if literal is None else frame_of(literal.numbers)  # type: ignore[arg-type]
+        product = product @ pose
     return product
 
 
-def _target(factors: Product) -> Target:
+def _target(factors: Sequence[Factor]) -> Target:
     """Return a product as the target of a move: its last literal receives the correction."""
-    for index in range(len(factors) - 1, -1, -1):
-        literal = factors[index].literal
-        if literal is None or factors[index].is_inverse or sum(f.literal is literal for f in factors) > 1:
-            continue
-        left, right = (_product(part) for part in (factors[:index], factors[index + 1 :]))
-        return Target(literal, left, right, factors[index].uses)
+    literals = [factor.literal for factor in factors]
+    for index in reversed(range(len(factors))):
+        literal = literals[index]
+        if literal is not None and (literal.spans or literal.form.is_joints) and literals.count(literal) == 1:
+            return Target(literal, _product(factors[:index]), _product(factors[index + 1 :]), factors[index].uses)
     raise Uncertain("not-written")
 
 
-# moves
-
-
 def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Program:
-    """Read scripts that run together."""
+    """Read scripts that run together: all moves of functions that may be called."""
     script = read_names(files, surroundings)
-    reader = _Reader(script)
-
-    def tool_pose(event: Event) -> Floats:
-        call = call_of(event.tokens)
-        try:
-            return reader.pose(call.argument(0, "pose") if call else (), event.statement)
-        except Uncertain as uncertain:
-            raise uncertain.about("tool") from None
-
-    finder = _MoveFinder(script, reader, Tools(script, tool_pose))
-    finder.find()
-    return script.program
-
-
-@dataclass(eq=False)
-class _MoveFinder:
-    """Adds the moves of a script to its program."""
-
-    script: Script
-    reader: _Reader
-    tools: Tools
-    places: set[Place] = field(default_factory=set)
-
-    def find(self) -> None:
-        """Add all moves of functions that may be called, and what else may move the robot."""
-        reached = self.reached()
-        steps = self.script.program.steps
-        for entry in self.script.outline:
-            if isinstance(entry, Step):
-                steps.append(entry)
-            elif isinstance(entry, Statement) and (entry.routine is None or entry.routine in reached):
-                for index, token in calls_in(entry.tokens):
-                    self.add(entry, index, token)
-
-    def reached(self) -> set[Routine]:
-        """Return the functions that may be called: the outermost ones, and what these call."""
-        routines = [routine for same_name in self.script.routines.values() for routine in same_name]
-        called: dict[Routine | None, set[str]] = {}
-        for statement in self.script.statements():
-            names = {token.text for _, token in calls_in(statement.tokens)}
-            called.setdefault(statement.routine, set()).update(names)
-        waiting = [routine for routine in routines if routine.outer is None]
-        waiting += [routine for name in called.get(None, ()) for routine in self.script.routines.get(name, ())]
-        reached = set(waiting)
-        while waiting:
-            names = called.get(waiting.pop(), set())
-            new = {routine for name in names for routine in self.script.routines.get(name, ())} - reached
-            reached |= new
-            waiting += new
-        return reached
-
-    def add(self, statement: Statement, index: int, token: Token) -> None:
-        """Add a call if it moves the robot, or may."""
-        program, place = self.script.program, statement.place(token)
-        if token.text in self.script.routines or token.text not in LANGUAGE:
-            program.steps.append(Step.CALL)
-        if (token.text not in MOVES and token.text not in AIMLESS) or place in self.places:
-            return
-        self.places.add(place)
-        end = closing(statement.tokens, index + 1)
-        tokens = statement.tokens[index : end + 1] if end < len(statement.tokens) else [token]
-        move = Move(token.text, place, tokens[-1].end, token.text in STRAIGHT)
-        program.moves.append(move)
-        program.steps.append(move)
-        try:
-            call = call_of(tokens)
-            if call is None or token.text in AIMLESS:
-                raise Uncertain("aimless" if token.text in AIMLESS else "arguments")
-            if self.script.displaced is not None:
-                raise self.script.displaced.again()
-            for number, names in enumerate(MOVES[token.text]):
-                move.goals += self.goals(statement, token, call.argument(number, *names))
-            program.count(move)
-        except Uncertain as uncertain:
-            move.refuse(uncertain)
-
-    def goals(self, statement: Statement, token: Token, argument: Tokens) -> list[Goal]:
-        """Return the goals of one argument of a move. Raises Uncertain."""
-        if not argument:
-            raise Uncertain("arguments")
-        span = argument[0].start, argument[-1].end
-        tokens, where, uses = self.source(argument, statement)
-        call = call_of(tokens)
-        if call and call.function == "get_inverse_kin" and call.function not in self.script.routines:
-            return self.solved_goals(tokens, where, uses)
-        try:
-            several = self.reader.joints(argument, statement)
-        except Uncertain:
-            if is_bracketed(tokens, 0, "["):
-                raise
-            products = self.reader.poses(argument, statement)
-            tool = self.tools.in_force(statement, token)
-            return [Goal(_target(product), tool, argument=span if len(products) == 1 else None) for product in products]
-        return [Goal(Target(r.literal, uses=r.uses), argument=span if len(several) == 1 else None) for r in several]
-
-    def source(self, argument: Tokens, statement: Statement) -> tuple[Tokens, Statement, Uses]:
-        """Follow names to the call that gives a target: q = get_inverse_kin(…), movej(q)."""
-        uses: list[tuple[Datum, Place]] = []
-        tokens = argument
-        for _ in range(DEEPEST):
-            datum = find(self.script, tokens[0].text, statement) if len(tokens) == 1 else None
-            if datum is None or datum.changes or len(datum.values) != 1 or datum.kind == "parameter":
-                break
-            uses.append((datum, statement.place(tokens[0])))
-            tokens, statement = datum.values[0]  # type: ignore[assignment]
-        return tokens, statement, tuple(uses)
-
-    def solved_goals(self, tokens: Tokens, statement: Statement, uses: Uses) -> list[Goal]:
-        """Return the goals of get_inverse_kin(x, qnear=…, tcp=…), reached by the names ``uses``."""
-        call = call_of(tokens)
-        assert call is not None
-        for datum, _ in uses:
-            certain(self.script, datum)
-        argument, other_tool = call.argument(0, "x"), call.argument(4, "tcp")
-        near = self.near(call.argument(1, "qnear"), statement)
-        if not argument:
-            raise Uncertain("arguments")
-        if other_tool and other_tool[0].text.strip("\"'") != "active_tcp":
-            tool = self.reader.pose(other_tool, statement)
-        else:
-            tool = self.tools.in_force(statement, tokens[0])
-        products = self.reader.poses(argument, statement)
-        alone = len(products) == 1 and not uses
-        goals = []
-        for product in products:
-            target = _target(product)
-            target = Target(target.literal, target.left, target.right, (*uses, *target.uses))
-            span = (argument[0].start, argument[-1].end) if alone else None
-            goals.append(Goal(target, tool, argument=span, near=near))
-        return goals
-
-    def near(self, tokens: Tokens, statement: Statement) -> tuple[float, ...]:
-        """Return the joint readings [rad] of a qnear, none if it is missing or where the robot is. Raises Uncertain."""
-        call = call_of(tokens)
-        if not tokens or (call and call.function in CURRENT_JOINTS):
-            return ()
-        several = self.reader.joints(tokens, statement)
-        if len(several) != 1:
-            raise Uncertain("several", name="its qnear")
-        self.script.program.harmless.update(place for _, place in several[0].uses)
-        return several[0].literal.numbers
+    program = script.program
+    reader = _Reader(script, LastCalls(script, frozenset({"set_tcp"}), MOST_TOOLS))
+    reached = _reached(script)
+    moves: dict[Call, Move] = {}
+    for call in script.placed_calls.values():
+        if call.name in MOVES.keys() | AIMLESS and call.statement.routine in reached:
+            moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in STRAIGHT)
+            try:
+                move.goals += reader.goals(call)
+                program.count(move)
+            except Uncertain as uncertain:
+                move.refuse(uncertain)
+            except RecursionError:
+                move.refuse(Uncertain("deep"))
+    program.moves += moves.values()
+    last = LastCalls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
+    for call, move in moves.items():
+        program.origins[move] = frozenset(moves.get(origin) for origin in last.before(call))  # type: ignore[arg-type]
+    return program
 
 
-__all__ = ["read_urscript"]
+def _reached(script: Script) -> set[Routine]:
+    """Return the functions that may be called: files, the outermost functions, and what these call."""
+    called: dict[Routine, set[Routine]] = defaultdict(set)
+    for name, calls in script.calls.items():
+        for call in calls:
+            called[call.statement.routine].update(script.routines.get(name, ()))
+    routines = (routine for same_name in script.routines.values() for routine in same_name)
+    return closure((r for r in routines if r.outer is None or r.outer.outer is None), called.__getitem__)

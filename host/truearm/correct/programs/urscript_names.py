@@ -9,29 +9,16 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 from truearm.correct.programs.program import Change, Datum, Place, Program, Step, Surroundings, Uncertain
 from truearm.correct.programs.program import certain as certain_in_program
-from truearm.correct.programs.tokens import (
-    Source,
-    Token,
-    Tokens,
-    closing,
-    depth_change,
-    is_bracketed,
-    is_word,
-    separated,
-    words,
-)
-from truearm.correct.programs.urscript_words import EFFECTS, QUIET
+from truearm.correct.programs.tokens import DEPTH, Source, Token, Tokens, closing, is_word, separated, words
+from truearm.correct.programs.urscript_words import EFFECTS, MOVE_TEXT, is_in_language
 
 TRACKING = words("track_conveyor_linear track_conveyor_circular frame_tracking_enable path_offset_enable")
-POSE_FUNCTIONS = words("pose_trans pose_add pose_sub pose_inv")
-LANGUAGE = EFFECTS | QUIET | POSE_FUNCTIONS
-LANGUAGE |= words(
-    "get_inverse_kin get_tcp_offset struct make_list rpy2rotvec rotvec2rpy if elif while return not and or xor run kill join"
-)
 LENGTHS = words("length get_list_length size")  # of a list: its numbers do not count
 DEFINING = words("def thread sec")
 ENDING = words("end else elif")
@@ -39,57 +26,82 @@ ENDING = words("end else elif")
 
 @dataclass(eq=False)
 class Routine:
-    """A function or thread (``kind``) with its parameters, and the function in which it is defined."""
+    """A function or thread (``kind``) with its parameters, and the function or file in which it is defined."""
 
     name: str
     kind: str
     outer: Routine | None
-    parameters: dict[str, Datum] = field(default_factory=dict)
+    names: dict[str, Datum] = field(default_factory=dict)
+
+
+class Border(NamedTuple):
+    """The beginning of a function or file, or one of its ends. What comes before a thread is unknown."""
+
+    routine: Routine
+    is_end: bool
 
 
 @dataclass(eq=False)
 class Statement:
-    """A statement, a condition, or a parameter's default, in a function of a file."""
+    """A statement, a condition, or the parameters of a function, in a function of a file."""
 
     tokens: Tokens
     file: int
-    routine: Routine | None
-    returns: bool = False
+    routine: Routine
 
     def place(self, token: Token) -> Place:
         """Return the place of one of its tokens."""
         return Place(self.file, token.start)
 
 
-class Call(NamedTuple):
-    """A function call with the arguments in their order and those given by name."""
+@dataclass(eq=False)
+class Call:
+    """A call of a function in a statement."""
 
-    function: str
-    positional: list[Tokens]
-    named: dict[str, Tokens]
+    name: str
+    tokens: Tokens
+    statement: Statement
 
-    def argument(self, number: int, *names: str) -> Tokens:
-        """Return an argument by its name or number, empty if it is not given."""
-        by_name = next((self.named[name] for name in names if name in self.named), None)
-        if by_name is not None:
-            return by_name
-        return self.positional[number] if number < len(self.positional) else ()
+    @property
+    def place(self) -> Place:
+        """Where it begins."""
+        return self.statement.place(self.tokens[0])
+
+    @cached_property
+    def arguments(self) -> dict[int | str, Tokens]:
+        """The arguments by their names, or else their numbers."""
+        arguments: dict[int | str, Tokens] = {}
+        for number, argument in enumerate(separated(self.tokens[2:-1], ",")):
+            is_named = is_word(argument, 1, "=")
+            arguments[argument[0].text if is_named else number] = argument[2 * is_named :]
+        return arguments
+
+    def argument(self, *keys: int | str) -> Tokens:
+        """Return the argument with one of these numbers or names, empty if there is none."""
+        return next((self.arguments[key] for key in keys if key in self.arguments), ())
+
+
+Entry = Border | Call
 
 
 @dataclass(eq=False)
 class Script:
-    """Files that run together. ``displaced``: why no pose of the script is certain."""
+    """Files that run together. ``routines``: by name, the files as "". ``displaced``: why no pose is certain."""
 
     program: Program
     surroundings: Surroundings
     names: dict[str, Datum] = field(default_factory=dict)
     routines: dict[str, list[Routine]] = field(default_factory=lambda: defaultdict(list))
-    outline: list[Step | Statement | Routine] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
+    steps: list[Step | Entry] = field(default_factory=list)
+    placed_calls: dict[Place, Call] = field(default_factory=dict)
+    calls: dict[str, list[Call]] = field(default_factory=lambda: defaultdict(list))
     displaced: Uncertain | None = None
 
-    def statements(self) -> Iterator[Statement]:
-        """Yield all statements."""
-        return (entry for entry in self.outline if isinstance(entry, Statement))
+    def call(self, tokens: Tokens, statement: Statement) -> Call | None:
+        """Return the call of a function of the language that tokens are, None if they are something else."""
+        call = self.placed_calls.get(statement.place(tokens[0])) if tokens else None
+        return call if call and call.tokens[-1] is tokens[-1] and call.name not in self.routines else None
 
 
 def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
@@ -97,12 +109,17 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
     script = Script(Program("urscript", list(files)), surroundings)
     for number, source in enumerate(files):
         _ScriptReader(script, number).read(source.script_tokens)
-    for statement in script.statements():
-        _note_assignment(script, statement)
-    for statement in script.statements():
+    for statement in script.statements:
         _note_uses(script, statement)
+    for call in script.placed_calls.values():
+        script.calls[call.name].append(call)
+    absent = [name for name in script.calls if name not in script.routines and not is_in_language(name)]
+    script.program.absent.update(dict.fromkeys(absent))
+    for name, calls in script.calls.items():
+        if name in TRACKING:
+            script.displaced = Uncertain("displaced", name=name, where=script.program.where(calls[0].place))
     for name in script.routines:
-        if name in EFFECTS or name == "get_inverse_kin":
+        if name in EFFECTS:
             script.displaced = Uncertain("redefined", name=name)
     return script
 
@@ -112,16 +129,14 @@ def _lines(tokens: Sequence[Token]) -> Iterator[list[Token]]:
     line: list[Token] = []
     depth = 0
     for token in tokens:
-        if token.kind == "newline":
-            if line and depth <= 0 and line[-1].text not in ("and", "or"):
-                yield line
-                line, depth = [], 0
-            continue
-        if token.kind == "word" and token.text in ENDING and depth <= 0 and line:
+        is_break = token.kind == "newline" and line and line[-1].text not in ("and", "or")
+        if line and depth <= 0 and (is_break or token.text in ENDING):
             yield line
-            line = []
+            line, depth = [], 0
+        if token.kind == "newline":
+            continue
         line.append(token)
-        depth += depth_change(token)
+        depth += DEPTH.get(token.text, 0)
         if depth <= 0 and (token.text == ":" or (token.text == "end" and len(line) == 1)):
             yield line
             line, depth = [], 0
@@ -129,102 +144,81 @@ def _lines(tokens: Sequence[Token]) -> Iterator[list[Token]]:
         yield line
 
 
-@dataclass(eq=False)
-class _Block:
-    """A function, choice or loop that is open: the function around it, how many ends it needs, its condition if a loop."""
-
-    outer: Routine | None
-    ends: int = 1
-    condition: Statement | None = None
-
-
 class _ScriptReader:
-    """Reads the statements of one file."""
+    """Reads the statements of one file. ``blocks``: the routine around each open block, and the steps that end it."""
 
     def __init__(self, script: Script, file: int) -> None:
         self.script, self.file = script, file
-        self.routine: Routine | None = None
-        self.blocks: list[_Block] = []
+        self.routine = Routine("", "def", None)
+        self.blocks: list[tuple[Routine, list[Step | Entry]]] = []
+        script.routines[""].append(self.routine)
+        script.steps.append(Border(self.routine, is_end=False))
 
     def read(self, tokens: Sequence[Token]) -> None:
         """Read the file."""
         for line in _lines(tokens):
             word = line[0].text
-            if word == "end":
-                self.end()
+            if word == "end" and self.blocks:
+                self.routine, steps = self.blocks.pop()
+                self.script.steps += steps
             elif word in DEFINING and len(line) > 1:
                 self.define(line)
             elif word in ("if", "while", "elif", "else"):
                 self.branch(word, line[1:])
             elif word in ("break", "continue"):
-                self.script.outline.append(Step.LEAVE)
+                self.script.steps.append(Step.LEAVE)
+            elif word == "return":
+                self.add(line[1:])
+                self.script.steps.append(Border(self.routine, is_end=True))
             else:
-                self.add(line[word == "return" :], returns=word == "return")
+                self.add(line)
 
-    def add(self, tokens: Tokens, returns: bool = False) -> Statement:
-        """Add a statement."""
-        statement = Statement(tokens, self.file, self.routine, returns)
-        if tokens or returns:
-            self.script.outline.append(statement)
-        return statement
+    def add(self, tokens: Tokens) -> list[Step | Entry]:
+        """Add a statement; return its calls. With ``and`` or ``or``, they may not be run."""
+        statement = Statement(tokens, self.file, self.routine)
+        self.script.statements.append(statement)
+        _note_assignment(self.script, statement)
+        steps: list[Step | Entry] = []
+        is_optional = not {"and", "or"}.isdisjoint([token.text for token in tokens])
+        for index, token in calls_in(tokens):
+            end = closing(tokens, index + 1)
+            call = Call(token.text, tokens[index : end + 1] if end < len(tokens) else [token], statement)
+            self.script.placed_calls[call.place] = call
+            steps += [Step.IF, call, Step.END] if is_optional else [call]
+        self.script.steps += steps
+        return steps
 
     def define(self, line: Tokens) -> None:
         """Read the head of a function or thread; defaults of parameters use names too."""
-        self.blocks.append(_Block(self.routine))
-        self.routine = Routine(line[1].text, line[0].text, self.routine)
-        self.script.routines[self.routine.name].append(self.routine)
-        self.script.outline += [Step.ROUTINE, self.routine]
-        end = closing(line, 2) if len(line) > 2 else 2
-        for parameter in separated(line[3:end], ","):
-            if parameter:
-                name = parameter[0]
-                datum = Datum(name.text, "", "parameter", Place(self.file, name.start))
-                self.routine.parameters[name.text] = datum
-        self.add(line[3:end])
+        routine = Routine(line[1].text, line[0].text, self.routine)
+        self.blocks.append((self.routine, [Border(routine, is_end=True), Step.END]))
+        self.routine = routine
+        self.script.routines[routine.name].append(routine)
+        self.script.steps += [Step.ROUTINE, *([Border(routine, is_end=False)] if routine.kind == "def" else [])]
+        parameters = line[3 : closing(line, 2)]
+        for name, *_ in filter(None, separated(parameters, ",")):
+            routine.names[name.text] = Datum(name.text, "", "parameter", Place(self.file, name.start))
+        self.add(parameters)
 
     def branch(self, word: str, condition: Tokens) -> None:
-        """Read IF, ELIF, ELSE or WHILE. ELIF is an IF in the ELSE branch: its condition runs only there."""
-        if word in ("elif", "else"):
-            self.script.outline.append(Step.BRANCH)
-        if word == "while":
-            self.script.outline.append(Step.LOOP)
-        statement = self.add(condition)
-        if word in ("if", "elif"):
-            self.script.outline.append(Step.IF)
+        """Read IF, ELIF, ELSE or WHILE. ELIF is an IF in the ELSE branch: its condition runs only there.
+
+        A loop is left through its condition.
+        """
+        steps = self.script.steps
+        steps += {"if": [], "while": [Step.LOOP]}.get(word, [Step.BRANCH])
+        calls = self.add(condition)
+        steps += [Step.IF] * (word in ("if", "elif"))
         if word == "elif" and self.blocks:
-            self.blocks[-1].ends += 1
+            self.blocks[-1][1].append(Step.END)
         elif word in ("if", "while"):
-            self.blocks.append(_Block(self.routine, condition=statement if word == "while" else None))
-
-    def end(self) -> None:
-        """Leave a function, choice or loop. A loop is left through its condition."""
-        if not self.blocks:
-            return
-        block = self.blocks.pop()
-        self.script.outline += [Step.END] * block.ends
-        if block.condition is not None and block.condition.tokens:
-            again = block.condition
-            self.script.outline.append(Statement(again.tokens, again.file, again.routine))
-        self.routine = block.outer
-
-
-def call_of(tokens: Tokens) -> Call | None:
-    """Return the call that tokens are, None if they are something else."""
-    if len(tokens) < 3 or tokens[0].kind != "word" or not is_bracketed(tokens, 1, "("):
-        return None
-    call = Call(tokens[0].text, [], {})
-    for argument in separated(tokens[2:-1], ","):
-        if len(argument) > 2 and argument[0].kind == "word" and argument[1].text == "=":
-            call.named[argument[0].text] = argument[2:]
-        elif argument:
-            call.positional.append(argument)
-    return call
+            self.blocks.append((self.routine, [Step.END, *(calls if word == "while" else [])]))
 
 
 def calls_in(tokens: Tokens) -> Iterator[tuple[int, Token]]:
     """Yield the index and name of each function call, but no calls of methods."""
-    for index, token in enumerate(tokens):
-        if token.kind == "word" and is_word(tokens, index + 1, "(") and not is_word(tokens, index - 1, "."):
+    for index, (token, following) in enumerate(pairwise(tokens)):
+        if following.text == "(" and token.kind == "word" and not is_word(tokens, index - 1, "."):
             yield index, token
 
 
@@ -233,10 +227,10 @@ def calls_in(tokens: Tokens) -> Iterator[tuple[int, Token]]:
 
 def find(script: Script, name: str, statement: Statement) -> Datum | None:
     """Return the datum of a name as seen from a statement: a parameter of a function around it, or a variable."""
-    routine = statement.routine
+    routine: Routine | None = statement.routine
     while routine is not None:
-        if name in routine.parameters:
-            return routine.parameters[name]
+        if name in routine.names:
+            return routine.names[name]
         routine = routine.outer
     return script.names.get(name)
 
@@ -249,51 +243,35 @@ def certain(script: Script, datum: Datum) -> None:
 
 
 def _note_assignment(script: Script, statement: Statement) -> None:
-    """Note an assignment: one more value of a variable, or a change of an element of it."""
-    tokens = statement.tokens
-    begin = bool(tokens) and tokens[0].text in ("global", "local")
-    depth = 0
-    for index, token in enumerate(tokens):
-        depth += depth_change(token)
-        if token.text == "=" and token.kind == "sign" and not depth and index > begin:
-            break
-    else:
+    """Note an assignment: one more value of a variable, or a change of a part of it."""
+    is_scoped = bool(statement.tokens) and statement.tokens[0].text in ("global", "local")
+    tokens = statement.tokens[is_scoped:]
+    if len(tokens) < 2 or tokens[0].kind != "word" or tokens[1].text not in ("=", "[", "."):
         return
-    name = tokens[begin]
-    datum = find(script, name.text, statement) if name.kind == "word" else None
-    if name.kind != "word" or (datum is not None and datum.kind == "parameter"):
+    _, *values = separated(tokens, "=")
+    name, place = tokens[0].text, statement.place(tokens[0])
+    datum = find(script, name, statement) or Datum(name, "", "var", place)
+    if not values or datum.kind == "parameter":
         return
-    place = statement.place(name)
-    if datum is None:
-        datum = script.names[name.text] = Datum(name.text, "", "var", place)
-    datum.written.add(place)
-    if index == begin + 1:
-        datum.values.append((tokens[index + 1 :], statement))
+    script.names[name] = datum
+    if tokens[1].text == "=":
+        datum.values.append((tokens[2:], statement))
     else:
         datum.changes.append(Change(place, "assigned"))
 
 
 def _note_uses(script: Script, statement: Statement) -> None:
-    """Note the uses of names, method calls that may change them, and what a statement does to all moves."""
-    tokens, depth = statement.tokens, 0
-    script.program.names.update(token.text for token in tokens if token.kind == "word")
-    for _, token in calls_in(tokens):
-        if token.text in TRACKING:
-            where = script.program.where(statement.place(token))
-            script.displaced = Uncertain("displaced", name=token.text, where=where)
-        if token.text not in LANGUAGE and token.text not in script.routines:
-            script.program.absent[token.text] = None
+    """Note the uses of names, method calls that may change them, and moves in texts."""
+    tokens = statement.tokens
     for index, token in enumerate(tokens):
-        depth += depth_change(token)
-        is_function = is_word(tokens, index + 1, "(")
-        is_argument = depth > 0 and is_word(tokens, index + 1, "=")
-        if token.kind != "word" or is_function or is_argument or is_word(tokens, index - 1, "."):
+        if token.kind == "text" and MOVE_TEXT.search(token.text):
+            script.program.texts.append(statement.place(token))
+        if token.kind != "word" or is_word(tokens, index - 1, "."):
             continue
         datum = find(script, token.text, statement)
-        place = statement.place(token)
-        is_measured = is_word(tokens, index - 1, "(") and index > 1 and tokens[index - 2].text in LENGTHS
-        if datum is None or place in datum.written or is_measured:
-            continue
-        datum.uses.add(place)
-        if is_word(tokens, index + 1, ".") and is_word(tokens, index + 3, "("):
-            datum.changes.append(Change(place, "method"))
+        following = tokens[index + 1].text if index + 1 < len(tokens) else ""
+        is_length = index > 1 and tokens[index - 1].text == "(" and tokens[index - 2].text in LENGTHS
+        if datum is not None and following not in ("(", "=") and not is_length:
+            datum.uses.add(statement.place(token))
+            if following == "." and is_word(tokens, index + 3, "("):
+                datum.changes.append(Change(statement.place(token), "method"))

@@ -1,0 +1,75 @@
+"""Which calls may be the last ones before a call of a URScript, through branches, loops and functions.
+
+The tool in force at a move is that of the last set_tcp, and the arm's configuration comes from the last move.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from truearm.correct.programs.order import preceding
+from truearm.correct.programs.urscript_names import Border, Call, Entry, Script
+
+T = TypeVar("T")
+
+
+def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]:
+    """Return the nodes that ``following`` leads to, with those at the start."""
+    reached = set(start)
+    waiting = list(reached)
+    while waiting:
+        new = set(following(waiting.pop())) - reached
+        reached |= new
+        waiting += new
+    return reached
+
+
+@dataclass(eq=False)
+class LastCalls:
+    """The calls of the functions ``names`` that may be the last before any call, if they are not more than ``most``.
+
+    ``acting``: these functions and those of the script that lead to them. ``in_thread``: whether a thread does.
+    """
+
+    script: Script
+    names: frozenset[str]
+    most: int
+
+    def __post_init__(self) -> None:
+        """Find the functions that lead to the calls, and what may come before each call within its function."""
+        callers: dict[str, set[str]] = defaultdict(set)
+        for name, calls in self.script.calls.items():
+            callers[name] = {call.statement.routine.name for call in calls}
+        self.acting = closure(self.names, callers.__getitem__)
+        routines = (routine for name in self.acting for routine in self.script.routines.get(name, ()))
+        self.in_thread = any(routine.kind != "def" for routine in routines)
+        self.ends: dict[frozenset[Entry | None], frozenset[Entry | None]] = {}
+        self.last: dict[Entry, frozenset[Entry | None]] = preceding(
+            self.script.steps,
+            lambda entry: entry.name in self.acting if isinstance(entry, Call) else not entry.is_end,
+            self.most,
+        )
+
+    def before(self, call: Call) -> frozenset[Entry | None]:
+        """Return the calls that may be the last; the beginning of a file or function if none was; None: unknown."""
+        entries = self.last[call]
+        if entries not in self.ends:
+            reached = closure(entries, self._earlier)
+            ends = frozenset(entry for entry in reached if not self._places(entry))
+            is_certain = 0 < len(ends) <= self.most and not self.in_thread
+            self.ends[entries] = ends if is_certain else frozenset({None})
+        return self.ends[entries]
+
+    def _earlier(self, entry: Entry | None) -> Iterable[Entry | None]:
+        return {earlier for place in self._places(entry) for earlier in self.last.get(place, (None,))}
+
+    def _places(self, entry: Entry | None) -> Sequence[Entry]:
+        """Return where to look on: the calls of a function that begins, the ends of one that is called."""
+        if isinstance(entry, Border):
+            return self.script.calls.get(entry.routine.name, ())
+        if isinstance(entry, Call) and entry.name not in self.names:
+            return [Border(routine, is_end=True) for routine in self.script.routines[entry.name]]
+        return ()
