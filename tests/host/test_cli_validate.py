@@ -1,5 +1,6 @@
 """``truearm validate``: verdicts on robots that are unchanged, that changed, and that are different robots."""
 
+import html
 import json
 import re
 from dataclasses import replace
@@ -69,6 +70,47 @@ def test_a_robot_that_did_not_change_passes(folder, run):
         f"with base and tool fitted to these rows; with base and tool as described: {found['rms_raw_mm']:.4f} mm RMS"
         in said
     )
+
+
+def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path):
+    """The same errors as on the screen; twice the RMS is compared with the tolerance."""
+    path = measured(folder / "page.csv", TRUTH)
+    found = judged(run, folder, path)
+    twice = 2.0 * found["rms_after_mm"]
+    page = tmp_path / "page.html"
+    details = ["--number", "TV-9", "--customer", "<Acme>", "--serial", "7", "--report", page]
+    for tolerance, decision in ((0.9 * twice, "FAIL"), (1.1 * twice, "PASS")):
+        given = ["validate", folder / "result.json", path, "--rig", folder / "rig.toml", *details]
+        code, said, _ = run(*given, "--tolerance-mm", f"{tolerance:.4f}", "--force")
+        assert code == 0
+        assert found["verdict"] in said
+        text = page.read_text("utf-8")
+        decided = html.unescape(re.search(r'<p class="decision">(.*?)</p>', text).group(1))
+        assert decided.startswith(f"{decision}: {twice:.3g} mm, twice the RMS error of 180 rows, tolerance ")
+    rows = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)]
+    (whole,) = (row for row in rows if row[0] == "all, RMS")
+    assert whole[1:3] == [f"{found[f'rms_{name}_mm']:.4f}" for name in ("before", "after")]
+    assert "&lt;Acme&gt;" in text
+    assert "TV-9" in text
+    assert "signature" in text
+    code, _, err = run(*given[:-2])
+    assert (code, "give --report" in err) == (2, True)
+    page.write_text("my own page")
+    assert run(*given).code == 2
+    assert page.read_text() == "my own page"
+
+
+def test_a_validation_with_the_fitted_rows_is_no_pass(run, tmp_path):
+    rows = measured(tmp_path / "rows.csv", TRUTH)
+    write_rig(tmp_path / "rig.toml", RIG)
+    rig = ["--rig", tmp_path / "rig.toml"]
+    assert (
+        run("identify", rows, "--model", "puma560", *rig, "--joint-laws", "none", "--out", tmp_path / "r.json").code
+        == 0
+    )
+    page = tmp_path / "page.html"
+    assert run("validate", tmp_path / "r.json", rows, *rig, "--report", page, "--tolerance-mm", "50").code == 0
+    assert '<p class="decision">NOT USABLE: the identification used these' in page.read_text("utf-8")
 
 
 @pytest.mark.parametrize(("n", "few"), [(1, "But 1 row cannot show"), (9, "But 9 rows cannot show"), (10, None)])

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
+from truearm.bounds import Within
 from truearm.cli.command import command
-from truearm.cli.options import rigs_of
+from truearm.cli.options import issue_of, rigs_of
 from truearm.cli.output import print_lines, warn
+from truearm.errors import Argument, InputError
+from truearm.text import one_line
 
 
 @command()
 def validate(
+    context: typer.Context,
     result: Path,
     inputs: list[Path],
     *,
@@ -21,8 +27,17 @@ def validate(
     tip: str | None = None,
     rig: list[str] | None = None,
     keep_rig: bool = False,
+    report: Path | None = None,
+    serial: str | None = None,
+    operator: str | None = None,
+    name: str | None = None,
+    controller: str | None = None,
+    customer: str | None = None,
+    number: str = "",
+    tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     json: bool = False,
     allow_damaged: bool = False,
+    force: bool = False,
 ) -> None:
     """Judge a calibration by other measurements: errors with and without it, in parts of the workspace, and a verdict.
 
@@ -40,16 +55,28 @@ def validate(
     keep_rig
         Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated
         over all rows (without @FIRST). Only if nothing was moved since.
+    report : FILE
+        Write a page with a certificate of the validation (.html).
     """
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
     from truearm.report.validation_words import validation_lines
+    from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
+    from truearm.workflows.report import ReportFiles, validation_report
     from truearm.workflows.validate import validate_files
 
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
-    document = validate_files(result, RobotChoice(model, base, tip), sources, keep_rig).document
+    choice = RobotChoice(model, base, tip)
+    if report is None:
+        if number or any(text is not None for text in (tolerance_mm, serial, operator, name, controller, customer)):
+            raise InputError("the details of a certificate need a page; give ", Argument("report"))
+        document = validate_files(result, choice, sources, keep_rig).document
+    else:
+        command_line = shlex.join(["truearm", *(context.obj or [])])
+        files = IdentifyFiles(choice, sources, command=command_line, force=force)
+        document = validation_report(ReportFiles(result, files, report, issue_of(locals())), keep_rig).document
     if json:
         typer.echo(format_document(document))
     else:
-        print_lines(validation_lines(document))
+        print_lines([*validation_lines(document), *([f"Written: {one_line(str(report))}"] if report else [])])

@@ -100,13 +100,20 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
-    lines = [SIMULATED] if document["simulated"] else []
+    first = [SIMULATED] if document["simulated"] else []
+    tables = [line for rows in error_tables(document) for line in _aligned(rows)]
+    before, after = validation_remarks(document)
+    return [*first, *before, *tables, *after, one_line(document["verdict"])]
+
+
+def validation_remarks(document: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """Return the sentences before and after the tables of errors."""
+    first, lines = [], []
     if document["without_rig"]:
-        lines.append(
+        first.append(
             f"No rig was given, but the identification used one ({one_line(document['without_rig'])}). What it says of the fixtures and of the points on "
             "the end is not used here; give the rig of these measurements."
         )
-    lines += [line for suffix in document["residual_units"] for line in _error_lines(document, SUFFIXES[suffix])]
     if any(region["region"].startswith(BY_PLACE) for region in document["regions"]):
         lines.append(
             '"Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.'
@@ -135,27 +142,36 @@ def validation_lines(document: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
-    lines += copy_sentences(document)
-    return [*lines, *document["payload"], one_line(document["verdict"])]
+    return first, [*lines, *copy_sentences(document), *document["payload"]]
 
 
-def _error_lines(document: Mapping[str, Any], unit: Scale) -> list[str]:
+def error_tables(document: Mapping[str, Any]) -> list[list[tuple[str, ...]]]:
+    """Return a table of errors for each unit, its titles first: all rows, then the regions."""
+    return [_error_rows(document, SUFFIXES[suffix]) for suffix in document["residual_units"]]
+
+
+def _error_rows(document: Mapping[str, Any], unit: Scale) -> list[tuple[str, ...]]:
     due = document["expected"] if not document["unseen"] else None
-    width = max([len(region["region"]) for region in document["regions"]] + [len("all, largest")])
-    lines = [f"{title('error', unit.si):<{width}}{'without':>12}{'with':>12}{'expected':>12}{'rows':>8}"]
+    rows: list[tuple[str, ...]] = [(title("error", unit.si), "without", "with", "expected", "rows")]
     for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
         predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
-        lines.append(_line(words, width, document, figure, unit, predicted))
+        rows.append(_error_row(words, document, figure, unit, predicted))
     for region in document["regions"]:
         if region[f"n_{unit.suffix}"]:
             predicted = region[f"rms_expected_{unit.suffix}"]
-            lines.append(_line(one_line(region["region"]), width, region, "rms", unit, predicted))
-    return lines
+            rows.append(_error_row(one_line(region["region"]), region, "rms", unit, predicted))
+    return rows
 
 
-def _line(words: str, width: int, numbers: Mapping[str, Any], figure: str, unit: Scale, predicted: float | None) -> str:
+def _error_row(
+    words: str, numbers: Mapping[str, Any], figure: str, unit: Scale, predicted: float | None
+) -> tuple[str, ...]:
     decimals = UNITS[unit.si].decimals
-    before, after = (numbers[f"{figure}_{name}_{unit.suffix}"] for name in ("before", "after"))
-    last = "-" if predicted is None else f"{predicted:.{decimals}f}"
-    rows = numbers[f"n_{unit.suffix}"]
-    return f"{words:<{width}}{before:>12.{decimals}f}{after:>12.{decimals}f}{last:>12}{rows:>8}"
+    before, after = (f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after"))
+    expected = "-" if predicted is None else f"{predicted:.{decimals}f}"
+    return words, before, after, expected, str(numbers[f"n_{unit.suffix}"])
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
+    width = max(len(words) for words, *_ in rows)
+    return [f"{words:<{width}}{a:>12}{b:>12}{c:>12}{n:>8}" for words, a, b, c, n in rows]

@@ -34,7 +34,7 @@ from truearm.units import DEGC, MM
 from truearm.workflows.calibration import Calibration, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
 from truearm.workflows.identify import Identification
-from truearm.workflows.validate import Validation
+from truearm.workflows.validate import Measured, Validation
 
 NOT_GIVEN = "not given"
 STEEL, ALUMINIUM = 12e-6, 23e-6  # 1/K
@@ -86,8 +86,8 @@ def calibration_certificate(
     gain = gain_of(e.mean_change) is Gain.NONE
     problem = "no better than the nominal robot" if gain else unusable_because(found)
     return Certificate(
-        _heading("Certificate of calibration", found.table.simulated),
-        _decision(issue.tolerance, tool, "at the tool in the measured region", problem),
+        f"Certificate of {'a simulated ' * found.table.simulated}calibration",
+        _decision(issue.tolerance, tool, f" (k = {COVERAGE:g}) at the tool in the measured region", problem),
         (
             ("What", _what(found, issue, recordings, "result")),
             ("Error of the tool in the measured region", errors),
@@ -102,14 +102,10 @@ def calibration_certificate(
 
 
 def validation_certificate(
-    calibration: Calibration,
-    validation: Validation,
-    issue: Issue,
-    recordings: Sequence[Recording],
-    measured: tuple[Rigs, ObservationTable, Sequence[Input]],
+    measured: Measured, validation: Validation, issue: Issue, recordings: Sequence[Recording]
 ) -> Certificate:
-    """Return page one of the report on a validation; ``measured``: rig, rows and files of the independent measurements."""
-    rig, table, inputs = measured
+    """Return page one of the report on a validation."""
+    calibration, rig, table, inputs = measured
     errors: list[tuple[str, str]] = []
     for si, after in validation.after.items():
         errors += [
@@ -119,11 +115,11 @@ def validation_certificate(
         if si in validation.expected:
             errors.append(("expected from noise and calibration", f"{size(validation.expected[si], si)} RMS"))
     error = COVERAGE * validation.after["m"].rms if "m" in validation.after else None
+    used = "the identification used these measurements too" if validation.document["identified_from"] else None
+    problem = unusable_because(calibration) or used
     return Certificate(
-        _heading("Certificate of validation", bool(validation.document["simulated"])),
-        _decision(
-            issue.tolerance, error, "twice the RMS error of independent measurements", unusable_because(calibration)
-        ),
+        f"Certificate of {'a simulated ' * bool(validation.document['simulated'])}validation",
+        _decision(issue.tolerance, error, f", twice the RMS error of {counted(validation.n, 'row')}", problem),
         (
             ("What", _what(calibration, issue, recordings, "validated result")),
             (
@@ -136,10 +132,6 @@ def validation_certificate(
         ),
         ("Directions in which nothing was measured: a length shows only the error along it.", *ALWAYS_EXCLUDED),
     )
-
-
-def _heading(title: str, simulated: bool) -> str:
-    return f"{title} (simulated)" if simulated else title
 
 
 def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
@@ -180,7 +172,7 @@ def _decision(tolerance: float | None, error: float | None, which: str, problem:
         return f"NOT USABLE: {problem}."
     if error is None:
         return "NOT DECIDED: the observations do not determine the error of the tool."
-    found = f"{size(error, 'm')} {which} (k = {COVERAGE:g})"
+    found = f"{size(error, 'm')}{which}"
     if tolerance is None:
         return f"{found}; no tolerance was given."
     return f"{'PASS' if error <= tolerance else 'FAIL'}: {found}, tolerance {MM.text(tolerance)}."

@@ -1,4 +1,4 @@
-"""``truearm report``: the page of a result with its certificate, recomputed from the recordings."""
+"""The pages of a result and of its validation, with their certificates (``truearm report``, ``validate --report``)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,22 @@ import numpy as np
 
 from truearm.errors import Argument, InputError
 from truearm.estimate.solvers import Prior
-from truearm.files.disk import sha256
+from truearm.files.disk import sha256, write_atomic
 from truearm.files.result_consistency import EARLIER_PRIOR
 from truearm.files.robot_file import load_robot
 from truearm.files.stored_result import read_result
 from truearm.progress import step
+from truearm.report import validation_page
 from truearm.report.certificate import Recording
 from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
-from truearm.workflows.certificates import Issue, calibration_certificate
+from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
+from truearm.workflows.validate import Validation, measured_files, validated
 
 SAME = 1e-3  # of a parameter's σ: covers the arithmetic of another machine, but not another fit
 
@@ -71,6 +73,21 @@ def report_files(files: ReportFiles) -> Identification:
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
     return found
+
+
+@step("validating")
+def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
+    """Judge a result by independent observations and write the page. Raises InputError."""
+    recordings: list[Recording] = []
+    made_from = files.made_from
+    sources = replace(made_from.sources, heard=lambda session, result: recordings.append(recording_of(session, result)))
+    outputs = [(files.out, looks_like_page, ".html")]
+    measured = measured_files(files.result, made_from.robot, sources, outputs, made_from.force)
+    validation = validated(*measured, keep_rig)
+    certificate = validation_certificate(measured, validation, files.issue, recordings)
+    name = measured.calibration.chain.name
+    write_atomic(files.out, validation_page.render(name, certificate, validation.document, made_from.command))
+    return validation
 
 
 def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:

@@ -38,7 +38,7 @@ from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
-from truearm.workflows.inputs import Sources, check_files, hashed_inputs, observed
+from truearm.workflows.inputs import Output, Sources, check_files, hashed_inputs, observed
 from truearm.workflows.selection import parse_effect
 from truearm.workflows.session_parts import with_parts
 
@@ -127,19 +127,35 @@ class Validation(Displayed):
         return "\n".join(validation_lines(self.document))
 
 
+class Measured(NamedTuple):
+    """A calibration, and independent observations to judge it by, with their rig and files."""
+
+    calibration: Calibration
+    rig: Rigs
+    table: ObservationTable
+    inputs: list[Input]
+
+
 @step("validating")
 def validate_files(result: Path, robot: RobotChoice, sources: Sources, keep_rig: bool = False) -> Validation:
     """Read a result and the observations for judging it; ``keep_rig`` as in ``validated``.
 
     Raises InputError with a one-line message.
     """
+    measured = measured_files(result, robot, sources)
+    return validated(*measured, keep_rig)
+
+
+def measured_files(
+    result: Path, robot: RobotChoice, sources: Sources, outputs: Sequence[Output] = (), force: bool = False
+) -> Measured:
+    """Read a result and the observations for judging it, and check the files that will be written. Raises InputError."""
     calibration = read_calibration(result, robot)
     sources = replace(sources, inputs=tuple(with_parts(list(sources.inputs))))
-    check_files(sources, robot)
+    check_files(sources, robot, outputs, force)
     if because := unusable_because(calibration):
         sources.say(f"{result}: the fit is not usable ({because}); correct its inputs and identify again")
-    rig, table = observed(sources, calibration.joint_units)
-    return validated(calibration, rig, table, hashed_inputs(sources, robot), keep_rig)
+    return Measured(calibration, *observed(sources, calibration.joint_units), hashed_inputs(sources, robot))
 
 
 def validated(

@@ -1,0 +1,28 @@
+"""The HTML report of a validation: its certificate, the verdict, and the errors in parts of the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from truearm.report.certificate import Certificate, certificate_section
+from truearm.report.page_parts import command_block, html_page, section, sentences, table_of
+from truearm.report.page_text import escape
+from truearm.report.validation_words import error_tables, validation_remarks
+
+
+def render(robot: str, certificate: Certificate, document: Mapping[str, Any], command: str) -> str:
+    """Return the page as HTML text, to be written as UTF-8; ``document`` is what ``truearm validate --json`` prints."""
+    tables = ""
+    for titles, *rows in error_tables(document):
+        cells = ([escape(cell) for cell in row] for row in rows)
+        tables += table_of([escape(title) for title in titles], cells, "errors")
+    before, after = validation_remarks(document)
+    sections = (
+        certificate_section(certificate),
+        f'<section><h2 class="verdict">{escape(document["verdict"], 1200)}</h2></section>\n',
+        section("Errors", sentences(before, "remarks doubts") + tables + sentences(after, "remarks")),
+        section("How it was made", command_block(command)) if command else "",
+    )
+    watermark = "simulated" * bool(document["simulated"])
+    return html_page("truearm validate", f"Validation of {robot}", "", sections, watermark=watermark)
