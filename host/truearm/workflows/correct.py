@@ -14,6 +14,7 @@ from truearm.correct.correction import MARGIN, Configuration, Correction, at_too
 from truearm.correct.inverse import several_fit
 from truearm.correct.methods import Method, entry, with_steps
 from truearm.correct.model_pair import ModelPair
+from truearm.correct.programs.languages import ALL_SUFFIXES
 from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice, load_robot
@@ -37,7 +38,6 @@ from truearm.workflows.correct_program import (
 from truearm.workflows.correction_findings import CorrectedTargets, Refused, comparison, document_of, findings, warnings
 from truearm.workflows.correction_report import page_of
 from truearm.workflows.program_files import (
-    ALL_SUFFIXES,
     check_program_out,
     is_program,
     read_program_files,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets, OtherConfigurations, Refused
-from truearm.workflows.given_tools import check_mentioned, check_names
+from truearm.workflows.given_tools import check_given
 
 N_JOINTS = 6  # of a robot that a pose in a program determines
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
@@ -177,30 +178,31 @@ def correct_program(
 
     Raises ProgramRefused if a move cannot be corrected, FindingError if the files are no valid program.
     """
-    surroundings = _surroundings(files, language, options)
+    surroundings = _surroundings(options)
     programs = read_programs(language, [Source(name, data) for name, data in files.items()], surroundings)
-    moves = [move for program in programs for move in program.moves]
     title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
     _check_moves(title, programs, how.pair, options)
-    check_mentioned(title, language, programs, options.tools, options.works)
+    check_given(title, language, programs, options.tool, options.tools, options.works)
     frames = _controller_frames(language, names, options, how.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
     censuses = [Census(program, joints_change) for program in programs]
-    solution = _solution(_visits(programs, joints_change), how, frames)
+    visits = [visit for visit in _visits(programs) if joints_change or not _is_joints(visit.goal)]
+    solution = _solution(sorted(visits, key=lambda visit: _is_joints(visit.goal)), how, frames)
     _settle(censuses, solution, how)
     refused = _refused(programs)
-    if refused and not options.partial:
-        raise ProgramRefused(_refusal(title, len(moves), refused), refused)
     places = _corrected_rows(censuses, solution)
+    n_moves = sum(len(program.moves) for program in programs)
     if not places:
-        raise ProgramRefused((f"{title}: no move can be corrected, so nothing was written",), refused)
+        none = f"{title}: none of {counted(n_moves, 'move')} can be corrected, so nothing was written"
+        raise ProgramRefused((none,), refused)
+    if refused and not options.partial:
+        raise ProgramRefused(_refusal(title, n_moves, refused), refused)
     written = _written(censuses, solution, language, surroundings, options)
     labels, rows = [_label(programs, *place) for place in places], np.array(list(places.values()))
-    posed = rows[rows < solution.n_poses]
-    lines = [label.removeprefix("line ") for label, row in zip(labels, rows, strict=True) if row < solution.n_poses]
-    q, quarters, determined = (
-        of[posed] for of in (solution.correction.q_nominal, solution.quarters, solution.determined)
-    )
+    posed = rows < solution.n_poses
+    lines = [label.removeprefix("line ") for label, is_pose in zip(labels, posed, strict=True) if is_pose]
+    columns = (solution.correction.q_nominal, solution.quarters, solution.determined)
+    q, quarters, determined = (column[rows[posed]] for column in columns)
     return Corrected(
         _targets(how.pair, labels, rows, solution),
         _straight_moves(how.pair, programs, solution),
@@ -211,9 +213,8 @@ def correct_program(
     )
 
 
-def _surroundings(files: Mapping[str, bytes], language: ProgramLanguage, options: ProgramOptions) -> Surroundings:
-    """Return what defines the programs from outside. Raises FindingError for tools that the language cannot use."""
-    check_names(next(iter(files)), language, options.tool, options.tools, options.works)
+def _surroundings(options: ProgramOptions) -> Surroundings:
+    """Return what defines the programs from outside."""
     frames = {name.lower(): frame_of(six) for name, six in [*options.tools.items(), *options.works.items()]}
     tool = None if options.tool is None else frame_of(options.tool)
     unchanged = frozenset(name.lower() for name in options.unchanged)
@@ -231,16 +232,12 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
             f"{title}: its targets have {N_JOINTS} coordinates, which do not determine the {n_joints} joints of the robot; "
             "correct a table of targets with joints (q1_deg, q2_deg, …)",
         )
-    lines = {
-        program.where(move.place): None
-        for program in programs
-        for move in program.moves
-        if any(map(_is_joints, move.goals))
-    }
+    moves = [(program, move) for program in programs for move in program.moves if any(map(_is_joints, move.goals))]
+    lines = list(dict.fromkeys(program.where(move.place) for program, move in moves))
     if lines and options.joint_moves is None:
         raise FindingError(
             Finding("joint-moves", {"lines": len(lines)}),
-            f"{next(iter(lines))}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
+            f"{lines[0]}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
             Argument("joint_moves"),
             " keep or correct",
         )
@@ -252,7 +249,7 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
         Refused(
             program.files[move.place.file].name,
             program.files[move.place.file].line(move.place.offset),
-            _shortened(program.statement(move)),
+            shorten(program.statement(move), 60, placeholder="..."),
             move.reason.code,
             reason_text(move.reason),
             remedy_of(move.reason),
@@ -263,16 +260,10 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
     ]
 
 
-def _shortened(statement: str) -> str:
-    return statement if len(statement) <= 60 else f"{statement[:57]}..."
-
-
 def _refusal(title: str, n_moves: int, refused: Sequence[Refused]) -> tuple[str, ...]:
     """Return the message for programs of which nothing was written."""
     n_good = n_moves - len(refused)
     others = "the other one" if len(refused) == 1 else f"the other {len(refused)}"
-    if not n_good:
-        return (f"{title}: none of {counted(n_moves, 'move')} can be corrected, so nothing was written",)
     counts = f"{title}: {n_good} of {counted(n_moves, 'move')} can be corrected; {others} cannot, so nothing was written; change them as their reasons say, or correct the {n_good} alone with "
     return counts, Argument("partial")
 
@@ -280,24 +271,17 @@ def _refusal(title: str, n_moves: int, refused: Sequence[Refused]) -> tuple[str,
 # what is corrected
 
 
-def _visits(programs: Sequence[Program], joints_change: bool) -> list[Visit]:
-    """Return the visits of all goals whose numbers change, poses before joint readings."""
-    visits = [visit for number, program in enumerate(programs) for visit in _visits_of(number, program)]
-    poses = [visit for visit in visits if not _is_joints(visit.goal)]
-    return poses + [visit for visit in visits if joints_change and _is_joints(visit.goal)]
-
-
-def _visits_of(number: int, program: Program) -> Iterator[Visit]:
+def _visits(programs: Sequence[Program]) -> Iterator[Visit]:
     """Yield the goals of all moves with the goals from where the robot may come."""
-    before = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
-    for move in program.moves:
-        origins: list[Goal | None] = list(_ends(before.get(move, ())))
-        for goal in move.goals:
-            is_fixed = goal.near or goal.quarters or _is_joints(goal)
-            for origin in origins[:1] if is_fixed else origins:
-                yield Visit(number, move, goal, origin)
-            if goal.argument is not None:
-                origins = [goal]  # the end of a circle follows the point on it
+    for number, program in enumerate(programs):
+        before = program.origins or preceding(program.steps, lambda move: True, MOST_ORIGINS)
+        for move in program.moves:
+            origins: list[Goal | None] = list(_ends(before.get(move, ())))
+            for goal in move.goals:
+                is_fixed = goal.near or goal.quarters or _is_joints(goal)
+                yield from (Visit(number, move, goal, origin) for origin in (origins[:1] if is_fixed else origins))
+                if goal.argument is not None:
+                    origins = [goal]  # the end of a circle follows the point on it
 
 
 def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
@@ -404,15 +388,15 @@ def _corrected_rows(censuses: Sequence[Census], solution: Solution) -> dict[tupl
     """Return the row of each place of a program whose numbers change."""
     places: dict[tuple[int, Place], int] = {}
     for number, census in enumerate(censuses):
-        for move in census.program.moves:
-            for goal in move.goals if move.reason is None else ():
-                place, source = goal.target.literal.place, goal
-                if move in census.own and goal.argument is not None:
-                    place = Place(move.place.file, goal.argument[0])
-                elif place in census.poses:
-                    source = census.poses[place][0]
-                if source in solution.rows:
-                    places.setdefault((number, place), solution.rows[source])
+        moves = [move for move in census.program.moves if move.reason is None]
+        for move, goal in [(mover, goal) for mover in moves for goal in mover.goals]:
+            place, source = goal.target.literal.place, goal
+            if move in census.own and goal.argument is not None:
+                place = Place(move.place.file, goal.argument[0])
+            elif place in census.poses:
+                source = census.poses[place][0]
+            if source in solution.rows:
+                places.setdefault((number, place), solution.rows[source])
     return places
 
 

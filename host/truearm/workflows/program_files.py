@@ -6,14 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from truearm.correct.programs.languages import SUFFIXES, ProgramLanguage, language_of
+from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
 from truearm.errors import InputError
 from truearm.files.disk import check_new_folder, check_writable, read_bytes, write_atomic, write_folder
 from truearm.findings import Finding, FindingError
 
 MAX_BYTES = 64 * 2**20  # of all files together
 MAX_FILES = 10_000
-ALL_SUFFIXES = tuple(suffix for suffixes in SUFFIXES.values() for suffix in suffixes)
 
 
 class ProgramFiles(NamedTuple):
@@ -23,11 +22,6 @@ class ProgramFiles(NamedTuple):
     language: ProgramLanguage
     contents: Mapping[str, bytes]
 
-    @property
-    def is_folder(self) -> bool:
-        """Whether the files are those of a folder."""
-        return self.path.is_dir()
-
 
 def is_program(path: Path) -> bool:
     """Return whether a path is a folder or, by its suffix, a robot program."""
@@ -36,11 +30,9 @@ def is_program(path: Path) -> bool:
 
 def read_program_files(path: Path) -> ProgramFiles:
     """Read a program, or all programs of a folder and its folders. Raises InputError."""
-    if not path.is_dir():
-        language = language_of([path.name])
-        assert language is not None
-        return ProgramFiles(path, language, {path.name: read_bytes(path, MAX_BYTES, InputError)})
-    files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}
+    files = {path.name: path}
+    if path.is_dir():
+        files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}
     try:
         language = language_of(files)
     except FindingError as exc:
@@ -60,7 +52,7 @@ def read_program_files(path: Path) -> ProgramFiles:
 
 def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> None:
     """Raise InputError unless corrected programs can be written to a new file or folder."""
-    if programs.is_folder:
+    if programs.path.is_dir():
         check_new_folder(out, programs.path)
         return
     check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
@@ -70,7 +62,7 @@ def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> 
 
 def write_program_files(out: Path, programs: ProgramFiles, contents: Mapping[str, bytes]) -> None:
     """Write corrected programs, all of them or none."""
-    if programs.is_folder:
+    if programs.path.is_dir():
         write_folder(out, contents)
     else:
         write_atomic(out, contents[programs.path.name])
