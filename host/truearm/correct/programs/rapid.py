@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
@@ -37,10 +36,9 @@ from truearm.correct.programs.rapid_names import (
     read_names,
 )
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
-from truearm.correct.programs.tokens import DEEPEST, Source, Tokens, is_bracketed, is_word, separated
+from truearm.correct.programs.tokens import DEEPEST, NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.types import Floats
 
-NUMBER = re.compile(r"[^\s,\[\]]+")
 SIZES = {Form.ROBTARGET.value: (3, 4, 4, 6), Form.DEGREES.value: (6, 6)}  # components of robtarget and jointtarget
 TOOL, WORK_OBJECT = "(b((fff)(ffff))(f(fff)(ffff)fff))", "(bbs((fff)(ffff))((fff)(ffff)))"  # types of components
 NO_AXIS = 8.9e9  # an external axis from this value on is not used

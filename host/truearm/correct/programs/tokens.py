@@ -19,7 +19,7 @@ DEPTH = {**dict.fromkeys("([{", 1), **dict.fromkeys(")]}", -1)}
 
 
 class Token(NamedTuple):
-    """A word, number, text, sign, newline or row of numbers ([1,2,3] in RAPID) with its bytes. Words of RAPID and KRL are in lower case."""
+    """A word, number, text, sign, newline or row of numbers ([1,2,3] in RAPID and URScript) with its bytes. Words of RAPID and KRL are in lower case."""
 
     kind: str
     text: str
@@ -31,6 +31,8 @@ Tokens = Sequence[Token]
 
 _DIGITS = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
 _NUMBER = rf"(?P<number>{_DIGITS})"
+_ROW = rf"(?P<row>\[\s*+[-+]?+{_DIGITS}(?:\s*+,\s*+[-+]?+{_DIGITS})++\s*+\])"
+NUMBER = re.compile(r"[^\s,\[\]]+")  # of a row
 _FLAGS = re.VERBOSE | re.ASCII | re.DOTALL | re.MULTILINE
 RAPID = re.compile(
     rf"""(?:\s++|![^\r\n]*+|%%%.*?%%%)++|(?P<text>"(?:[^"\r\n]|"")*+"?)|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)
@@ -39,7 +41,8 @@ RAPID = re.compile(
 )
 URSCRIPT = re.compile(
     rf"""(?:^[ \t]*+\$[^\r\n]*+|[ \t\f]++|\#[^\r\n]*+|\xef\xbb\xbf)++|(?P<newline>\r\n|\n|\r|;)
-    |(?P<text>"[^"\r\n]*+"|'[^'\r\n]*+')|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)|(?P<sign>==|!=|<=|>=|.)""",
+    |(?P<text>"[^"\r\n]*+"|'[^'\r\n]*+')|{_NUMBER}|(?P<word>[A-Za-z_]\w*+)|{_ROW}
+    |(?P<sign>==|!=|<=|>=|.)""",
     _FLAGS,
 )
 KRL = re.compile(

@@ -27,7 +27,7 @@ from truearm.correct.programs.program import (
     Uncertain,
     Uses,
 )
-from truearm.correct.programs.tokens import Source, Tokens, is_bracketed, is_word, separated
+from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, certain, find, read_names
 from truearm.correct.programs.urscript_order import LastCalls, closure
 from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
@@ -92,8 +92,6 @@ class _Reader:
         """Return the value of a constant expression. Raises Uncertain."""
         if len(tokens) == 1 and tokens[0].kind == "number":
             return float(tokens[0].text)
-        if len(tokens) == 2 and tokens[0].text in "+-" and tokens[1].kind == "number":
-            return float(tokens[0].text + tokens[1].text)
         if is_bracketed(tokens, 0, "("):
             return self.number(tokens[1:-1], statement)
         total = sum_or_product(tokens, lambda operand: self.number(operand, statement))
@@ -114,12 +112,13 @@ class _Reader:
         """Return six numbers in square brackets; computed ones have no bytes in the text."""
         place = statement.place(tokens[0])
         if place not in self.literals:
-            items = list(separated(tokens[1 + (form is Form.VECTOR) : -1], ","))
-            if len(items) != 6:
+            row = tokens[-1]
+            matches = list(NUMBER.finditer(row.text)) if row.kind == "row" else []
+            spans = tuple((row.start + match.start(), row.start + match.end()) for match in matches)
+            items = separated(tokens[1 + (form is Form.VECTOR) : -1], ",")
+            numbers = tuple(float(match[0]) for match in matches) or tuple(self.number(i, statement) for i in items)
+            if len(numbers) != 6:
                 raise Uncertain("type", type="list of six numbers")
-            numbers = tuple(self.number(item, statement) for item in items)
-            written = all(item[-1].kind == "number" and len(item) <= 2 for item in items)
-            spans = tuple((item[0].start, item[-1].end) for item in items) if written else ()
             literal = Literal(place, tokens[-1].end, form, numbers, spans)
             check_reach(literal)
             self.literals[place] = literal
@@ -141,9 +140,9 @@ class _Reader:
             if index[1:-1].isdecimal():
                 items = items[int(index[1:-1]) :][:1]
             return [value for item in items for value in self.values(item, statement)]
-        if is_bracketed(tokens, 0, "["):
+        if is_list(tokens):
             return self.six(tokens, statement, Form.RADIANS)
-        if is_bracketed(tokens, 1, "["):
+        if is_word(tokens, 0, "p") and is_list(tokens[1:]):
             return self.six(tokens, statement, Form.VECTOR)
         call = self.script.call(tokens, statement)
         if call is None:
@@ -192,8 +191,8 @@ class _Reader:
 
     def pose(self, tokens: Tokens, statement: Statement) -> Floats:
         """Return the only pose (4, 4) of an expression. Raises Uncertain."""
-        poses = [_product(value.factors) for value in self.values(tokens, statement)]
-        return only(poses, Uncertain("several", name="it"))
+        values = self.values(tokens, statement)
+        return only([_product(value.factors) for value in values], Uncertain("several", name="it"))
 
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
@@ -231,6 +230,11 @@ class _Reader:
                 span = span if len(values) == 1 else None
                 goals.append(Goal(_target(value.factors), tool, argument=span, near=value.near))
         return goals
+
+
+def is_list(tokens: Tokens) -> bool:
+    """Return whether tokens are a list in square brackets."""
+    return is_bracketed(tokens, 0, "[") or (len(tokens) == 1 and tokens[0].kind == "row")
 
 
 def check_number(alternatives: Sequence[object]) -> None:
