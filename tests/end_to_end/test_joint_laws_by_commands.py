@@ -107,3 +107,5 @@ def test_targets_are_reached_by_an_arm_with_curves_and_sag(seed, tmp_path, monke
         "--curves-out",
         "curves.csv",
     )
+    with open("curves.csv", encoding="utf-8") as file:
+        assert {row["simulated"] for row in csv.DictReader(file)} == {"yes"}

@@ -1,12 +1,18 @@
 """What comes of a session of a simulated box is marked as simulated, on the screen and in every file."""
 
+import csv
+import io
 import json
+from contextlib import redirect_stdout
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from truearm.cli.main import main
+from truearm.estimate.law_curves import SampledCurve
 from truearm.session.box_ident import EMULATED_UID
+from truearm.workflows.export import curve_table
 from truearm_sim.box import BoxSetup
 
 SESSION = Path(__file__).parents[1] / "data" / "sessions" / "ball-bar.mcap"
@@ -18,7 +24,10 @@ def folder(tmp_path_factory):
     """A result of the session, whose three rows are no usable fit, and its report."""
     folder = tmp_path_factory.mktemp("simulated")
     files = ("--out", str(folder / "result.json"), "--report", str(folder / "fit.html"))
-    assert main(["identify", str(SESSION), "--model", "puma560", *files]) == 3
+    said = io.StringIO()
+    with redirect_stdout(said):
+        assert main(["identify", str(SESSION), "--model", "puma560", *files]) == 3
+    assert said.getvalue().startswith("SIMULATED")  # before the reasons why the result must not be used
     return folder
 
 
@@ -45,12 +54,22 @@ def test_correction(folder, tmp_path, capsys):
 
 
 def test_map_and_exported_robot(folder, tmp_path, capsys):
-    files = ("--allow-unusable", "--cell-mm", 200, "--picture-out", tmp_path / "map.svg")
+    files = ("--allow-unusable", "--cell-mm", 200, "--picture-out", tmp_path / "map.svg", "--out", tmp_path / "map.csv")
     assert "SIMULATED" in run(capsys, "map", folder / "result.json", *files)
     assert "Simulated" in (tmp_path / "map.svg").read_text()
+    assert {row["simulated"] for row in csv.DictReader((tmp_path / "map.csv").open())} == {"yes"}
     files = ("--allow-unusable", "--format", "sheth-uicker", "--out", tmp_path / "robot.toml")
     assert "SIMULATED" in run(capsys, "export", folder / "result.json", *files)
     assert "# SIMULATED" in (tmp_path / "robot.toml").read_text()
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_curves(simulated):
+    two = np.array([0.0, 0.1])
+    curve = SampledCurve("joint1", two, two, two, two < 0.05, ((0.0, 0.0),))
+    rows = list(csv.DictReader(curve_table([curve], simulated).splitlines()))
+    assert [row.get("simulated") for row in rows] == 2 * (["yes"] if simulated else [None])
+    assert [row["covered"] for row in rows] == ["1", "0"]
 
 
 def test_the_emulated_chip_is_known_by_its_reserved_uid():

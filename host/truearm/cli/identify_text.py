@@ -22,6 +22,7 @@ from truearm.report.law_words import law_sentences, law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_words import (
     CHI2_DOUBTFUL,
+    SIMULATED,
     SMALLEST_WEIGHT,
     all_identifiable,
     copy_sentences,
@@ -65,6 +66,8 @@ def show_result(document: Document, files: ResultFiles) -> None:
     # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
+    if document["simulated"]:
+        console.print(SIMULATED)
     for line in (*usability_sentences(document, _option), *not_converged(document), *little_freedom(document)):
         console.print(line)
     for line in (*zero_sentences(document), *bad_row_sentences(document, _option)):
@@ -175,10 +178,7 @@ def headline(document: Document) -> str:
     kinds = ", ".join(f"{n} {kind}" for kind, n in fitted.items() if n)
     held = sum(k["held_out"] for k in document["observations"])
     rows = f"{kinds} {'row' if sum(fitted.values()) == 1 else 'rows'} fitted" + (f", {held} held out" if held else "")
-    robot, end = (
-        "SIMULATED: " * document["simulated"] + one_line(document["robot"]["name"]),
-        outcome(document["status"], document["iterations"]),
-    )
+    robot, end = one_line(document["robot"]["name"]), outcome(document["status"], document["iterations"])
     return f"{robot}: {rows}; {end}; rank {document['rank']} of {document['n_free']} free"
 
 

@@ -149,7 +149,7 @@ def export_file(
         check_writable(curves, force, inputs=[*inputs, out], ours=looks_like_curves, suffixes=[".csv"])
     calibration = read_usable(result, robot, allow_unusable).carrying(*options.payload)
     found = exported(calibration, options, None if over is None else _poses_of(over, calibration.chain))
-    table = None if curves is None else curve_table(_curves(calibration, curves))
+    table = None if curves is None else curve_table(_curves(calibration, curves), calibration.simulated)
     write_atomic(out, found.text)
     if curves is not None and table is not None:
         write_atomic(curves, table)
@@ -164,13 +164,19 @@ def _curves(calibration: Calibration, curves: Path) -> tuple[SampledCurve, ...]:
     return sampled_curves(calibration.chain, laws, calibration.identified, calibration.covariance)
 
 
-def curve_table(curves: Sequence[SampledCurve]) -> str:
-    """Return the table's text: one row per joint and reading, ``covered`` 1 near a reading of the calibration, else 0."""
-    lines = [CURVES_HEADER]
+def curve_table(curves: Sequence[SampledCurve], simulated: bool = False) -> str:
+    """Return the table's text: one row per joint and reading, ``covered`` 1 near a reading of the calibration, else 0.
+
+    A table of a simulated calibration has a column ``simulated``, as a table of observations.
+    """
+    lines = [CURVES_HEADER + ",simulated" * simulated]
     for curve in curves:
         name = one_line(curve.joint).replace(",", " ")
         rows = zip(DEG.of(curve.readings), MRAD.of(curve.error), MRAD.of(curve.sigma), curve.covered, strict=True)
-        lines += [f"{name},{q:.4f},{error:.6f},{sigma:.6f},{int(inside)}" for q, error, sigma, inside in rows]
+        lines += [
+            f"{name},{q:.4f},{error:.6f},{sigma:.6f},{int(inside)}{',yes' * simulated}"
+            for q, error, sigma, inside in rows
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -101,7 +101,7 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
     found = mapped(calibration, section)
     region = None if task is None else best_region(found, *task.size, task.within)
     if files.out is not None:
-        write_atomic(files.out, _table(found, calibration.joint_units))
+        write_atomic(files.out, _table(found, calibration))
     if files.picture is not None:
         write_atomic(files.picture, _picture(found, region, calibration))
     unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
@@ -142,15 +142,18 @@ def _looks_like_picture(head: bytes) -> bool:
     return not head.strip() or (head.startswith(b"<svg") and b"Error of" in head)
 
 
-def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
+def _table(found: ErrorMap, calibration: Calibration) -> str:
     """Return one row per reachable cell; u, v are the cell's centre, x, y, z the nominal end position.
 
-    ``covered`` is 1 if all joints are near fitted readings, else 0, and empty if the result does not tell.
+    ``covered`` is 1 if all joints are near fitted readings, else 0, and empty if the result does not tell. A table of a
+    simulated calibration has a column ``simulated``, as a table of observations.
     """
+    units = calibration.joint_units
+    mark = {"simulated": "yes"} if calibration.simulated else {}
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     joints = [key(f"q{i}", unit) for i, unit in enumerate(units, start=1)]
-    writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered"])
+    writer.writerow(["u_mm", "v_mm", "x_mm", "y_mm", "z_mm", *joints, "error_mm", "sigma_mm", "covered", *mark])
     for i, j in zip(*np.nonzero(~np.isnan(found.error)), strict=True):
         place = MM.of(np.array([found.u[j], found.v[i], *found.point[i, j]]))
         sigma = number(found.sigma[i, j], "m", 5) if np.isfinite(found.sigma[i, j]) else ""
@@ -158,7 +161,7 @@ def _table(found: ErrorMap, units: tuple[str, ...]) -> str:
             number(value, unit, 5) for value, unit in zip(found.q[i, j], units, strict=True)
         ]
         covered = "" if found.outside is None else int(not found.outside[i, j])
-        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma, covered])
+        writer.writerow([*cells, number(found.error[i, j], "m", 5), sigma, covered, *mark.values()])
     return text.getvalue()
 
 
