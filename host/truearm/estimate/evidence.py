@@ -56,10 +56,10 @@ class PriorBlock:
 
 
 class Marginal(NamedTuple):
-    """The information of the data about c with everything else integrated out: A (k, k) and b (k,)."""
+    """The information of the data about c with everything else integrated out: A = RᵀR and b = Rᵀz."""
 
-    information: Floats
-    rhs: Floats
+    root: Floats  # (m, k) R
+    rhs: Floats  # (m,) z
 
 
 class Seen(NamedTuple):
@@ -84,13 +84,12 @@ class Weighed(NamedTuple):
 
 def seen_by(marginal: Marginal, blocks: Sequence[PriorBlock]) -> Seen:
     """Return the directions of c that the data determine."""
-    cap = np.zeros(marginal.rhs.size)
+    cap = np.zeros(marginal.root.shape[1])
     for block in blocks:
         cap[block.columns] = block.cap
-    values, vectors = np.linalg.eigh(cap[:, None] * marginal.information * cap)
-    some = values > np.maximum(UNSEEN, ROUNDING * values.max(initial=0.0))
-    length = np.sqrt(values[some])
-    return Seen(vectors[:, some] * length / cap[:, None], (vectors[:, some].T @ (cap * marginal.rhs)) / length)
+    u, singular, vt = np.linalg.svd(marginal.root * cap, full_matrices=False)
+    some = singular**2 > UNSEEN
+    return Seen(vt[some].T * singular[some] / cap[:, None], u[:, some].T @ marginal.rhs)
 
 
 def weigh(seen: Seen, blocks: Sequence[PriorBlock], variances: Sequence[Floats]) -> Weighed:
@@ -126,16 +125,15 @@ def coefficients(
     marginal: Marginal, here: Weighed, blocks: Sequence[PriorBlock], variances: Sequence[Floats]
 ) -> Coefficients:
     """Return the estimate of c at these variances."""
-    a, roots = marginal.information, []
+    information, roots = (marginal.root**2).sum(axis=0), []
     for block, variance in zip(blocks, variances, strict=True):
         values, vectors = np.linalg.eigh(block.covariance(variance))
-        felt = float(np.abs(np.diag(a)[block.columns]).max(initial=block.cap**-2))  # unseen ones keep their prior
+        felt = float(information[block.columns].max(initial=block.cap**-2))  # unseen ones keep their prior
         some = values * felt * len(values) > NEGLIGIBLE
         roots.append(vectors[:, some] * np.sqrt(values[some]))
     root = scipy.linalg.block_diag(*roots) if roots else np.zeros((here.z.size, 0))
-    inner = np.eye(root.shape[1]) + root.T @ a @ root
-    lower = scipy.linalg.cholesky(0.5 * (inner + inner.T), lower=True, check_finite=False)
-    half = scipy.linalg.solve_triangular(lower, root.T, lower=True, check_finite=False)
+    inner = np.linalg.qr(np.concatenate([np.eye(root.shape[1]), marginal.root @ root]), mode="r")
+    half = scipy.linalg.solve_triangular(inner, root.T, trans="T", check_finite=False)
     return Coefficients(root @ (root.T @ here.z), half.T @ half, root)
 
 

@@ -31,7 +31,7 @@ from truearm.estimate.mean_error import mean_errors
 from truearm.estimate.measured_order import measured_order, poses
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.pose_effect import LEAST_SHARE
-from truearm.estimate.pose_noise import PoseNoise, normal_matrix
+from truearm.estimate.pose_noise import PoseNoise, pose_information
 from truearm.estimate.problem import build_problem, modelled_of, without_knowledge
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss
 from truearm.estimate.systematic import moves
@@ -45,7 +45,6 @@ from truearm.model.law_chain import with_laws
 from truearm.results import (
     Effect,
     Estimate,
-    Figures,
     HeldOut,
     JointLaws,
     LawStep,
@@ -58,10 +57,9 @@ from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals, 
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters
-EXACT = 1e-5  # of a drawing's tolerance: 10 nm
 JOINT_NOISE = 1e-4  # rad, initial value
 SAME_MOTION = 1e-4  # relative difference of two motions that are one: 4 nm of a curve's mean of 0.04 mrad at a metre
-NULL_ROUNDING = 1e-11  # of the largest eigenvalue of the information on the unknowns
+NULL_ROUNDING = 1e-11  # of the largest singular value of the unknowns
 ERRORS_EXPLAIN = "systematic errors, named above, explain the remaining residuals better than joint laws do; correct or allow them first"
 LARGER_RESIDUALS = "the fit with joint laws leaves larger residuals than the geometry alone"
 GEOMETRY, SAG, CURVES = "geometry", "sag", "curves"
@@ -152,18 +150,10 @@ def _nothing_to_explain(estimate: Estimate, table: ObservationTable) -> bool:
     others, and laws would follow their noise.
     """
     low, high = estimate.chi2_band
-    if _is_exact(estimate):
-        return True
     of_one = np.unique(table.kind[estimate.fitted]).size == len(estimate.residual) == 1
     too_large = estimate.chi2_reduced < low and of_one
     explained = (estimate.chi2_reduced <= high and not too_large) or estimate.without_bad_rows is not None
     return bool(explained or estimate.unusable or estimate.status != "converged" or not _takes_laws(estimate))
-
-
-def _is_exact(estimate: Estimate) -> bool:
-    """Return whether the residuals are those of computed data: under such a noise, evidence is lost in rounding."""
-    figures = Figures.by_unit(estimate.residual, estimate.used)
-    return all(of.rms < EXACT * UNITS[unit].weak_sigma for unit, of in figures.items())
 
 
 def _takes_laws(estimate: Estimate) -> bool:
@@ -176,8 +166,6 @@ def _why_none(estimate: Estimate) -> str:
         return f"joint laws are fitted with the solvers lm and map and the linear loss, not with {estimate.solver} and {estimate.loss}"
     if not estimate.chi2_freedom >= LEAST_FREEDOM:
         return f"{estimate.n_observations} rows are too few: {LEAST_FREEDOM} degrees of freedom beyond the geometry are needed"
-    if _is_exact(estimate):
-        return "the residuals are smaller than a sensor can resolve"
     if estimate.without_bad_rows is not None:
         return "bad rows, named above, explain the residuals; correct them or leave them out first"
     return ""
@@ -378,12 +366,12 @@ def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
     columns = of.columns.copy()
     columns[np.flatnonzero(of.columns)[of.is_law]] = False
     columns[offset] = True
-    matrix = normal_matrix(of.problem, x, columns, of.pose, PoseNoise()).matrix[:-1, :-1]
+    rows = pose_information(of.problem, x, columns, of.pose, PoseNoise()).rows[:, :-1]
     at = np.count_nonzero(columns[:offset])
-    others, scale = np.arange(len(matrix)) != at, of.sigma[~of.is_law]
-    own, wanted = matrix[np.ix_(others, others)] * scale * scale[:, None], scale * matrix[others, at]
-    found = np.linalg.lstsq(own, wanted, rcond=NULL_ROUNDING)[0]
-    if matrix[at, at] - float(found @ (2.0 * wanted - own @ found)) <= SAME_MOTION**2 * matrix[at, at]:
+    scale, wanted = of.sigma[~of.is_law], rows[:, at]
+    others = np.delete(rows, at, axis=1) * scale
+    found = np.linalg.lstsq(others, wanted, rcond=NULL_ROUNDING)[0]
+    if np.linalg.norm(wanted - others @ found) <= SAME_MOTION * np.linalg.norm(wanted):
         out[~of.is_law] = scale * found
     return out
 

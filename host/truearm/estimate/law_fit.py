@@ -17,6 +17,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truearm.estimate.evidence import Coefficients, Marginal, block_nats, coefficients, learned, revived, seen_by, weigh
+from truearm.estimate.information import fold
 from truearm.estimate.law_candidates import prior_blocks
 from truearm.estimate.pose_noise import (
     PoseNoise,
@@ -24,7 +25,7 @@ from truearm.estimate.pose_noise import (
     in_rows,
     learned_noise,
     noise_change,
-    normal_matrix,
+    pose_information,
     pose_samples,
     unknowns_of_rows,
 )
@@ -223,24 +224,18 @@ class _Rest(NamedTuple):
 
 def _marginal(of: LawProblem, x: Floats, noise: PoseNoise) -> tuple[Marginal, _Rest]:
     """Return the poses' information about the laws, linearised at x (P,), about no laws and the reference of the rest."""
-    normals = normal_matrix(of.problem, x, of.columns, of.pose, noise)
-    n, rhs, square = normals.matrix[:-1, :-1], normals.matrix[:-1, -1], float(normals.matrix[-1, -1])
-    moved = (x - of.reference)[of.columns]
-    square += float(moved @ (2.0 * rhs + n @ moved))
-    rhs = rhs + n @ moved
-    rest, law = ~of.is_law, of.is_law
-    weight = 1.0 / of.sigma[rest]
-    inner = n[np.ix_(rest, rest)] + np.diag(weight**2)
-    scale = 1.0 / np.sqrt(np.diag(inner))  # makes metres and radians comparable before the condition is squared
-    factor = scipy.linalg.cho_factor(inner * scale * scale[:, None], check_finite=False)
-    right = np.column_stack([n[np.ix_(rest, law)], rhs[rest]])
-    solved = scale[:, None] * scipy.linalg.cho_solve(factor, scale[:, None] * right, check_finite=False)
-    inverse = scale[:, None] * scipy.linalg.cho_solve(factor, np.diag(scale), check_finite=False)
-    a = n[np.ix_(law, law)] - right[:, :-1].T @ solved[:, :-1]
-    b = rhs[law] - right[:, :-1].T @ solved[:, -1]
-    logdet = 2.0 * float((np.log(np.diag(factor[0])) - np.log(scale) - np.log(weight)).sum())
-    evidence = -0.5 * (normals.logdet + square - float(rhs[rest] @ solved[:, -1]) + logdet)
-    return Marginal(0.5 * (a + a.T), b), _Rest(solved, inverse, evidence)
+    rows, logdet = pose_information(of.problem, x, of.columns, of.pose, noise)
+    rows[:, -1] += rows[:, :-1] @ (x - of.reference)[of.columns]
+    order = np.concatenate([np.flatnonzero(~of.is_law), np.flatnonzero(of.is_law), [-1]])
+    n = int((~of.is_law).sum())
+    weight = 1.0 / of.sigma[~of.is_law]
+    triangle = fold(np.eye(order.size) * np.append(weight, np.zeros(order.size - n)), rows[:, order])
+    inverse = scipy.linalg.solve_triangular(triangle[:n, :n], np.eye(n), check_finite=False)
+    logdet += 2.0 * float(np.log(np.abs(np.diag(triangle)[:n]) / weight).sum())
+    evidence = -0.5 * (logdet + float((triangle[n:, -1] ** 2).sum()))
+    return Marginal(triangle[n:, n:-1], triangle[n:, -1]), _Rest(
+        inverse @ triangle[:n, n:], inverse @ inverse.T, evidence
+    )
 
 
 def _posterior(
@@ -257,7 +252,7 @@ def _posterior(
     full[np.ix_(~law, ~law)] = rest.covariance + cross @ by_law.T
     out = x.copy()
     out[of.columns] = of.reference[of.columns] + value
-    return Posterior(out, full, rest.evidence + nats, marginal.information, found.prior_root)
+    return Posterior(out, full, rest.evidence + nats, marginal.root.T @ marginal.root, found.prior_root)
 
 
 def _samples(of: LawProblem, x: Floats, here: Posterior, every: int) -> list[PoseSample]:

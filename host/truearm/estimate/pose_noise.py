@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from truearm.estimate.information import fold
 from truearm.estimate.problem import Problem
 from truearm.estimate.residual_noise import residual_cov, whiten
 from truearm.kinds.group import Group
@@ -98,10 +99,10 @@ class RowsByPose(NamedTuple):
         return np.asarray(out)
 
 
-class Normals(NamedTuple):
-    """The normal matrix [J|f]ᵀ R⁻¹ [J|f] (k + 1, k + 1), and the log determinant of R."""
+class PoseInformation(NamedTuple):
+    """Rows [J|f] (m, k + 1) that hold all that the observations say, whitened by R, and the log determinant of R."""
 
-    matrix: Floats
+    rows: Floats
     logdet: float
 
 
@@ -166,10 +167,12 @@ def with_pose_noise(problem: Problem, x: Floats, noise: PoseNoise) -> Problem:
     return replace(problem, groups=tuple(groups), joint_cov=joints)
 
 
-def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise) -> Normals:
+def pose_information(
+    problem: Problem, x: Floats, columns: NDArray[np.bool_], pose: Indices, noise: PoseNoise
+) -> PoseInformation:
     """Return the observations' information on x[columns] and the residual, at x with the given noise."""
     mix = unknowns_of_rows(problem, x, columns)
-    total, logdet = np.zeros((mix.shape[0], mix.shape[0])), 0.0
+    triangle, logdet = np.zeros((mix.shape[0], mix.shape[0])), 0.0
     for poses in pose_rows(problem, x, pose):
         shared, beyond = poses.split()
         root = np.linalg.cholesky(shared.covariances(noise))
@@ -177,9 +180,8 @@ def normal_matrix(problem: Problem, x: Floats, columns: NDArray[np.bool_], pose:
         logdet += len(root) * shared.spare * math.log(noise.sensor)
         rows = shared.rows / root if root.shape[1] == 1 else np.linalg.inv(root) @ shared.rows
         for whole in (rows, beyond / math.sqrt(noise.sensor)):
-            flat = whole.reshape(-1, whole.shape[2])
-            total += flat.T @ flat
-    return Normals(np.asarray((mix.T @ (mix.T @ total).T).T), logdet)
+            triangle = fold(triangle, whole.reshape(-1, whole.shape[2]))
+    return PoseInformation(np.asarray(triangle @ mix), logdet)
 
 
 def unknowns_of_rows(problem: Problem, x: Floats, columns: NDArray[np.bool_]) -> csr_array:
