@@ -50,11 +50,11 @@ def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[
     """Return mean errors by SI unit, from the errors (n,) of rows (NaN for none) and the numbers (n,) of their poses."""
     changes = {}
     for unit in before:
-        some = np.isfinite(before[unit]) & np.isfinite(after[unit])
-        _, number, count = np.unique(pose[some], return_inverse=True, return_counts=True)
+        judged = np.isfinite(before[unit]) & np.isfinite(after[unit])
+        _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
         if count.size < LEAST_POSES:
             continue
-        means = [np.bincount(number.ravel(), np.abs(error[unit][some])) / count for error in (before, after)]
+        means = [np.bincount(number.ravel(), np.abs(error[unit][judged])) / count for error in (before, after)]
         changes[unit] = MeanChange(
             float(means[0].mean()), float(means[1].mean()), count.size, _gain(means[1] - means[0])
         )
@@ -63,9 +63,8 @@ def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[
 
 def _gain(change: Floats) -> Gain:
     """Return the gain for the changes (n,) of the poses' mean errors."""
-    error = float(change.std(ddof=1)) / np.sqrt(change.size)
-    better, worse = special.stdtrit(change.size - 1, (LEVEL_BETTER, 1.0 - LEVEL_WORSE)) * error
-    if change.mean() < better:
+    standard_error = float(change.std(ddof=1)) / np.sqrt(change.size)
+    lower, upper = special.stdtrit(change.size - 1, (LEVEL_BETTER, 1.0 - LEVEL_WORSE)) * standard_error
+    if change.mean() < lower:
         return Gain.BETTER
-    least = max(worse, SMALLEST)
-    return Gain.WORSE if change.mean() > least else Gain.NONE
+    return Gain.WORSE if change.mean() > max(upper, SMALLEST) else Gain.NONE

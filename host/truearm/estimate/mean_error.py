@@ -31,17 +31,17 @@ def mean_errors(error: Residuals, pose: Indices, held_out: bool) -> Mapping[str,
 
     Empty for fewer than two poses.
     """
-    out = {}
-    for unit, of in error.items():
-        some = np.isfinite(of)
-        _, number, count = np.unique(pose[some], return_inverse=True, return_counts=True)
+    means = {}
+    for unit, errors in error.items():
+        judged = np.isfinite(errors)
+        _, number, count = np.unique(pose[judged], return_inverse=True, return_counts=True)
         if count.size < LEAST_POSES:
             continue
-        means = np.bincount(number.ravel(), np.abs(of[some])) / count
-        half = float(special.stdtrit(count.size - 1, (1.0 + LEVEL) / 2.0) * means.std(ddof=1) / np.sqrt(count.size))
-        mean = float(means.mean())
-        out[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, int(count.size), held_out)
-    return out
+        by_pose = np.bincount(number.ravel(), np.abs(errors[judged])) / count
+        half = float(special.stdtrit(count.size - 1, (1.0 + LEVEL) / 2.0) * by_pose.std(ddof=1) / np.sqrt(count.size))
+        mean = float(by_pose.mean())
+        means[unit] = MeanError(mean, max(mean - half, 0.0), mean + half, int(count.size), held_out)
+    return means
 
 
 def left_out_errors(
@@ -52,32 +52,32 @@ def left_out_errors(
     NaN if leaving out the pose makes something undetermined.
     """
     # J S takes the place of J block by block: with many rows, both of all blocks would be tens of megabytes each.
-    parts = [
+    blocks = [
         block._replace(jac=block.jac @ covariance_root)
         for block in whitened_blocks(problem, x, columns)
         if block.row is not None
     ]
-    out = problem.no_residuals()
-    if not parts:  # no parameter is free
-        return out
-    numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in parts])
-    seen = np.concatenate([block.jac.reshape(block.residual.size, covariance_root.shape[1]) for block in parts])
-    left = np.concatenate([block.residual.ravel() for block in parts])
+    errors = problem.no_residuals()
+    if not blocks:  # no parameter is free
+        return errors
+    numbers = np.concatenate([np.repeat(pose[block.row], block.residual.shape[1]) for block in blocks])
+    jac = np.concatenate([block.jac.reshape(block.residual.size, covariance_root.shape[1]) for block in blocks])
+    residual = np.concatenate([block.residual.ravel() for block in blocks])
     order = np.argsort(numbers, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1):
-        own = seen[rows]
-        if rows.size <= own.shape[1]:
-            rest, error = np.eye(rows.size) - own @ own.T, left[rows]
-        else:  # (I − SSᵀ)⁻¹e = e + S(I − SᵀS)⁻¹Sᵀe, with S = own
-            rest, error = np.eye(own.shape[1]) - own.T @ own, own.T @ left[rows]
-        determined = not rest.size or np.linalg.eigvalsh(rest)[0] > ALONE
-        error = np.linalg.solve(rest, error) if determined else np.full(error.shape, np.nan)
-        left[rows] = error if rows.size <= own.shape[1] else left[rows] + own @ error
-    at = 0
-    for block in parts:
+        pose_jac = jac[rows]
+        if rows.size <= pose_jac.shape[1]:
+            matrix, error = np.eye(rows.size) - pose_jac @ pose_jac.T, residual[rows]
+        else:  # (I − SSᵀ)⁻¹e = e + S(I − SᵀS)⁻¹Sᵀe, with S = pose_jac
+            matrix, error = np.eye(pose_jac.shape[1]) - pose_jac.T @ pose_jac, pose_jac.T @ residual[rows]
+        determined = not matrix.size or np.linalg.eigvalsh(matrix)[0] > ALONE
+        error = np.linalg.solve(matrix, error) if determined else np.full(error.shape, np.nan)
+        residual[rows] = error if rows.size <= pose_jac.shape[1] else residual[rows] + pose_jac @ error
+    first = 0
+    for block in blocks:
         n, width = block.residual.shape
-        error = (block.noise_root @ left[at : at + n * width].reshape(n, width, 1))[..., 0]
-        for unit, of in unit_columns(block.components).items():
-            out[unit][block.row] = np.linalg.norm(error[:, of], axis=1)
-        at += n * width
-    return out
+        error = (block.noise_root @ residual[first : first + n * width].reshape(n, width, 1))[..., 0]
+        for unit, columns_of_unit in unit_columns(block.components).items():
+            errors[unit][block.row] = np.linalg.norm(error[:, columns_of_unit], axis=1)
+        first += n * width
+    return errors

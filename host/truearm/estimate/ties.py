@@ -20,21 +20,21 @@ OF_LENGTHS = 1e-3  # of columns, which rounding changes more when they are nearl
 def first_within(values: Sequence[float] | Floats, margin: float = MARGIN) -> int:
     """Return the index of the first value that is the largest, or less by at most ``margin`` of it."""
     values = np.asarray(values)
-    return int(np.argmax(values >= _least(values.max(), margin)))
+    return int(np.argmax(values >= _threshold(values.max(), margin)))
 
 
 def largest_first(values: Sequence[float] | Floats) -> list[int]:
     """Return the indices of values in descending order; those that are as large as one before them, in their own order."""
     values = np.asarray(values, dtype=float)
-    left, out = np.argsort(-values, kind="stable"), list[int]()
-    while left.size:
-        alike = values[left] >= _least(values[left[0]], MARGIN)
-        out += sorted(left[alike].tolist())
-        left = left[~alike]
-    return out
+    remaining, order = np.argsort(-values, kind="stable"), list[int]()
+    while remaining.size:
+        tied = values[remaining] >= _threshold(values[remaining[0]], MARGIN)
+        order += sorted(remaining[tied].tolist())
+        remaining = remaining[~tied]
+    return order
 
 
-def _least(largest: float, margin: float) -> float:
+def _threshold(largest: float, margin: float) -> float:
     return largest - margin * abs(largest)
 
 
@@ -44,14 +44,14 @@ def pivots(matrix: Floats, tolerance: float = 0.0, most: int | None = None) -> l
     Each is the one with the longest part that those before it do not explain, as in QR with column pivoting, as long as
     that is longer than ``tolerance``.
     """
-    left, out = matrix.copy(), list[int]()
-    for _ in range(min(*left.shape, left.size if most is None else most)):
-        length = np.linalg.norm(left, axis=0)
+    unexplained, columns = matrix.copy(), list[int]()
+    for _ in range(min(*matrix.shape, matrix.size if most is None else most)):
+        length = np.linalg.norm(unexplained, axis=0)
         column = first_within(length, OF_LENGTHS)
         if length[column] <= tolerance:
             break
-        out.append(column)
-        axis = left[:, column] / length[column]
-        left -= np.outer(axis, axis @ left)
-        left[:, column] = 0.0
-    return out
+        columns.append(column)
+        axis = unexplained[:, column] / length[column]
+        unexplained -= np.outer(axis, axis @ unexplained)
+        unexplained[:, column] = 0.0
+    return columns
