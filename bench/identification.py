@@ -203,7 +203,7 @@ def write_inputs(table_csv: str, rig_toml: str) -> None:
         for kind, points in (("chuck", CHUCKS), ("sphere", SPHERES)):
             for i, xyz in enumerate(points):
                 file.write(f'[[{kind}]]\nname = "{kind[0]}{i}"\nxyz_m = {list(xyz)}\n')
-        file.write(f'[[bar]]\nname = "bar"\nzero_m = 0.5\ntravel_m = 10.0\nsigma_m = {SIGMA["ball_bar"]}\n')
+        file.write(f'[[bar]]\nname = "bar"\nzero_m = 5.5\ntravel_m = 10.0\nsigma_m = {SIGMA["ball_bar"]}\n')
 
 
 def picture(rows: list[dict]) -> str:

@@ -41,7 +41,7 @@ def rig_and_table(kind: str, data) -> tuple[Rig, ObservationTable]:
         tracker = Device("tracker", cov, (0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)
         rig = Rig(trackers={"tracker": tracker}, targets={"target": Point("target", TARGET)})
         return rig, ObservationTable(**common, **text, value=no_number, xyz=data["y"])
-    rig = Rig(named("c", CHUCKS), named("s", SPHERES), {"bar": BallBar("bar", 0.5, 1.0, 10.0, SIGMA[kind])})
+    rig = Rig(named("c", CHUCKS), named("s", SPHERES), {"bar": BallBar("bar", 5.5, 1.0, 10.0, SIGMA[kind])})
     text |= {
         "chuck": np.array(list(rig.chucks))[data["pair"][0]],
         "sphere": np.array(list(rig.spheres))[data["pair"][1]],

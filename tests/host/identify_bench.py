@@ -28,7 +28,7 @@ def exact_lengths(n: int, chucks: int = 3, seed: int = 5) -> tuple[ObservationTa
     points = {
         what: {f"{what[0]}{i}": Point(f"{what[0]}{i}", p) for i, p in enumerate(ps)} for what, ps in where.items()
     }
-    rig = Rig(points["chuck"], points["sphere"], {"b": BallBar("b", 0.46, 1.0, 4.0, 8.4e-5)})  # lengths of random poses
+    rig = Rig(points["chuck"], points["sphere"], {"b": BallBar("b", 2.1, 1.0, 4.0, 8.4e-5)})  # lengths of random poses
     q = np.random.default_rng(seed).uniform(-1.5, 1.5, (n, 6))
     chuck, sphere = np.arange(n) % chucks, np.arange(n) // chucks % 3
     ball = point_forward(robot.chain, robot.parameter_sets["optimised"], q, np.array(where["sphere"])[sphere])

@@ -39,7 +39,7 @@ def sane_plan(plan):
 def sane_rig(rig):
     points = [*rig.chucks.values(), *rig.spheres.values(), *rig.targets.values(), *rig.sockets.values()]
     assert np.all(np.isfinite([point.xyz for point in points])) or not points
-    assert all(bar.zero > 0 and bar.sigma > 0 and bar.travel > 0 for bar in rig.bars.values())
+    assert all(bar.zero > bar.travel / 2 > 0 and bar.sigma > 0 for bar in rig.bars.values())
 
 
 def sane_targets(targets):

@@ -22,7 +22,7 @@ from truearm.types import BallBar, Point, Rig
 RIG = Rig(
     chucks={"c": Point("c", (0.45, 0.15, 0.08))},
     spheres={"s": Point("s", (0.1, 0.0, 0.04))},
-    bars={name: BallBar(name, zero, 1.0, 4.0, 84e-6) for name, zero in (("b46", 0.46), ("b61", 0.61))},
+    bars={name: BallBar(name, zero, 1.0, 4.0, 84e-6) for name, zero in (("b46", 2.05), ("b61", 2.06))},
 )
 COV = ((4e-8, 0.0), (0.0, 9e-8))
 

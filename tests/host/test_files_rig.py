@@ -142,7 +142,7 @@ coordinates = st.tuples(*[st.floats(-100.0, 100.0)] * 3)
 sizes = st.floats(1e-9, 100.0)
 spreads = st.just(0.0) | st.floats(1e-9, 1.0)  # known exactly, or no smaller than any sensor's
 points = st.builds(Point, names, coordinates, st.none() | spreads)
-bars = st.builds(BallBar, names, st.floats(0.01, 100.0), sizes, sizes, sizes, spreads, spreads)
+bars = st.builds(BallBar, names, sizes, sizes, sizes, sizes, spreads, spreads).filter(lambda b: b.zero > 0.5 * b.travel)
 distances = st.builds(SocketDistance, st.lists(names, min_size=2, max_size=2, unique=True).map(tuple), sizes, sizes)
 
 
@@ -217,8 +217,9 @@ WRONG = {
     "no travel": (BAR.replace("0.1", "0"), "travel_m: 0 m is not greater than 0"),
     "a bar in metres": (
         BAR.replace("zero_m=0.4", "zero_mm = 0.37"),
-        "[[bar]] 1: zero, the length at mid-travel from ball to ball, is 0.37 mm; a bar is longer than 10 mm; were metres",
+        "[[bar]] 1: zero, the length at mid-travel from ball to ball, is 0.37 mm, and half the travel is 50 mm: no length",
     ),
+    "a bar shorter than its travel": (BAR.replace("zero_m=0.4", "zero_mm = 50"), "half the travel is 50 mm: no length"),
     "negative sigma": (
         '[[chuck]]\nname = "c"\nxyz_m = [0, 0, 0]\nsigma_m = -1\n',
         "sigma_m: -1 m is not between 0 and 100 m",

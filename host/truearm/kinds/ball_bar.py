@@ -33,7 +33,6 @@ from truearm.schema import Entries, SchemaError, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, ObservationTable, Point, Rig
 from truearm.units import MM
 
-SHORTEST = 0.01  # m: the balls of any bar are larger
 SURE = 5.0  # σ: a length is beyond the stroke
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
 
@@ -217,10 +216,10 @@ def _another(points: Sequence[tuple[float, float, float]]) -> Point:
 
 def _bar(gain: float = 1.0, **values: Any) -> BallBar:
     bar = BallBar(gain=gain, **values)
-    if bar.zero < SHORTEST:
+    if bar.zero <= 0.5 * bar.travel:
         raise SchemaError(
-            f"zero, the length at mid-travel from ball to ball, is {MM.text(bar.zero, 'g')}; a bar is longer than "
-            f"{MM.text(SHORTEST, 'g')}; were metres written where mm are meant?"
+            f"zero, the length at mid-travel from ball to ball, is {MM.text(bar.zero, 'g')}, and half the travel is "
+            f"{MM.text(0.5 * bar.travel, 'g')}: no length would be left at its end; were metres written where mm are meant?"
         )
     return bar
 
