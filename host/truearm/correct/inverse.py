@@ -302,26 +302,37 @@ def _chosen(
     chain: Chain, params: Floats, stock: Inverse, first: Floats, asked: Floats, oriented: bool, origins: Origins
 ) -> tuple[Inverse, Floats]:
     """Return, of k solutions (n, k), those nearest to the robot's previous positions, and these positions (n, j)."""
-    near, chosen = np.empty_like(asked), np.empty_like(asked)
-    good, margin = np.zeros(len(asked), dtype=bool), np.zeros(len(asked))
-    here = first
-    given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
     middle, free = 0.5 * np.pi * (asked + 0.5), np.isnan(asked)
-    for i in _followed(origins.target):
+
+    def nearest(rows: NDArray[np.int_], here: Floats) -> tuple[Floats, NDArray[np.bool_], Floats]:
+        q = turned(chain, params, stock.q[rows], np.where(free[rows], here, middle[rows])[:, None])
+        usable, singular_values = stock.reached[rows] & within(chain, q), stock.singular_value[rows]
+        far = np.abs(q - here[:, None]).max(axis=-1) + 1e3 * _misplaced(q, asked[rows, None]) + 1e6 * ~usable
+        if not oriented:  # then joints at a limit or a singularity are the worse choice
+            far += 1e2 * (~within(chain, q, ROOM) | (singular_values < SINGULAR))
+        best = np.arange(len(rows)), np.argmin(far, axis=1)
+        return q[best], usable[best], singular_values[best]
+
+    # All targets are solved at once from where the robot is likely to be; those for which it is elsewhere, again.
+    order, every = _followed(origins.target), np.arange(len(asked))
+    given: NDArray[np.bool_] = np.asarray(np.isfinite(origins.q).all(axis=1))
+    likely, _, _ = nearest(every, np.broadcast_to(first, asked.shape))
+    previous = np.empty_like(every)
+    previous[order] = np.roll(order, 1)
+    near = np.where(given[:, None], origins.q, likely[np.where(origins.target < 0, previous, origins.target)])
+    chosen, usable, margin = nearest(every, near)
+    here, good = first, np.zeros(len(asked), dtype=bool)
+    for i in order:
         before = origins.target[i]
         if given[i]:
             here = origins.q[i]
         elif before >= 0 and good[before]:
             here = chosen[before]
-        near[i] = here
-        q = turned(chain, params, stock.q[i], np.where(free[i], here, middle[i]))
-        usable = stock.reached[i] & within(chain, q)
-        far = np.abs(q - here).max(axis=-1) + 1e3 * _misplaced(q, asked[i]) + 1e6 * ~usable
-        if not oriented:  # then joints at a limit or a singularity are the worse choice
-            far += 1e2 * (~within(chain, q, ROOM) | (stock.singular_value[i] < SINGULAR))
-        best = int(np.argmin(far))
-        chosen[i], good[i], margin[i] = q[best], usable[best], stock.singular_value[i, best]
-        here = q[best] if usable[best] else here
+        if not (near[i] == here).all():
+            near[i] = here
+            chosen[i], usable[i], margin[i] = (part[0] for part in nearest(every[i : i + 1], near[i : i + 1]))
+        good[i] = usable[i]
+        here = chosen[i] if good[i] else here
     return Inverse(chosen, good, margin), near
 
 
@@ -341,7 +352,7 @@ def _followed(origin: NDArray[np.int_]) -> list[int]:
 
 
 def turned(chain: Chain, params: Floats, q: Floats, near: Floats) -> Floats:
-    """Return joint readings (…, j) shifted by whole turns as close to ``near`` (j,) as the limits allow.
+    """Return joint readings (…, j) shifted by whole turns as close to ``near`` (…, j) as the limits allow.
 
     A reading that is beyond a limit only by rounding is returned as the limit.
     """
@@ -389,7 +400,7 @@ def _unlike(q: Floats) -> Floats:
 
 
 def _misplaced(q: Floats, quadrants: Floats) -> Floats:
-    """Return the number (k,) of joints of q (k, j) outside the required quarter turn (j,), NaN where any will do."""
+    """Return the number (…) of joints of q (…, j) outside the required quarter turns (…, j), NaN where any will do."""
     beyond = np.abs(q - 0.5 * np.pi * (quadrants + 0.5)) > 0.25 * np.pi + EDGE  # never true for NaN
     return np.asarray(beyond.sum(axis=-1), dtype=float)
 
