@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.collector import uncollected
 from truearm.correct.controller_frames import SAME, Frame, base_of, flange_of
 from truearm.correct.correction import Configuration, Correction, at_tools, correct, joined
 from truearm.correct.inverse import Origins, inverse, several_fit, solutions, within
@@ -167,6 +168,7 @@ class Solution:
         return {goal: Joints(self.correction.q_nominal[row], self.correction.q[row]) for goal, row in self.rows.items()}
 
 
+@uncollected()
 def correct_program(
     files: Mapping[str, bytes],
     language: ProgramLanguage,

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import Literal, assert_never
 
-from truearm.collector import uncollected
 from truearm.correct.programs.krl import read_krl
 from truearm.correct.programs.ls import read_ls
 from truearm.correct.programs.program import Program, Surroundings
@@ -39,7 +38,6 @@ def language_of(names: Iterable[str]) -> ProgramLanguage | None:
     return found[0] if found else None
 
 
-@uncollected()
 def read_programs(language: ProgramLanguage, files: Sequence[Source], surroundings: Surroundings) -> list[Program]:
     """Read files of one language: one program for all files that run together. Raises FindingError."""
     for source in files:

@@ -84,16 +84,9 @@ class Source:
 
 
 def tokens_of(pattern: re.Pattern[str], text: str, lower: bool = True) -> list[Token]:
-    """Return the tokens of a text; ``lower``: words in lower case."""
-    tokens = []
-    for match in pattern.finditer(text):
-        kind = match.lastgroup
-        if kind is not None:
-            word = match[kind]
-            if lower and kind == "word":
-                word = word.lower()
-            tokens.append(Token(kind, word, *match.span(kind)))
-    return tokens
+    """Return the tokens of a text; ``lower``: in lower case."""
+    matches = pattern.finditer(text.lower() if lower else text)
+    return [Token(kind, match[0], match.start(), match.end()) for match in matches if (kind := match.lastgroup)]
 
 
 def depth_change(token: Token) -> int:
