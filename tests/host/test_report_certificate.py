@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
         "certificate TA-17",
         "<b>A.</b>",
         digest,
-        "map, linear loss",
+        "solver map",
         f"{document['held_out']['n']} held out (0.2)",
         "k = 2",
         document["checksum"][:12],
@@ -140,7 +141,7 @@ def test_a_sensor_says_how_well_its_calibration_fits(pair, sigma):
     document = {"streams": [{"channels": [{"name": "lvdt", "calibration": calibration}]}]}
     (sensor,) = sensors_of(document)
     assert sensor == Sensor("lvdt", "7", "2026-01-02", "", sigma)
-    ((label, value),) = sensor_facts([sensor])
+    ((label, value),) = sensor_facts([SimpleNamespace(sensors=(sensor, sensor))])
     assert label == "sensor lvdt"
     assert ("residuals of 1.2 µm" in value) == (sigma is not None)
 
@@ -175,7 +176,7 @@ def test_the_name_of_a_prior_in_earlier_results_is_read(made, tmp_path, run):
     document["made_with"]["prior"] = document["prior"] = "default"
     (tmp_path / "r.json").write_text(json.dumps(with_checksum(document)))
     assert run(*made).code == 0
-    assert "prior none" in words((tmp_path / "page.html").read_text("utf-8"))  # these rows need none
+    assert "prior of the robot none" in words((tmp_path / "page.html").read_text("utf-8"))  # these rows need none
 
 
 def test_files_that_were_changed_since_are_refused(made, tmp_path, run):

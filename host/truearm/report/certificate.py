@@ -6,7 +6,6 @@ what is in it.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -88,36 +87,25 @@ def facts_of(recordings: Sequence[Recording]) -> Facts:
     return tuple(facts)
 
 
-def joined(recordings: Sequence[Recording]) -> Recording:
-    """Return what several recordings have in common, their sums and their ranges, as one recording."""
-    rejected: Counter[str] = Counter()
-    ranges: dict[str, tuple[float, float]] = {}
-    for one in recordings:
-        rejected.update(dict(one.rejected))
-        for name, low, high in one.temperatures:
-            least, most = ranges.get(name, (low, high))
-            ranges[name] = min(least, low), max(most, high)
-    bounds = [one.bound for one in recordings]
-    return Recording(
-        name=counted(len(recordings), "session"),
-        begun=recorded(recordings),
-        uid=", ".join(dict.fromkeys(one.uid for one in recordings)),
-        firmware=", ".join(dict.fromkeys(one.firmware for one in recordings)),
-        sensors=tuple(dict.fromkeys(sensor for one in recordings for sensor in one.sensors)),
-        dwells=sum(one.dwells for one in recordings),
-        mountings=sum(one.mountings for one in recordings),
-        rejected=tuple(rejected.items()),
-        passes=sum(one.passes for one in recordings),
-        samples=sum(one.samples for one in recordings),
-        samples_lost=sum(one.samples_lost for one in recordings),
-        frames_lost=sum(one.frames_lost for one in recordings),
-        bound=None if None in bounds else max(filter(None, bounds), default=None),
-        temperatures=tuple((name, *degc) for name, degc in ranges.items()),
+def conditions(recordings: Sequence[Recording]) -> Facts:
+    """Return how the rows were recorded; what several sessions have of their own is on a later page."""
+    if not recordings:
+        return (("recording", "tables, which do not say how they were recorded"), ("temperature", "not recorded"))
+    if len(recordings) == 1:
+        return facts_of(recordings)
+    readings: dict[str, list[float]] = {}
+    for name, *degc in (reading for one in recordings for reading in one.temperatures):
+        readings.setdefault(name, []).extend(degc)
+    return (
+        ("sessions", f"{len(recordings)}, listed under The recording"),
+        ("samples lost", f"{sum(one.samples_lost for one in recordings):,}"),
+        *((f"temperature of the {name}", _between(min(degc), max(degc))) for name, degc in readings.items()),
     )
 
 
-def sensor_facts(sensors: Sequence[Sensor]) -> Facts:
-    """Return the sensors of a box with their calibrations."""
+def sensor_facts(recordings: Sequence[Recording]) -> Facts:
+    """Return the sensors of the boxes with their calibrations."""
+    sensors = list(dict.fromkeys(sensor for one in recordings for sensor in one.sensors))
     facts = []
     for sensor in sensors[:MOST]:
         words = (

@@ -14,29 +14,20 @@ from truearm.estimate.gain import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error, tool_undetermined
 from truearm.files.project_file import Project
 from truearm.files.result_file import Input
-from truearm.report.certificate import (
-    MOST,
-    Certificate,
-    Facts,
-    Recording,
-    facts_of,
-    joined,
-    more,
-    recorded,
-    sensor_facts,
-)
+from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
 from truearm.report.page_text import size
 from truearm.report.result_words import SIMULATED
 from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import ObservationTable, Rigs, rigs_by_name, rms
-from truearm.units import DEGC, MM
+from truearm.units import MM
 from truearm.workflows.calibration import Calibration, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
 from truearm.workflows.identify import Identification
 from truearm.workflows.validate import Measured, Validation
 
 NOT_GIVEN = "not given"
+FEWEST = 10  # rows whose error before is given
 STEEL, ALUMINIUM = 12e-6, 23e-6  # 1/K
 ALWAYS_EXCLUDED = (
     "Poses outside the measured region, and other payloads than those stated.",
@@ -57,16 +48,15 @@ class Issue:
 
 
 def calibration_certificate(
-    found: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input], method: Facts
+    found: Identification, issue: Issue, recordings: Sequence[Recording], inputs: Sequence[Input]
 ) -> Certificate:
     """Return page one of the report on an identification."""
     e, tool = found.estimate, _tool_error(found)
     before = nominal_error(found.chain, found.rig, found.table, e)
+    described = f"{size(rms(before), 'm')} RMS, {size(before.max(), 'm')} at most"
+    few = f"not determined by {counted(len(before), 'row')}"  # which the placing of base and tool fits
     errors = (
-        (
-            "before: the nominal robot, base and tool placed",
-            f"{size(rms(before), 'm')} RMS, {size(before.max(), 'm')} at most",
-        ),
+        ("before: the nominal robot, base and tool placed", few if len(before) < FEWEST else described),
         (f"after: expanded uncertainty (k = {COVERAGE:g})", "not determined" if tool is None else size(tool, "m")),
         ("measured region", _region(found, found.table)),
     )
@@ -93,8 +83,7 @@ def calibration_certificate(
             ("Error of the tool in the measured region", errors),
             ("Observations and independent validation", tuple(rows)),
             ("Reference", _reference(found.rig, found.table, recordings)),
-            ("Conditions", _conditions(recordings)),
-            ("Method", method),
+            ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
         _excluded(found),
@@ -127,7 +116,7 @@ def validation_certificate(
                 (*errors, ("measured region", _region(calibration, table))),
             ),
             ("Reference", _reference(rig, table, recordings)),
-            ("Conditions", _conditions(recordings)),
+            ("Conditions", conditions(recordings)),
             ("Files read", _files(inputs)),
         ),
         ("Directions in which nothing was measured: a length shows only the error along it.", *ALWAYS_EXCLUDED),
@@ -193,36 +182,21 @@ def _reference(rigs: Rigs, table: ObservationTable, recordings: Sequence[Recordi
     """Return the sensors and the parts of the rig that the rows were measured against, with their declared uncertainties."""
     facts: list[tuple[str, str]] = []
     for rig in rigs_by_name(rigs).values():
-        for name in sorted(rig.bars.keys() & set(table.bar.tolist())):
-            bar = rig.bars[name]
-            known = (
-                f"± {MM.text(COVERAGE * bar.zero_sigma, '.3f')} (k = {COVERAGE:g})"
-                if bar.zero_sigma
-                else "taken as exact"
-            )
-            facts.append(
-                (f"ball-bar {name}", f"{MM.text(bar.zero, '.3f')} at {DEGC.text(bar.temperature, 'g')}, {known}")
-            )
-        for name in sorted(rig.trackers.keys() & set(table.tracker.tolist())):
-            spread = MM.of(np.sqrt(np.diag(rig.trackers[name].sensor_cov)))
-            facts.append((f"tracker {name}", f"σ {', '.join(f'{value:g}' for value in spread)} mm along x, y, z"))
-        for distance in rig.socket_distances:
-            facts.append(
-                (
-                    f"distance of sockets {' and '.join(distance.sockets)}",
-                    f"{MM.text(distance.distance, '.3f')} ± {MM.text(COVERAGE * distance.sigma, '.3f')} (k = {COVERAGE:g})",
-                )
-            )
+        bars = [rig.bars[name] for name in rig.bars if name in table.bar]
+        trackers = [rig.trackers[name] for name in rig.trackers if name in table.tracker]
+        facts += [(f"ball-bar {bar.name}", _length(bar.zero, bar.zero_sigma)) for bar in bars]
+        facts += [
+            (f"sockets {' and '.join(of.sockets)} apart", _length(of.distance, of.sigma)) for of in rig.socket_distances
+        ]
+        facts += [(f"tracker {of.name}", f"σ {MM.text(math.sqrt(np.trace(of.sensor_cov)), '.3f')}") for of in trackers]
         if (table.kind == "seat").any():
-            facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma, 'g')}"))
-    extra = more(len(facts))
-    return (*facts[:MOST], *extra, *(sensor_facts(joined(recordings).sensors) if recordings else ()))
+            facts.append(("seats in sockets", f"σ {MM.text(rig.seat_sigma)} along each axis"))
+    return (*facts[:MOST], *more(len(facts)), *sensor_facts(recordings))
 
 
-def _conditions(recordings: Sequence[Recording]) -> Facts:
-    if not recordings:
-        return (("recording", "tables, which do not say how they were recorded"), ("temperature", "not recorded"))
-    return facts_of([recordings[0] if len(recordings) == 1 else joined(recordings)])
+def _length(length: float, sigma: float) -> str:
+    known = f"± {MM.of(COVERAGE * sigma):.3f} mm (k = {COVERAGE:g})" if sigma else "mm, taken as exact"
+    return f"{MM.of(length):.3f} {known}"
 
 
 def _files(inputs: Sequence[Input]) -> Facts:
@@ -235,15 +209,10 @@ def _excluded(found: Identification) -> tuple[str, ...]:
     e, sentences = found.estimate, [SIMULATED] if found.simulated else []
     if found.predicted and found.predicted.relative:
         sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
-    exact = [
-        name
-        for rig in rigs_by_name(found.rig).values()
-        for name, bar in rig.bars.items()
-        if not bar.zero_sigma and name in found.table.bar
-    ]
-    if exact:
+    exact = {name for rig in rigs_by_name(found.rig).values() for name, bar in rig.bars.items() if not bar.zero_sigma}
+    if names := sorted(exact & set(found.table.bar.tolist())):
         sentences.append(
-            f"Errors of the length of {', '.join(sorted(set(exact))[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."
+            f"Errors of the length of {', '.join(names[:3])}, taken as exact: 10 µm on 0.5 m scale the arm by 20 µm per metre."
         )
     if e.held_out is None:
         sentences.append("Errors that only other poses would show: nothing was held out.")

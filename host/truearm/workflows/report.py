@@ -69,7 +69,7 @@ def report_files(files: ReportFiles) -> Identification:
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
     recordings = counted_dwells(recordings, counts)
     _check_same(files.result, stored.value, found)
-    certificate = calibration_certificate(found, files.issue, recordings, inputs, _method(found, options))
+    certificate = calibration_certificate(found, files.issue, recordings, inputs)
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
     return found
@@ -88,14 +88,6 @@ def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
     name = measured.calibration.chain.name
     write_atomic(files.out, validation_page.render(name, certificate, validation.document, made_from.command))
     return validation
-
-
-def _method(found: Identification, options: IdentifyOptions) -> tuple[tuple[str, str], ...]:
-    e = found.estimate
-    return (
-        ("solver", f"{e.solver}, {e.loss} loss, prior {found.prior}, joint laws {options.joint_laws}"),
-        ("parameters", f"{found.document['n_free']} free, {e.rank} independent combinations identified"),
-    )
 
 
 def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, tuple[str, ...]]:
