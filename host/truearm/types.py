@@ -230,8 +230,8 @@ class Rig(Displayed, Checked):
     Examples
     --------
     >>> import truearm
-    >>> truearm.read_rig("rig.toml").bars["b"].zero
-    0.46
+    >>> truearm.read_rig("rig.toml").bars["b"].gain
+    1.0
     """
 
     chucks: Mapping[str, Point] = field(default_factory=dict)

@@ -35,7 +35,7 @@ def points(prefix, coordinates, sigma=0.0):
 CHUCKS = points("c", triangle((0.45, 0.0), 0.10, 0.25))
 SPHERES = points("s", triangle((0.0, 0.0), 0.06, 0.05))
 STROKE = 4.0  # m: the poses are random, and so are their lengths
-BARS = {"short": BallBar("short", 0.46, 1.0, STROKE, SIGMA), "long": BallBar("long", 0.61, 1.0, STROKE, SIGMA)}
+BARS = {"short": BallBar("short", 2.05, 1.0, STROKE, SIGMA), "long": BallBar("long", 2.2, 1.0, STROKE, SIGMA)}
 RIG = Rig(CHUCKS, SPHERES, BARS)
 PAIRS = tuple(itertools.product(CHUCKS, SPHERES))
 
