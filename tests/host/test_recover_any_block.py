@@ -75,6 +75,7 @@ def check_block(recording, begin, path):
     mended = open_session(out)
     assert sorted(m for m in mended.messages() if m.topic != "/robot/columns") == sorted(expected)
     assert found.samples == N * sum(message.topic == "/box/adc" for message in expected)
+    assert found.topics["/box/ident"].lost == 0  # a later copy serves
     assert mended.attachments == {"rig.toml": RIG}
     assert mended.metadata["box"] == recording.metadata["box"]
     assert mended.metadata["session"] == recording.metadata["session"]

@@ -21,6 +21,8 @@ from truearm.session.session_file import Damage, Session
 from truearm.types import Ints
 from truearm.units import NS
 
+IDENT = "/box/ident"  # the metadata repeat it once a minute: it is lost only with all copies
+
 _WRITERS_OWN = ("session-end", CHANNELS)  # metadata written by the writer itself
 
 
@@ -73,7 +75,8 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
     """
     topics: dict[str, TopicAccount] = {}
     first_ns, last_ns = 2**63 - 1, 0
-    box = BoxReader(_ident(session), keep_exchanges=False)
+    ident = _ident(session)
+    box = BoxReader(ident, keep_exchanges=False)
     with SessionWriter(out, None) as writer:
         for name, entries in session.metadata.items():
             if name not in _WRITERS_OWN:
@@ -95,6 +98,9 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
         for topic, count in session.counted.items():
             account = topics.setdefault(topic, TopicAccount())
             account.lost = max(account.lost, count - account.saved)
+        losses = box.losses()
+        if ident is not None and not losses.blocks_without_ident and IDENT in topics:
+            topics[IDENT].lost = 0
         found = Recovered(
             topics=dict(sorted(topics.items())),
             damage=session.damage,
@@ -102,8 +108,8 @@ def recover(session: Session, out: Path, note: Mapping[str, str]) -> Recovered:
             unread_bytes=session.unread_bytes,
             seconds=NS.to_si(max(0, last_ns - first_ns)),
             attachments=tuple(session.attachments),
-            samples=box.losses().samples,
-            undescribed=box.losses().blocks_without_ident,
+            samples=losses.samples,
+            undescribed=losses.blocks_without_ident,
         )
         writer.metadata("recovered", {**note, **_entries(found)})
         writer.close(session.metadata.get("session-end"))
