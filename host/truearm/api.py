@@ -469,7 +469,7 @@ def write_result(path: PathLike, result: ResultArgument) -> None:
     >>> import truearm
     >>> truearm.write_result("copy.json", truearm.read_result("result.json"))
     """
-    result_file.write_result(Path(path), result.document)
+    result_file.write_result(Path(path), result.stored)
 
 
 @checked

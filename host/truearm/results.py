@@ -89,6 +89,10 @@ class NullDirection:
     names: tuple[str, ...]
     weights: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.weights):
+            raise ValueError("needs a weight for each of its names")
+
 
 # m, rad by which a null direction, of the largest weight 1, may move a point that it leaves at rest. Complete directions move
 # it by 1e-10 at most, stored ones, which lack up to a hundred parts of 1e-6, by up to this.
@@ -125,14 +129,15 @@ class Observability(NamedTuple):
     o4: float
 
 
-class Addition(NamedTuple):
+@dataclass(frozen=True)
+class Addition:
     """A further measurement, and which parameters of the robot it would make identifiable."""
 
     kind: str  # name used by the kind of observation that proposes it: "poses", "pairing"
     names: tuple[str, ...]  # identifiers of the rig that it involves; empty for new ones
     rank: int  # of the robot's free parameters, including it
     parameters: tuple[str, ...]  # those that would become distinguishable
-    text: str  # what to do, as an instruction to a person
+    text: str = ""  # what to do, as an instruction to a person
 
 
 class Relabelling(NamedTuple):
@@ -342,7 +347,8 @@ class RobotScale(NamedTuple):
     chance: float
 
 
-class StillJoint(NamedTuple):
+@dataclass(frozen=True)
+class StillJoint:
     """A joint that does not move enough to determine its axis; rad or m."""
 
     joint: str

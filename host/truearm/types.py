@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Annotated, Any, ClassVar, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from truearm.arguments import Checked, converted
@@ -33,6 +35,7 @@ SIGMA = sigma("m")
 UNKNOWN_SIGMA = sigma("m", unknown=True)
 UNKNOWN_TURN_SIGMA = sigma("rad", unknown=True)
 Triple = tuple[float, float, float]
+JointIndex = Annotated[int, Meta(ge=0, le=63)]  # of a joint law, from 0
 MASS = Annotated[float, Number("kg", least=0.0)]  # of a payload
 CENTRE = Annotated[Triple, POSITION]
 
@@ -557,19 +560,18 @@ def rms_of_columns(values: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=0)))
 
 
-@dataclass(frozen=True)
-class CurveKnots:
+class CurveKnots(Struct, frozen=True, tag_field="term", tag="curve"):
     """The error curve of one joint: ``count`` coefficients at intervals of ``spacing`` [rad], repeating if ``periodic``.
 
     ``covered`` [rad]: the intervals of readings near fitted ones, in ascending order. Elsewhere the curve is unknown.
     """
 
-    joint: int
-    first: float
-    spacing: float
-    count: int
+    joint: JointIndex
+    first: Annotated[float, Meta(ge=-100.0, le=100.0)] = msgspec.field(name="first_rad")
+    spacing: Annotated[float, Meta(gt=0.0, le=100.0)] = msgspec.field(name="spacing_rad")
+    count: Annotated[int, Meta(ge=4, le=2000)]
     periodic: bool
-    covered: tuple[tuple[float, float], ...] = ()
+    covered: tuple[tuple[float, float], ...] = msgspec.field(name="covered_rad", default=())
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
         """Return a mask like q [rad] of covered readings; readings a full turn apart are equivalent."""
@@ -596,15 +598,14 @@ class Payload(NamedTuple):
         return abs(self.mass - other.mass) < 1e-3 and (apart < 1e-4 or self.mass < 1e-3)
 
 
-@dataclass(frozen=True)
-class SagMasses:
+class SagMasses(Struct, frozen=True, tag_field="term", tag="sag"):
     """The sag of one joint: the frames with unit masses at their origins, and the direction of gravity in the base frame.
 
     With ``payload``, the torque of the known payload acts too, times one more parameter: the joint's compliance.
     """
 
-    joint: int
-    frames: tuple[int, ...]
+    joint: JointIndex
+    frames: tuple[Annotated[int, Meta(ge=1, le=64)], ...]
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
     payload: bool = False
 

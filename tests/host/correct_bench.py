@@ -8,7 +8,7 @@ from tests.host.puma_bench import CHAIN, CHUCKS, DESIGN, FREE, RIG, SIGMA, SPHER
 from truearm.correct.inverse import singular_value
 from truearm.estimate.identify import identify
 from truearm.files.observation_table import concatenate
-from truearm.files.result_document import document_of
+from truearm.files.result_document import result_of
 from truearm.files.result_file import RobotFrames, write_result
 from truearm.model.chain import forward
 from truearm.results import Estimate
@@ -27,7 +27,7 @@ def identified(seed: int = 1) -> Estimate:
 def write(path: Path, estimate: Estimate) -> Path:
     frames = RobotFrames(CHAIN.name, CHAIN.base_frame, CHAIN.end_frame, ("rad",) * 6)
     table = shell_table(300, 0.46, np.random.default_rng(0))
-    write_result(path, document_of(estimate, concatenate([table, table]), frames, []))
+    write_result(path, result_of(estimate, concatenate([table, table]), frames))
     return path
 
 

@@ -1,10 +1,13 @@
 """docs/reference/result-format.md, as far as it can be checked automatically."""
 
+import base64
+import json
 from typing import Any
 
 import numpy as np
 import pytest
 
+from truearm.files.result_file import checksum, parse_result
 from truearm.kinds.registry import ORIGINS, identifiers
 
 HELD_OUT_KEYS = {"n", "n_settled", "n_left_out"}
@@ -71,6 +74,13 @@ OBJECTS = {
     "made_with",
     "hold_out_proposal",
 }
+
+
+def signed(document: dict[str, Any]) -> str:
+    """Return the text of a result that another program changed, with its checksum."""
+    return json.dumps({**document, "checksum": checksum(document)})
+
+
 RMS = ("rms_before", "rms_after")
 RAW = ("rms_raw", "rms_declared", "rms_unexplained")
 
@@ -95,7 +105,9 @@ def check_schema(result: dict[str, Any]) -> None:
         assert (parameter["sigma"] is None) == (not parameter["seen"])
     free = [p["name"] for p in result["parameters"] if p["free"]]
     assert result["free"] == result["covariance"]["names"] == free
-    assert np.array(result["covariance"]["matrix"], dtype=float).shape == (len(free), len(free))
+    upper = np.frombuffer(base64.b64decode(result["covariance"]["upper"]), "<f8")
+    assert len(upper) == len(free) * (len(free) + 1) // 2
+    assert parse_result(json.dumps(result), "r.json").document == result
     unseen = {name for direction in result["null_space"] for name in direction["names"]}
     assert unseen >= {p["name"] for p in result["parameters"] if p["free"] and not p["seen"] and p["of"] == "robot"}
     assert unseen <= {p["name"] for p in result["parameters"] if p["free"] and not p["seen"]}

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, damped
 from scipy.spatial.transform import Rotation
+from tests.host.result_schema import signed
 from tests.host.target_bench import driven, miss, rapid, script, table
 
 from truearm.cli import main as cli
 from truearm.files.observation_table import read_table
-from truearm.files.result_file import checksum
 from truearm.files.robot_file import load_robot
 from truearm.files.target_table import parse_targets
 from truearm.model.chain import forward, joint_jacobian
@@ -288,7 +288,7 @@ def test_a_singular_target_is_refused_with_its_line(bench, tmp_path, capsys):
 def damage(bench, tmp_path, change):
     document = json.loads((bench.folder / "result.json").read_text())
     change(document)
-    (tmp_path / "r.json").write_text(json.dumps({**document, "checksum": checksum(document)}))
+    (tmp_path / "r.json").write_text(signed(document))
     return tmp_path / "r.json"
 
 
@@ -310,7 +310,7 @@ CHANGES = {
 @pytest.mark.parametrize("what", CHANGES)
 def test_bad_results_are_one_line(bench, tmp_path, capsys, what):
     change, says = CHANGES[what]
-    covariance_free = lambda d: (change(d), d["covariance"].update(names=[], matrix=[]))  # noqa: E731
+    covariance_free = lambda d: (change(d), d["covariance"].update(names=[], units=[], upper=""))  # noqa: E731
     result = damage(bench, tmp_path, covariance_free)
     code, _, err = run(capsys, "correct", result, bench.folder / "targets.csv", "--out", tmp_path / "out.csv")
     assert code == 2

@@ -11,9 +11,9 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from truearm.correct.inverse import inverse
 from truearm.estimate.identify import identify
 from truearm.files.observation_table import read_table, write_table
+from truearm.files.result_file import read_result
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
-from truearm.files.stored_result import read_result
 from truearm.model.chain import forward
 from truearm.types import ObservationTable
 
@@ -72,7 +72,7 @@ def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
     np.testing.assert_array_equal(gains, 1.0)
     q = correct_bench.good_poses(100)
     stored = read_result(result)
-    identified = forward(CHAIN, stored.value[stored.of_robot], q)
+    identified = forward(CHAIN, stored.column("value")[stored.column("of") == "robot"], q)
     error = (forward(chain, chain.params_nominal, q) - identified)[:, :3, 3]
     before = (forward(CHAIN, DESIGN, q) - identified)[:, :3, 3]
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(before**2))
@@ -87,7 +87,7 @@ def test_tables_hold_everything(result, tmp_path, run, form):
     chain = load_robot(str(out)).chain
     stored = read_result(result)
     q = correct_bench.good_poses(20)
-    expected = forward(CHAIN, stored.value[stored.of_robot], q)
+    expected = forward(CHAIN, stored.column("value")[stored.column("of") == "robot"], q)
     np.testing.assert_allclose(forward(chain, chain.params_nominal, q), expected, atol=1e-12)
     assert run("export", result, "--format", form, "--out", out)[0] == 2
     code, said, err = run("export", result, "--format", form, "--out", out, "--force", "--json")
@@ -116,14 +116,16 @@ def test_panda_exported_and_reloaded_has_the_same_held_out_error(tmp_path, run):
     # nothing of the robot is fitted: only the rig's own unknowns, the ball's place among them
     none = np.zeros(len(chain.parameters), dtype=bool)
     again = identify(chain, read_rig(rig), observations, free=none, hold_out=judged)
-    document = stored.document["held_out"]
+    document = stored.held_out
     assert document["mean_mm"] < 0.25
     # the ball's place is estimated again without the robot's prior, which moves the error by micrometres
     assert 1e3 * again.held_out.figures["m"].mean == pytest.approx(document["mean_mm"], abs=5e-3)
     q = observations.q
     before = load_robot(str(urdf), None, "ball_link").chain
     np.testing.assert_allclose(
-        forward(chain, chain.params_nominal, q), forward(before, stored.value[stored.of_robot], q), atol=1e-12
+        forward(chain, chain.params_nominal, q),
+        forward(before, stored.column("value")[stored.column("of") == "robot"], q),
+        atol=1e-12,
     )
 
 

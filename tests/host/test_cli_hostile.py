@@ -9,10 +9,10 @@ from tests.host import plan_bench as bench
 from tests.host.command_line import told
 from tests.host.puma_bench import RIG, SIGMA, TRUTH, lengths
 from tests.host.puma_bench import table as rows_of
+from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, script, table
 
 from truearm.files.observation_table import write_table
-from truearm.files.result_file import checksum
 from truearm.files.rig_file import write_rig
 
 CORRECT = "correct result.json targets.csv --out new.csv"
@@ -58,8 +58,7 @@ def result(path, value):
         for step in way:
             at = at[step]
         at[last] = value
-        document["checksum"] = checksum(document)  # whoever wrote it meant it
-        return json.dumps(document)
+        return signed(document)  # whoever wrote it meant it
 
     return change
 
@@ -104,31 +103,35 @@ READ_BY_ALL = (
 RESULTS = {
     "empty": ("", "strict JSON"),
     "binary": (bytes(range(256)), "UTF-8"),
-    "a list": ("[1]", "is not a JSON object"),
+    "a list": ("[1]", "is not a result of truearm identify"),
     "deep": ("[" * 60_000 + "]" * 60_000, "nested too deeply"),
-    "cut off": (lambda folder: (folder / "result.json").read_text()[:20000], "strict JSON"),
-    "NaN": (edited("result.json", '"rank_gap": ', '"rank_gap": NaN, "x": '), "NaN is not JSON"),
-    "5000 digits": (edited("result.json", '"format_version": ', '"format_version": ' + "1" * 5000), "strict JSON"),
+    "cut off": (lambda folder: (folder / "result.json").read_text()[:5000], "strict JSON"),
+    "NaN": (edited("result.json", '"rank_gap": ', '"rank_gap": NaN, "x": '), "strict JSON"),
+    "5000 digits": (
+        edited("result.json", '"format_version": ', '"format_version": ' + "1" * 5000),
+        "integer value out of range",
+    ),
     "tomorrow's": (result("format_version", 99), "has format version 99"),
-    "no parameters": (result("parameters", []), "covariance: names parameters that the result does not have"),
-    "parameters a text": (result("parameters", "all"), "parameters: needs a list of 0 to 20000 values, has 'all'"),
+    "no parameters": (result("parameters", []), "parameters: their names are not unique, or the covariance has others"),
+    "parameters a text": (result("parameters", "all"), "parameters: expected array, got str"),
     "value null": (result("parameters/0/value", None), "missing or implausible"),
-    "value true": (result("parameters/0/value", True), "parameters: item 1: value: true is not a number"),
-    "value huge": (result("parameters/0/value", 1e300), "parameter link1.x: is larger than any parameter can be"),
-    "nominal null": (result("parameters/0/nominal", None), "nominal: null is not a number"),
+    "value true": (result("parameters/0/value", True), "parameters[0].value: expected float | null, got bool"),
+    "value huge": (result("parameters/0/value", 1e300), "missing or implausible"),
+    "nominal null": (result("parameters/0/nominal", None), "parameters[0].nominal: expected float, got null"),
     "nominal of another": (result("parameters/0/nominal", 0.5), "was identified from another"),
-    "free a text": (result("parameters/0/free", "yes"), "is not true or false"),
+    "free a text": (result("parameters/0/free", "yes"), "parameters[0].free: expected bool, got str"),
     "a name twice": (result("parameters/0/name", "link1.y"), "not unique"),
     "joints in metres": (result("robot/joint_units", ["m"] * 6), "differ from those of robot"),
-    "covariance ragged": (result("covariance/matrix/3", [1.0]), "covariance: matrix: needs"),
-    "covariance gone": (result("covariance", None), "covariance: must be a table, is null"),
-    "null space a text": (result("null_space", "none"), "null_space: needs a list of 0 to 20000 values"),
-    "null space of lists": (result("null_space", [[1]]), "null_space: item 1: must be a table, is a list"),
+    "covariance cut off": (result("covariance/upper", "AAAA"), "covariance: upper needs 666 numbers for 36 names"),
+    "covariance no base64": (result("covariance/upper", "none of it"), "covariance.upper: invalid base64"),
+    "covariance gone": (result("covariance", None), "covariance: expected object, got null"),
+    "null space a text": (result("null_space", "none"), "null_space: expected array, got str"),
+    "null space of lists": (result("null_space", [[1]]), "null_space[0]: expected object, got array"),
     "a digit of a value": (edited("result.json", '"value": 0.', '"value": 0.1'), "was changed or damaged"),
     "no checksum": (edited("result.json", '"checksum"', '"checksun"'), "was changed or damaged"),
     "weights beyond": (
         edited("result.json", '"null_space": []', '"null_space": [{"names": ["link1.x"], "weights": [1e999]}]'),
-        "null_space: item 1: weights: item 1: not a finite number",
+        "number out of range",
     ),
 }
 BOMB = '<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>'

@@ -8,12 +8,13 @@ import correct_bench
 import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
+from result_schema import signed
 
 from truearm.cli.map_text import lines
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
-from truearm.files.stored_result import read_result
+from truearm.files.result_file import read_result
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.workflows.map import Mapped
@@ -41,7 +42,9 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     assert len(rows) > 300
     q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
     stored = read_result(result)
-    nominal, identified = (forward(CHAIN, p, q)[:, :3, 3] for p in (DESIGN, stored.value[stored.of_robot]))
+    nominal, identified = (
+        forward(CHAIN, p, q)[:, :3, 3] for p in (DESIGN, stored.column("value")[stored.column("of") == "robot"])
+    )
     error = 1e3 * np.linalg.norm(identified - nominal, axis=1)
     # written to 1e-5 deg of a joint: 0.2 µm of the end, of which the error's own derivative is some percent
     np.testing.assert_allclose([float(row["error_mm"]) for row in rows], error, atol=1e-4)
@@ -146,7 +149,7 @@ def test_a_robot_without_errors_has_an_empty_map():
 def test_bad_requests_are_one_line(result, tmp_path, run):
     document = json.loads(result.read_text())
     document["null_space"] = [{"names": ["link1.x"], "weights": ["much"]}]
-    (tmp_path / "bad.json").write_text(json.dumps(document))
+    (tmp_path / "bad.json").write_text(signed(document))
     (tmp_path / "mine.svg").write_text("<svg>precious</svg>")
     cases = [
         (("map", result, "--vary", "2"), "--vary 2: needs two joints, such as 2,3"),
@@ -159,7 +162,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         (("map", result, "--task", "9x9", "--within", "nan:1,0:1"), "needs LOW:HIGH,LOW:HIGH"),
         (("map", result, "--within", "0:1,0:1"), "--within needs --task"),
         (("map", result, "--cell-mm", "0.1"), "--cell-mm"),
-        (("map", tmp_path / "bad.json"), "null_space: item 1: weights: item 1: 'much' is not a number"),
+        (("map", tmp_path / "bad.json"), "null_space[0].weights[0]: expected float, got str"),
         (
             ("map", result, "--picture-out", tmp_path / "a.png"),
             "a.png: would be written as .svg; give a name that ends in",

@@ -13,7 +13,7 @@ from truearm.export.link_frames import link_frames
 from truearm.export.urdf import new_urdf
 from truearm.files.observation_table import write_table
 from truearm.files.plan_file import check_against_rig, read_plan
-from truearm.files.result_document import document_of
+from truearm.files.result_document import result_of
 from truearm.files.result_file import RobotFrames, write_result
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_text
@@ -51,7 +51,7 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     write_table(folder / "measured.csv", table, ("rad",) * 6)
     found = identify(known.chain, known.rig, table, free=known.free)
     frames = RobotFrames("irb120", "base", "flange", ("rad",) * 6)
-    write_result(folder / "result.json", document_of(found, table, frames, [], [], "none"))
+    write_result(folder / "result.json", result_of(found, table, frames))
 
     more = ("--result", str(folder / "result.json"), "--measured", str(folder / "measured.csv"), "--json")
     assert main(["plan", "ballbar", *COMMON, "--rig", rig, *more]) == 0

@@ -1,6 +1,5 @@
 """Commands that correct a robot refuse a fit that is not usable, unless it is asked for."""
 
-import json
 from dataclasses import replace
 
 import correct_bench
@@ -50,14 +49,3 @@ def test_judging_a_fit_that_is_not_usable_says_so(folder, run):
     assert code == 0, err
     assert "bad.json: the fit is not usable (not converged); correct its inputs" in err
     assert "Expected" in said
-
-
-def test_results_of_earlier_versions_say_only_whether_they_converged(folder, run):
-    bad = correct_bench.write(folder / "bad.json", replace(correct_bench.identified(), status="max_iterations"))
-    document = json.loads(bad.read_text())
-    for later in ("checksum", "usable", "unusable_because", "explanations"):
-        del document[later]
-    bad.write_text(json.dumps(document | {"format_version": 2}))
-    code, _, err = run("map", bad, "--cell-mm", "60")
-    assert code == 2
-    assert "(not converged)" in err

@@ -9,6 +9,7 @@ from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
 from tests.host.controllers import Controller
 from tests.host.rapid_machine import run_rapid
+from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, table
 from tests.host.urscript_machine import run_urscript
 
@@ -19,8 +20,8 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import limit_margins, straight_moves
 from truearm.estimate.identify import identify
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
-from truearm.files.result_document import document_of
-from truearm.files.result_file import RobotFrames, checksum, write_result
+from truearm.files.result_document import result_of
+from truearm.files.result_file import RobotFrames, write_result
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.model.robot import builtin_robot
@@ -170,7 +171,7 @@ class Arm:
     def write(self, path):
         chain = self.chain
         frames = RobotFrames(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
-        write_result(path, document_of(self.estimate, self.table, frames, []))
+        write_result(path, result_of(self.estimate, self.table, frames))
 
     def errors(self, params, q):
         """Return (n,) m: the distance between where the arm with ``params`` believes to be and where it is."""
@@ -340,7 +341,7 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
 
 def _written(folder, document):
     path = folder / "result.json"
-    path.write_text(json.dumps({**document, "checksum": checksum(document)}))
+    path.write_text(signed(document))
     return path
 
 

@@ -12,7 +12,7 @@ from puma_bench import CHAIN, SIGMA
 
 from truearm.errors import InputError
 from truearm.estimate.circumstances import last_directions, last_moves
-from truearm.files.systematic_document import systematic_entries
+from truearm.files.result_document import systematic_entries
 from truearm.report.systematic_words import systematic_sentences
 from truearm.types import ObservationTable
 from truearm.workflows.selection import parse_effect

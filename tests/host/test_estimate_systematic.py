@@ -23,7 +23,7 @@ from truearm.estimate.systematic_confirmation import FOLDS, STRETCHES, path_infl
 from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
 from truearm.estimate.wrong_inputs import diagnosed
-from truearm.files.systematic_document import systematic_entries
+from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation

@@ -22,10 +22,9 @@ from truearm.estimate.pose_noise import PoseNoise, PoseSample, noise_change
 from truearm.estimate.problem import build_problem
 from truearm.export.writing import fit_to
 from truearm.files.observation_table import format_table, parse_table
-from truearm.files.result_file import format_document
+from truearm.files.result_file import format_document, parse_result
 from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
-from truearm.files.stored_result import parse_result
 from truearm.kinds.position import nearest_rotation
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.joint_terms.curve import Curve

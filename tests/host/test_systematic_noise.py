@@ -8,7 +8,7 @@ import pytest
 from puma_bench import CHAIN, FREE, SIGMA, TRUTH, random_poses
 
 from truearm.estimate.identify import identify
-from truearm.files.systematic_document import systematic_entries
+from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.report.systematic_words import systematic_sentences
 from truearm.types import Device, ObservationTable, Point, Rig

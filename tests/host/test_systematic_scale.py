@@ -7,7 +7,7 @@ from puma_bench import CHAIN, DESIGN, FREE, SIGMA, TRUTH, random_poses
 
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem, modelled_of
-from truearm.files.systematic_document import systematic_entries
+from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.report.systematic_words import systematic_sentences
 from truearm.results import Effect

@@ -1,130 +1,177 @@
-"""The content of result.json: an estimate for people, scripts and later commands (docs/reference/result-format.md).
+"""The content of result.json of an estimate: see ``result_file`` and docs/reference/result-format.md.
 
-Lengths in the summary are in mm, angles in deg, parameters in the unit they name.
+Fields have the names of the estimate's attributes. Where a name ends in a unit, the value is converted to this unit.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from truearm import __version__
+from truearm.estimate.displaced_mounts import Displaced
 from truearm.estimate.gain import gain_of
-from truearm.files.law_document import law_document
-from truearm.files.result_file import FORMAT, FORMAT_VERSION, Input, RobotFrames, with_checksum
-from truearm.files.strict_json import number_or_null, numbers_or_null, shown_or_null
-from truearm.files.systematic_document import source_name, systematic_entries
+from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
+from truearm.files.strict_json import without_nan
 from truearm.kinds import registry
 from truearm.results import (
-    Defaults,
+    DriftWith,
     Estimate,
-    Explanation,
     Figures,
     HeldOut,
-    Observability,
-    OtherFit,
-    PoseError,
+    JointLaws,
     PredictedError,
-    Relabelling,
+    ResidualParts,
+    SystematicError,
+    SystematicErrors,
 )
-from truearm.types import Floats, ObservationTable, Residuals
-from truearm.units import UNITS, key
-
-NO_DEFAULTS = Defaults()
+from truearm.types import ObservationTable, Residuals
+from truearm.units import MM, MRAD, SUFFIXES, UNITS, key, shown
 
 
-def document_of(
+def result_of(
     estimate: Estimate,
     table: ObservationTable,
     robot: RobotFrames,
-    inputs: Sequence[Input],
-    held_out_by: Sequence[str] = (),
-    prior: str = "none",
     predicted: PredictedError | None = None,
-    defaults: Defaults = NO_DEFAULTS,
-) -> dict[str, Any]:
+    displaced: Sequence[Displaced] = (),
+    **fields: Any,
+) -> Result:
     """Return the content of result.json for an estimate from ``table``.
 
-    ``held_out_by`` and ``prior`` are what the user asked to hold out, and the name of the robot's prior. ``predicted``
-    is the predicted error of the tool. ``defaults`` are the fixed parameters and the assumptions that the user did not
-    ask for.
+    ``predicted`` is the predicted error of the tool, and ``displaced`` are base and tool if they are not where they are
+    described. ``fields`` are those that do not follow from an estimate, such as ``inputs`` and ``prior``.
     """
-    names = np.array(estimate.parameter_names)
-    units = residual_units(estimate)
-    document = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "truearm_version": __version__,
-        "inputs": [entry._asdict() for entry in inputs],
-        "simulated": table.simulated,
-        "robot": {
-            "name": robot.name,
-            "base_frame": robot.base_frame,
-            "end_frame": robot.end_frame,
-            "joint_units": list(robot.joint_units),
-        },
-        "status": estimate.status,
-        "message": estimate.message,
-        "solver": estimate.solver,
-        "loss": estimate.loss,
-        "prior": prior,
-        "iterations": estimate.iterations,
-        "n_observations": estimate.n_observations,
-        "joint_range": _joint_range(table.q[estimate.fitted]),
-        "observations": _counts(estimate, table, units),
-        "n_free": int(estimate.free[: estimate.n_robot_parameters].sum()) - _coefficients(estimate),
-        "rank": estimate.rank,
-        "rank_gap": number_or_null(estimate.rank_gap),
-        "free": names[estimate.free].tolist(),
-        "defaults": _defaults(defaults),
-        "suggested_free": names[np.flatnonzero(estimate.suggested_free)].tolist(),
-        "null_space": [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in estimate.null_space],
-        "hardly_seen": [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in estimate.hardly_seen],
-        "observability": _observability(estimate.observability),
-        "additions": [_lists(addition._asdict()) for addition in estimate.additions],
-        "relabellings": [_relabelling(r, table) for r in estimate.relabellings],
-        "relabelling_search": estimate.relabelling_search,
-        "usable": not estimate.unusable,
-        "unusable_because": None if estimate.unusable is None else estimate.unusable.value,
-        "explanations": [_explanation(one) for one in estimate.explanations],
-        "residual_units": [UNITS[unit].scale.suffix for unit in units],
-        **_by_unit("rms_before", estimate.rms_before, units),
-        **_by_unit("rms_raw", estimate.rms_raw, units),
-        **_by_unit("rms_after", estimate.rms_after, units),
-        **_by_unit("rms_declared", {si: of.declared for si, of in estimate.parts.items()}, units),
-        **_by_unit("rms_unexplained", {si: of.unexplained for si, of in estimate.parts.items()}, units),
-        "pose_error": _pose_error(estimate.pose_error),
-        **{
-            key("rms_history", si): [shown_or_null(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units
-        },
-        "chi2_reduced": number_or_null(estimate.chi2_reduced),
-        "chi2_band": numbers_or_null(estimate.chi2_band),
-        "chi2_freedom": number_or_null(estimate.chi2_freedom),
-        "suspect": _suspects(estimate, table),
-        "scale": None if estimate.scale is None else estimate.scale._asdict(),
+    names, free, units = np.array(estimate.parameter_names), estimate.free, residual_units(estimate)
+    q, other_fit = table.q[estimate.fitted], ("n", "rms_after", "chi2_reduced", "value")
+    pose, bad = estimate.pose_error, estimate.without_bad_rows
+    parts = {si: estimate.parts.get(si, ResidualParts(math.nan, math.nan)) for si in units}
+    content = {
+        **_entry(estimate, "status", "message", "solver", "loss", "iterations", "n_observations", "rank", "rank_gap"),
+        **_entry(estimate, "null_space", "hardly_seen", "additions", "relabelling_search"),
+        **_entry(estimate, "chi2_reduced", "chi2_band", "chi2_freedom"),
+        **_entry(estimate, "rms_before", "rms_raw", "rms_after", units=units),
+        **{key("rms_history", si): [shown(rms, si) for rms in estimate.rms_history.get(si, ())] for si in units},
+        **_by_unit(parts, "rms_", "declared", "unexplained"),
         **systematic_entries(estimate.systematic, table),
+        "truearm_version": __version__,
+        "simulated": table.simulated,
+        "robot": robot,
+        "joint_range": {"lower": q.min(axis=0), "upper": q.max(axis=0)},
+        "observations": _counts(estimate, table, units),
+        # The prior of the evidence constrains the coefficients of joint laws: they count neither as free nor in the rank.
+        "n_free": int(free[: estimate.n_robot_parameters].sum()) - len(estimate.law_parameters),
+        "free": names[free],
+        "suggested_free": names[np.flatnonzero(estimate.suggested_free)],
+        "relabellings": [
+            _entry(one, "columns", "was", "fits", "rms_before_mm", "rms_after_mm", rows=_sources(table, one.rows))
+            for one in estimate.relabellings
+        ],
+        "usable": not estimate.unusable,
+        "unusable_because": estimate.unusable,
+        "explanations": [
+            _entry(explanation, "what", "text", "n", "rms_given", "rms", "chance", units=list(explanation.rms_given))
+            | {"apply": _remedy(explanation.apply, explanation.allow)}
+            for explanation in estimate.explanations
+        ],
+        "residual_units": [UNITS[si].scale.suffix for si in units],
+        "observability": _entry(estimate.observability, "o1", "o2", "o3", "o4"),
+        "scale": _entry(estimate.scale, "factor", "sigma", "n", "chance"),
+        "pose_error": pose and _entry(pose, "sigma_mm", "n", row_variance=pose.row),
+        "suspect": _suspects(estimate, table),
         "unexplained": _unexplained(estimate),
         "mean_change": _mean_change(estimate),
-        "with_outliers": _other_fit(estimate, estimate.with_outliers, units),
-        "without_bad_rows": _without_bad_rows(estimate, units),
-        "held_out_by": list(held_out_by),
+        "with_outliers": _entry(estimate.with_outliers, *other_fit, units=units, names=names),
+        "without_bad_rows": bad and _entry(bad, *other_fit, units=units, names=names, tool_moves_mm=MM.of(bad.moves)),
         "held_out": _held_out(estimate.held_out, units),
         "held_out_before": _held_out(estimate.held_out_before, units),
-        "predicted_error": _predicted(predicted),
-        "joint_laws": law_document(estimate.joint_laws, _held_out, units),
+        "predicted_error": predicted and _predicted(predicted),
+        "displaced": [_entry(mount, "frame", "distance_mm", "turn_deg") for mount in displaced],
+        "joint_laws": _joint_laws(estimate.joint_laws, units),
         "parameters": _parameters(estimate),
-        "covariance": {
-            "names": names[estimate.free].tolist(),
-            "units": np.array(estimate.units)[estimate.free].tolist(),
-            "matrix": _matrix(estimate.covariance[np.ix_(estimate.free, estimate.free)]),
-        },
+        "covariance": Covariance.of(
+            names[free], np.array(estimate.units)[free], estimate.covariance[np.ix_(free, free)]
+        ),
     }
-    return with_checksum(document)
+    return msgspec.convert(_json({**content, **fields}), Result)
+
+
+def _entry(source: object, *names: str, units: Sequence[str] = (), **fields: Any) -> Any:
+    """Return attributes by name, in the unit that the name ends in, and further ``fields``; None of None.
+
+    A value by SI unit gives an entry for each of ``units``, in its display unit.
+    """
+    if source is None:
+        return None
+    entry: dict[str, Any] = {}
+    for name in names:
+        attribute, _, suffix = name.rpartition("_")
+        value = getattr(source, name, None)
+        if isinstance(value, Mapping):
+            entry |= {key(name, si): shown(value.get(si, math.nan), si) for si in units}
+        elif hasattr(source, name):
+            entry[name] = value
+        else:
+            value = getattr(source, attribute)
+            entry[name] = SUFFIXES[suffix].of(value if isinstance(value, float) else np.array(value))
+    return entry | fields
+
+
+def _by_unit(records: Mapping[str, Any], prefix: str, *names: str) -> dict[str, Any]:
+    """Return attributes of a record for each SI unit, in its display unit, which ends their names."""
+    return {
+        key(prefix + name, si): shown(getattr(record, name), si) for si, record in records.items() for name in names
+    }
+
+
+def _counts_by_unit(records: Mapping[str, Any]) -> dict[str, int]:
+    return {key("n", si): record.n for si, record in records.items()}
+
+
+def _json(value: Any) -> Any:
+    """Return a value as JSON has it: null for a number that does not exist."""
+    return without_nan(msgspec.to_builtins(value, enc_hook=lambda array: array.tolist()))
+
+
+def _remedy(leave_out: str, allow: str) -> dict[str, str] | None:
+    return {"leave_out": leave_out} if leave_out else {"allow": allow} if allow else None
+
+
+def systematic_entries(errors: SystematicErrors | None, table: ObservationTable) -> dict[str, Any]:
+    """Return the fields ``systematic`` and ``without_systematic`` for systematic errors found in the table's rows."""
+    if errors is None:
+        return {"systematic": [], "without_systematic": None}
+    would_be = _entry(errors, "chi2_reduced", "held_out_ratio", tool_moves_mm=MM.of(errors.moves))
+    entries = {"systematic": [_systematic(error, table) for error in errors.found], "without_systematic": would_be}
+    return dict(_json(entries))
+
+
+def _systematic(error: SystematicError, table: ObservationTable) -> dict[str, Any]:
+    """Return one systematic error; rows count from 1, the last one included."""
+    (first, last), effect = error.rows, error.effect
+    drift, rows = effect and effect.drifts_with, slice(first, last)
+    return {
+        **_entry(error, "form", "size", "sigma", "freedom", "chance", "rivals"),
+        "what": effect and effect.what,
+        "rows": [first + 1, last],
+        "first_within": [row + 1 for row in error.within[0]],
+        "last_within": error.within[1],
+        "from": source_name(table, first),
+        "to": source_name(table, last - 1),
+        "unit": error.unit or None,
+        "drifts_with": drift,
+        "over_s": np.ptp(table.time[rows]) if drift is DriftWith.TIME else None,
+        "over_degc": np.ptp(table.temperature[rows]) if drift is DriftWith.TEMPERATURE else None,
+        "off_by": [_entry(number, "name", "unit", "value", "sigma") for number in error.off_by],
+        "chi2_drop": error.drop,
+        "apply": _remedy("" if effect else f"{first + 1}:{last}", str(effect)),
+    }
 
 
 def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[str, str]]:
@@ -133,27 +180,13 @@ def copies_of(copied: NDArray[np.intp], table: ObservationTable) -> list[dict[st
     return [{"source": source_name(table, row), "of": source_name(table, int(copied[row]))} for row in rows]
 
 
-def _coefficients(estimate: Estimate) -> int:
-    """Return the number of joint-law parameters.
-
-    The prior of the evidence constrains them, so they count neither as free nor in the rank.
-    """
-    return sum(law.size for law in estimate.joint_laws.kept) if estimate.joint_laws else 0
+def source_name(table: ObservationTable, row: int) -> str:
+    """Return the source of a row, without the folder, as in ``input_of``."""
+    return os.path.basename(str(table.source[row]))
 
 
-def _matrix(covariance: Floats) -> list[list[float | None]]:
-    rows: list[list[float | None]] = covariance.tolist()
-    return rows if np.isfinite(covariance).all() else [numbers_or_null(row) for row in rows]
-
-
-def _joint_range(q: Floats) -> dict[str, list[float]]:
-    return {"lower": q.min(axis=0).tolist(), "upper": q.max(axis=0).tolist()}
-
-
-def _defaults(defaults: Defaults) -> dict[str, Any]:
-    names = {name: list(getattr(defaults, name)) for name in ("base", "tool", "lost", "believed")}
-    frames = [{"names": list(d.names), "weights": numbers_or_null(d.weights)} for d in defaults.frames]
-    return {**names, "frames": frames, "still": [joint._asdict() for joint in defaults.still]}
+def _sources(table: ObservationTable, rows: Iterable[int]) -> list[str]:
+    return [source_name(table, row) for row in rows]
 
 
 def residual_units(estimate: Estimate) -> list[str]:
@@ -162,149 +195,61 @@ def residual_units(estimate: Estimate) -> list[str]:
     return [si for si in UNITS if si in estimate.rms_before or si in held_out]
 
 
-def _by_unit(name: str, values: Mapping[str, float], units: Sequence[str]) -> dict[str, float | None]:
-    """Return a number for each unit, in the display unit, which ends its key; None if there is no number."""
-    return {key(name, si): shown_or_null(values.get(si, math.nan), si) for si in units}
-
-
 def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -> list[dict[str, Any]]:
     entries = []
+    columns = [column for column in registry.identifiers() if column not in registry.ORIGINS]
     for rig, kind in sorted(set(zip(table.rig.tolist(), table.kind.tolist(), strict=True))):
-        mine = (table.rig == rig) & (table.kind == kind)
-        fitted, held_out = mine & estimate.used, mine & ~estimate.fitted
+        rows = (table.rig == rig) & (table.kind == kind)
+        fitted, held_out = rows & estimate.used, rows & ~estimate.fitted
         if estimate.left_out.size:
             held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        entry |= {
-            f"{what}s": _distinct(table, what, fitted)
-            for what in registry.identifiers()
-            if what not in registry.ORIGINS
-        }
-        entry |= _by_unit("rms_before", _rms(estimate.residual_before, fitted), units)
-        entry |= _by_unit("rms_after", _rms(estimate.residual, fitted), units)
-        entry |= _by_unit("rms_held_out", _rms(estimate.residual, held_out), units)
+        entry |= {f"{column}s": len(set(table.column(column)[fitted].tolist()) - {""}) for column in columns}
+        entry |= _rms("rms_before", estimate.residual_before, fitted, units)
+        entry |= _rms("rms_after", estimate.residual, fitted, units)
+        entry |= _rms("rms_held_out", estimate.residual, held_out, units)
         entries.append(entry)
     return entries
 
 
-def _rms(residual: Residuals, rows: NDArray[np.bool_]) -> dict[str, float]:
-    return {si: figures.rms for si, figures in Figures.by_unit(residual, rows).items()}
-
-
-def _distinct(table: ObservationTable, what: str, rows: NDArray[np.bool_]) -> int:
-    return sum(name != "" for name in np.unique(table.column(what)[rows]))
+def _rms(name: str, residual: Residuals, rows: NDArray[np.bool_], units: Sequence[str]) -> dict[str, Any]:
+    figures = Figures.by_unit(residual, rows)
+    return {key(name, si): shown(figures[si].rms, si) if si in figures else None for si in units}
 
 
 def _parameters(estimate: Estimate) -> list[dict[str, Any]]:
-    return [
-        {
-            "name": name,
-            "unit": estimate.units[i],
-            "nominal": number_or_null(estimate.nominal[i]),
-            "value": number_or_null(estimate.value[i]),
-            "sigma": number_or_null(estimate.sigma[i]) if estimate.free[i] and estimate.identifiable[i] else None,
-            "free": bool(estimate.free[i]),
-            "seen": bool(estimate.free[i] and estimate.identifiable[i]),
-            **({"law": True} if i in estimate.law_parameters else {}),
-            "of": "robot" if i < estimate.n_robot_parameters else "rig",
-        }
-        for i, name in enumerate(estimate.parameter_names)
-    ]
-
-
-def _observability(indices: Observability | None) -> dict[str, float | None] | None:
-    return None if indices is None else {name: number_or_null(value) for name, value in indices._asdict().items()}
-
-
-def _lists(record: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in record.items()}
-
-
-def _relabelling(relabelling: Relabelling, table: ObservationTable) -> dict[str, Any]:
-    return {
-        "rows": [source_name(table, row) for row in relabelling.rows],
-        "columns": list(relabelling.columns),
-        "was": list(relabelling.was),
-        "fits": list(relabelling.fits),
-        "rms_before_mm": shown_or_null(relabelling.rms_before, "m"),
-        "rms_after_mm": shown_or_null(relabelling.rms_after, "m"),
-    }
-
-
-def _explanation(one: Explanation) -> dict[str, Any]:
-    return {
-        "what": one.what.value,
-        "text": one.text,
-        "apply": {"leave_out": one.apply} if one.apply else {"allow": one.allow} if one.allow else None,
-        "n": one.n,
-        **{key("rms_given", si): shown_or_null(rms, si) for si, rms in one.rms_given.items()},
-        **{key("rms", si): shown_or_null(rms, si) for si, rms in one.rms.items()},
-        "chance": number_or_null(one.chance),
-    }
+    seen, names = estimate.free & estimate.identifiable, estimate.parameter_names
+    of = np.where(np.arange(len(names)) < estimate.n_robot_parameters, "robot", "rig")
+    sigma = np.where(seen, estimate.sigma, np.nan)
+    columns = (names, estimate.units, estimate.nominal, estimate.value, sigma, estimate.free, seen, of)
+    entries = [dict(zip(Parameter.__struct_fields__, row)) for row in zip(*columns, strict=True)]
+    for i in estimate.law_parameters:
+        entries[i]["law"] = True
+    return entries
 
 
 def _unexplained(estimate: Estimate) -> dict[str, Any] | None:
     """Return the mean error where nothing was fitted, by unit; None if the declared noise explains the residuals."""
-    if not estimate.unexplained:
-        return None
-    out: dict[str, Any] = {"by": "cross-validation"}
-    for si, error in estimate.unexplained.items():
-        out |= {key(name, si): shown_or_null(getattr(error, name), si) for name in ("mean", "low", "high")}
-        out |= {key("n", si): error.n}
-        if error.held_out:
-            out["by"] = "held out"
-    return out
+    errors = estimate.unexplained
+    by = "held out" if any(error.held_out for error in errors.values()) else "cross-validation"
+    return {"by": by, **_by_unit(errors, "", "mean", "low", "high"), **_counts_by_unit(errors)} if errors else None
 
 
 def _mean_change(estimate: Estimate) -> dict[str, Any] | None:
     """Return the mean errors where nothing was fitted, before and after, by unit; None if they are not compared."""
-    gain = gain_of(estimate.mean_change)
-    if gain is None:
-        return None
-    out: dict[str, Any] = {"gain": gain.value, "by": "cross-validation" if estimate.held_out is None else "held out"}
-    for si, change in estimate.mean_change.items():
-        out |= {key(f"mean_{name}", si): shown_or_null(getattr(change, name), si) for name in ("before", "after")}
-        out |= {key("n", si): change.n}
-    return out
-
-
-def _pose_error(error: PoseError | None) -> dict[str, Any] | None:
-    """Return the error shared by the rows of one pose, beyond chance."""
-    if error is None:
-        return None
-    return {"sigma_mm": shown_or_null(error.sigma, "m"), "row_variance": number_or_null(error.row), "n": error.n}
-
-
-def _other_fit(estimate: Estimate, other: OtherFit | None, units: Sequence[str]) -> dict[str, Any] | None:
-    """Return the fit with outliers that were left out, or without bad rows that were not."""
-    if other is None:
-        return None
-    return {
-        "n": other.n,
-        **_by_unit("rms_after", other.rms_after, units),
-        "chi2_reduced": number_or_null(other.chi2_reduced),
-        "names": list(estimate.parameter_names),
-        "value": numbers_or_null(other.value),
-    }
-
-
-def _without_bad_rows(estimate: Estimate, units: Sequence[str]) -> dict[str, Any] | None:
-    """Return the fit without bad rows that were not left out, and how far the tool is from the estimate's with it."""
-    other = estimate.without_bad_rows
-    fit = _other_fit(estimate, other, units)
-    return None if other is None or fit is None else {**fit, "tool_moves_mm": shown_or_null(other.moves, "m")}
+    changes, gain = estimate.mean_change, gain_of(estimate.mean_change)
+    by = "cross-validation" if estimate.held_out is None else "held out"
+    figures = {**_by_unit(changes, "mean_", "before", "after"), **_counts_by_unit(changes)}
+    return {"gain": gain, "by": by, **figures} if gain else None
 
 
 def _suspects(estimate: Estimate, table: ObservationTable) -> list[dict[str, Any]]:
     """Return the rows beyond the gate, the farthest first."""
     rows = np.flatnonzero(estimate.suspect)
+    rows = rows[np.argsort(-estimate.distance[rows], kind="stable")].tolist()
     return [
-        {
-            "source": source_name(table, int(row)),
-            "distance": number_or_null(estimate.distance[row]),
-            "weight": number_or_null(estimate.weight[row]),
-        }
-        for row in rows[np.argsort(-estimate.distance[rows], kind="stable")]
+        {"source": source_name(table, row), "distance": estimate.distance[row], "weight": estimate.weight[row]}
+        for row in rows
     ]
 
 
@@ -312,24 +257,32 @@ def _held_out(held_out: HeldOut | None, units: Sequence[str]) -> dict[str, Any] 
     if held_out is None:
         return None
     figures = {si: held_out.figures.get(si, Figures.of(np.zeros(0))) for si in units}
-    return {
-        **_by_unit("rms", {si: of.rms for si, of in figures.items()}, units),
-        **_by_unit("mean", {si: of.mean for si, of in figures.items()}, units),
-        **_by_unit("max", {si: of.max for si, of in figures.items()}, units),
-        **{key("n", si): of.n for si, of in figures.items()},
-        "n": held_out.n,
-        "n_settled": held_out.n_settled,
-        "n_left_out": held_out.n_left_out,
-    }
+    counts = _entry(held_out, "n", "n_settled", "n_left_out")
+    return {**_by_unit(figures, "", "rms", "mean", "max"), **_counts_by_unit(figures), **counts}
 
 
-def _predicted(predicted: PredictedError | None) -> dict[str, Any] | None:
-    if predicted is None:
+def _predicted(predicted: PredictedError) -> Any:
+    row, largest = os.path.basename(predicted.source), MM.of(predicted.largest)
+    return _entry(predicted, "rms_mm", "n", "relative", max_mm=largest, at=row)
+
+
+def _joint_laws(laws: JointLaws | None, units: Sequence[str]) -> dict[str, Any] | None:
+    if laws is None:
         return None
+    tried = ("joint", "term", "nats", "kept", "rms_mrad", "range_share", "covered_deg")
+    noise = laws.noise_factor, MM.of(laws.noise_shared), MRAD.of(laws.noise_joint)
     return {
-        "rms_mm": shown_or_null(predicted.rms, "m"),
-        "max_mm": shown_or_null(predicted.largest, "m"),
-        "at": Path(predicted.source).name,
-        "n": predicted.n,
-        "relative": predicted.relative,
+        **_entry(laws, "mode", "reasons", "gravity", "gravity_known"),
+        "payloads": [_entry(payload, "mass_kg", "centre_mm") for payload in laws.payloads],
+        "laws": laws.kept,
+        "tried": [
+            _entry(law, *tried, resolution_cycles=law.resolution)
+            | {"periods": [_entry(period, "cycles", "amplitude_mrad") for period in law.periods]}
+            for law in laws.tried
+        ],
+        "steps": [
+            _entry(step, "name", "rms_after", units=units, held_out=_held_out(step.held_out, units))
+            for step in laws.steps
+        ],
+        "noise": dict(zip(("factor", "shared_mm", "joint_mrad"), noise, strict=True)),
     }

@@ -1,37 +1,55 @@
-"""The file result.json as such: its format, its checksum and its layout (docs/reference/result-format.md).
+"""The file result.json: the declaration of its fields, and how it is read and written (docs/reference/result-format.md).
 
 The file is strict JSON (RFC 8259): a number that does not exist is ``null``, never NaN. It is written atomically. A
-checksum over its content detects damage: a digit of a parameter altered by a disk fault or by hand would otherwise lead
-to a wrong correction. ``result_document`` makes the content, ``stored_result`` reads it.
+checksum over its content detects damage, and a content with the right checksum is believed: only types and bounds are
+checked. ``result_document`` makes a ``Result`` of an estimate.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from itertools import chain
+import math
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from truearm.files.disk import sha256, write_atomic
+import msgspec
+import numpy as np
+from msgspec import UNSET, Meta, Struct, UnsetType
+from numpy.typing import NDArray
+
+from truearm.errors import InputError
+from truearm.estimate.solvers import Loss, Prior
+from truearm.files.disk import read_text, sha256, write_atomic
+from truearm.results import Addition, Defaults, NullDirection, Unusable
+from truearm.types import Floats, Law, Payload
+from truearm.units import MM, UNITS
 
 if TYPE_CHECKING:
     from truearm.model.chain import Chain
 
-FORMAT = "truearm-result"
-FORMAT_VERSION = 3
+FORMAT: Final = "truearm-result"
+FORMAT_VERSION: Final = 4
 SINCE_CHECKSUM = 3  # version
 CHECKSUM = "checksum"
+MAX_BYTES = 64 * 2**20
+
+Name = Annotated[str, Meta(max_length=500)]
+Names = Annotated[tuple[Name, ...], Meta(max_length=20_000)]
+Count = Annotated[int, Meta(ge=0, le=10**12)]
+Size = Annotated[float, Meta(ge=0.0)]
+Residual = Size | None | UnsetType  # in the unit at the end of its name, absent if no residual has it
+Figures = dict[Name, Count | Size | None]  # by key; those of residuals end in a unit
+Entry = dict[Name, Any]  # statistics for people; docs/reference/result-format.md has their keys
 
 
-class Input(NamedTuple):
+class Input(Struct, frozen=True):
     """An input file of an identification: its role, its name without folders, its SHA-256."""
 
-    role: str  # "observations" | "rig" | "noise" | "robot"
-    name: str
-    sha256: str
+    role: Name  # "observations" | "labels" | "rig" | "noise" | "robot"
+    name: Name
+    sha256: Name
 
 
 def input_of(role: str, path: Path) -> Input:
@@ -42,14 +60,13 @@ def input_of(role: str, path: Path) -> Input:
     return Input(role, path.name.encode(errors="backslashreplace").decode(), sha256(path))
 
 
-@dataclass(frozen=True)
-class RobotFrames:
-    """The identified chain: its name, frames, and joint units ("rad" or "m")."""
+class RobotFrames(Struct, frozen=True):
+    """The identified chain: its name, frames, and joint units."""
 
-    name: str
-    base_frame: str
-    end_frame: str
-    joint_units: tuple[str, ...]
+    name: Name
+    base_frame: Name
+    end_frame: Name
+    joint_units: tuple[Annotated[str, Meta(pattern="^(rad|m)$")], ...]
 
     @classmethod
     def of(cls, chain: Chain) -> RobotFrames:
@@ -57,57 +74,258 @@ class RobotFrames:
         return cls(chain.name, chain.base_frame, chain.end_frame, chain.joint_units)
 
 
-def with_checksum(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of a result with its checksum as the last entry."""
-    content = {name: value for name, value in document.items() if name != CHECKSUM}
-    return {**content, CHECKSUM: checksum(content)}
+class JointRange(Struct, frozen=True):
+    """The lowest and highest reading [rad or m] of each joint among the fitted observations."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+
+class Carried(Struct, frozen=True):
+    """A payload."""
+
+    mass_kg: Size
+    centre_mm: tuple[float, float, float]
+
+
+class LawsEntry(Struct, frozen=True):
+    """The joint laws beyond offset and gain."""
+
+    laws: Annotated[tuple[Law, ...], Meta(max_length=200)]
+    payloads: tuple[Carried, ...] = ()
+    mode: Name = ""
+    reasons: tuple[str, ...] = ()
+    gravity: tuple[float, float, float] | None = None
+    gravity_known: bool = False
+    tried: tuple[Entry, ...] = ()
+    steps: tuple[Entry, ...] = ()
+    noise: Figures = {}
+
+
+class Parameter(Struct, frozen=True, kw_only=True):
+    """A parameter in its SI unit, before and after; ``sigma`` is null unless it is free and identifiable."""
+
+    name: Name
+    unit: Name
+    nominal: float
+    value: float | None
+    sigma: Size | None
+    free: bool
+    seen: bool = False
+    of: Literal["robot", "rig"]
+    law: bool | UnsetType = UNSET
+
+    def __post_init__(self) -> None:
+        if self.unit not in UNITS:
+            raise ValueError("its unit is not known")
+
+
+class Covariance(Struct, frozen=True):
+    """The covariance of the free parameters: ``upper`` is its upper triangle, by rows, as little-endian float64."""
+
+    names: Names
+    units: Names
+    upper: bytes  # in base64 in the file
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if len(self.upper) != 4 * n * (n + 1):
+            raise ValueError(f"upper needs {n * (n + 1) // 2} numbers for {n} names")
+
+    @classmethod
+    def of(cls, names: Collection[str], units: Collection[str], matrix: Floats) -> Covariance:
+        """Return that of a matrix (n, n)."""
+        upper = matrix[np.triu_indices(len(matrix))]
+        return cls(tuple(names), tuple(units), np.where(np.isfinite(upper), upper, np.nan).astype("<f8").tobytes())
+
+    @property
+    def matrix(self) -> Floats:
+        """Return the matrix (n, n)."""
+        matrix = np.zeros((len(self.names), len(self.names)))
+        matrix[np.triu_indices(len(matrix))] = np.frombuffer(self.upper, "<f8")
+        return matrix + np.triu(matrix, 1).T
+
+
+class Result(Struct, frozen=True, kw_only=True):
+    """The content of result.json. What earlier versions do not have is optional."""
+
+    format: Literal["truearm-result"] = FORMAT
+    format_version: Literal[4] = FORMAT_VERSION
+    truearm_version: Name = ""
+    inputs: tuple[Input, ...] = ()
+    simulated: bool = False
+    robot: RobotFrames
+    status: Literal["converged", "max_iterations", "stalled"]
+    message: str = ""
+    solver: Name = ""
+    loss: Loss = Loss.LINEAR
+    prior: Prior = Prior.NONE
+    iterations: Count = 0
+    n_observations: Count = 0
+    joint_range: JointRange | None = None
+    observations: tuple[Entry, ...] = ()
+    n_free: Count = 0
+    rank: Count = 0
+    rank_gap: Size | None = None
+    free: Names = ()
+    defaults: Defaults = Defaults()
+    suggested_free: Names = ()
+    null_space: tuple[NullDirection, ...]
+    hardly_seen: tuple[NullDirection, ...] = ()
+    observability: Figures | None = None
+    additions: tuple[Addition, ...] = ()
+    relabellings: tuple[Entry, ...] = ()
+    relabelling_search: Name = ""
+    usable: bool = True
+    unusable_because: Unusable | None = None
+    explanations: tuple[Entry, ...] = ()
+    residual_units: Names = ()
+    rms_before_mm: Residual = UNSET
+    rms_before_deg: Residual = UNSET
+    rms_raw_mm: Residual = UNSET
+    rms_raw_deg: Residual = UNSET
+    rms_after_mm: Residual = UNSET
+    rms_after_deg: Residual = UNSET
+    rms_declared_mm: Residual = UNSET
+    rms_declared_deg: Residual = UNSET
+    rms_unexplained_mm: Residual = UNSET
+    rms_unexplained_deg: Residual = UNSET
+    pose_error: Figures | None = None
+    rms_history_mm: tuple[Size | None, ...] | UnsetType = UNSET
+    rms_history_deg: tuple[Size | None, ...] | UnsetType = UNSET
+    chi2_reduced: Size | None = None
+    chi2_band: tuple[Size | None, Size | None] | None = None
+    chi2_freedom: Size | None = None
+    suspect: tuple[Entry, ...] = ()
+    scale: Figures | None = None
+    systematic: tuple[Entry, ...] = ()
+    without_systematic: Figures | None = None
+    unexplained: Entry | None = None
+    mean_change: Entry | None = None
+    with_outliers: Entry | None = None
+    without_bad_rows: Entry | None = None
+    held_out_by: Names = ()
+    held_out: Figures | None = None
+    held_out_before: Figures | None = None
+    predicted_error: Entry | None = None
+    joint_laws: LawsEntry | None = None
+    parameters: Annotated[tuple[Parameter, ...], Meta(max_length=20_000)]
+    covariance: Covariance
+    sessions: tuple[Entry, ...] = ()
+    copies: tuple[Entry, ...] = ()
+    made_with: dict[Name, str | int | bool | tuple[str, ...] | None] | None = None
+    displaced: tuple[Entry, ...] = ()
+    all_held_out: Names = ()
+    hold_out_proposal: Figures | None = None
+
+    def __post_init__(self) -> None:
+        names, n_joints = {parameter.name for parameter in self.parameters}, len(self.robot.joint_units)
+        if len(names) != len(self.parameters) or not names >= {*self.covariance.names}:
+            raise ValueError("parameters: their names are not unique, or the covariance has others")
+        if self.joint_range and {len(self.joint_range.lower), len(self.joint_range.upper)} != {n_joints}:
+            raise ValueError(f"joint_range: needs {n_joints} numbers each, one per joint")
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a field of all parameters (p,); NaN for null."""
+        fields = (getattr(parameter, name) for parameter in self.parameters)
+        return np.array([math.nan if field is None else field for field in fields])
+
+    @property
+    def laws(self) -> tuple[Law, ...]:
+        """Return the joint laws, whose parameters follow the robot's own."""
+        return self.joint_laws.laws if self.joint_laws else ()
+
+    @property
+    def payloads(self) -> tuple[Payload, ...]:
+        """Return the different payloads of the fitted rows, empty if joint laws were not tried."""
+        carried = self.joint_laws.payloads if self.joint_laws else ()
+        return tuple(Payload(one.mass_kg, tuple(map(MM.to_si, one.centre_mm))) for one in carried)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Return the content as JSON has it, with its checksum."""
+        content: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(self))
+        return {**content, CHECKSUM: checksum(content)}
+
+
+class _Matrix(Struct, frozen=True):
+    names: Names
+    units: Names
+    matrix: tuple[tuple[float | None, ...], ...]
+
+
+class _EarlierResult(Struct, frozen=True):
+    covariance: _Matrix
+
+
+def _of_version_4(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of a result of version 1 to 3 in the form of version 4; absent fields take their defaults."""
+    covariance = msgspec.convert(document, _EarlierResult).covariance
+    n = len(covariance.names)
+    if [len(row) for row in covariance.matrix] != [n] * n:
+        raise msgspec.ValidationError(f"needs {n} rows of {n} numbers, one per name - at `$.covariance.matrix`")
+    packed = Covariance.of(covariance.names, covariance.units, np.array(covariance.matrix, dtype=float).reshape(n, n))
+    converged, made_with = document.get("status") == "converged", document.get("made_with")
+    verdict = {"usable": converged, "unusable_because": None if converged else Unusable.NOT_CONVERGED}
+    if document.get("prior") == "default":
+        document["prior"] = Prior.WHERE_NEEDED
+    if isinstance(made_with, dict) and made_with.get("prior") == "default":
+        made_with["prior"] = Prior.WHERE_NEEDED
+    document = {**verdict, "residual_units": ["mm"], **document}
+    return {**document, "format_version": FORMAT_VERSION, "covariance": msgspec.to_builtins(packed)}
 
 
 def checksum(document: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a result's content, independent of its layout. Raises ValueError for non-finite numbers."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
-    digest = hashlib.sha256()
-    for piece in _compact(content):
-        digest.update(piece.encode())
-    return digest.hexdigest()
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _compact(value: Any) -> Iterator[str]:
-    """Yield JSON without spaces and with sorted keys, in pieces: a covariance with joint laws has many megabytes."""
-    if not _is_nested(value):
-        yield json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return
-    items = sorted(value.items()) if isinstance(value, dict) else [(None, item) for item in value]
-    for k, (name, item) in enumerate(items):
-        yield ("," if k else "{" if isinstance(value, dict) else "[") + ("" if name is None else json.dumps(name) + ":")
-        yield from _compact(item)
-    yield "}" if isinstance(value, dict) else "]"
+def read_result(path: Path) -> Result:
+    """Read a result.json of this format version or an older one. Raises InputError that names file and field."""
+    return parse_result(read_text(path, MAX_BYTES, InputError), str(path))
 
 
-def _is_nested(value: Any) -> bool:
-    """Return whether a list or an object has further ones in it."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return any(issubclass(kind, dict | list) for kind in set(map(type, inner)))
+def parse_result(text: str, name: str) -> Result:
+    """Parse the text of a result.json; see ``read_result``. Unknown fields, from later versions, are skipped."""
+    try:
+        return _checked(msgspec.json.decode(text), name)
+    except RecursionError as exc:
+        raise InputError(f"{name}: is nested too deeply; give a result of truearm identify") from exc
+    except msgspec.ValidationError as exc:
+        reason, _, place = str(exc).replace("`", "").partition(" - at $.")
+        where = f"{name}: {place}" if place else name
+        raise InputError(f"{where}: {reason[0].lower()}{reason[1:]}; copy it again or identify again") from exc
+    except msgspec.MsgspecError as exc:
+        raise InputError(f"{name}: is not strict JSON: {exc}; give a result of truearm identify") from exc
 
 
-def format_document(value: Any) -> str:
-    """Return JSON with one line for each innermost list or object, so that a covariance has one line per row."""
-    return "".join(_laid_out(value))
+def _checked(document: Any, name: str) -> Result:
+    """Return the result of a decoded file. Raises InputError or msgspec.ValidationError."""
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError(f"{name}: is not a result of truearm identify (its format is not {FORMAT!r})")
+    version = document.get("format_version")
+    if version is None:
+        raise InputError(f"{name}: has no format_version, so it is incomplete; identify again")
+    if type(version) is not int or not 1 <= version <= FORMAT_VERSION:
+        found = f"has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}"
+        raise InputError(f"{name}: {found}; update truearm")
+    if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
+        text = "was changed or damaged: its checksum does not match; copy it again or identify again"
+        raise InputError(f"{name}: {text}")
+    return msgspec.convert(document if version == FORMAT_VERSION else _of_version_4(document), Result)
 
 
-def _laid_out(value: Any, indent: int = 0) -> Iterator[str]:
-    """Yield the text of ``format_document`` in pieces: with joint laws, all of it has many megabytes."""
-    if not _is_nested(value):
-        yield json.dumps(value, allow_nan=False)
-        return
-    pad = "\n" + " " * (indent + 2)
-    items = value.items() if isinstance(value, dict) else [(None, item) for item in value]
-    for k, (name, item) in enumerate(items):
-        yield ("," if k else "{" if isinstance(value, dict) else "[") + pad
-        if name is not None:
-            yield json.dumps(name) + ": "
-        yield from _laid_out(item, indent + 2)
-    yield "\n" + " " * indent + ("}" if isinstance(value, dict) else "]")
+def format_document(value: Any, indent: int = 0) -> str:
+    """Return JSON with one line for each innermost list or object."""
+    items = list(value.values()) if isinstance(value, dict) else value if isinstance(value, list) else []
+    if not any(isinstance(item, dict | list) for item in items):
+        return json.dumps(value, allow_nan=False)
+    names = [f"{json.dumps(name)}: " for name in value] if isinstance(value, dict) else [""] * len(items)
+    pad, (first, last) = "\n" + " " * indent, "{}" if isinstance(value, dict) else "[]"
+    lines = (f"{pad}  {name}{format_document(item, indent + 2)}" for name, item in zip(names, items, strict=True))
+    return f"{first}{','.join(lines)}{pad}{last}"
 
 
 def looks_like_result(head: bytes) -> bool:
@@ -115,6 +333,6 @@ def looks_like_result(head: bytes) -> bool:
     return not head.strip() or (head.lstrip().startswith(b"{") and b'"truearm' in head)
 
 
-def write_result(path: Path, document: Mapping[str, Any]) -> None:
+def write_result(path: Path, result: Result) -> None:
     """Write result.json atomically. Raises InputError if it cannot be written there."""
-    write_atomic(path, chain(_laid_out(dict(document)), "\n"))
+    write_atomic(path, format_document(result.document) + "\n")

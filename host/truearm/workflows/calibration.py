@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from truearm.arguments import converted, floats
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError
+from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import RobotChoice, is_urdf, load_robot
-from truearm.files.stored_result import StoredResult, read_result
 from truearm.files.strict_json import number_or_null
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
@@ -81,7 +82,7 @@ class Calibration(Displayed):
     """
 
     robot: Robot
-    stored: StoredResult
+    stored: Result
     nominal: Floats
     identified: Floats
     covariance: Floats
@@ -102,16 +103,7 @@ class Calibration(Displayed):
         return f"{self.chain.name}: {outcome(self.stored.status)}, {rank}"
 
     def _columns(self) -> Mapping[str, Any]:
-        stored = self.stored
-        return {
-            "name": stored.parameter_names,
-            "unit": stored.units,
-            "nominal": stored.nominal,
-            "value": stored.value,
-            "sigma": stored.sigma,
-            "free": stored.free,
-            "of": np.where(stored.of_robot, "robot", "rig"),
-        }
+        return {name: self.stored.column(name) for name in ParameterEstimate._fields}
 
     def forward(self, q: ArrayLike) -> Floats:
         """Return the poses (n, 4, 4) of the identified robot's end, with its joint laws, at joint readings q (n, j), or one.
@@ -129,12 +121,12 @@ class Calibration(Displayed):
     @property
     def simulated(self) -> bool:
         """Whether any session that it was identified from is of a simulated box."""
-        return bool(self.document.get("simulated"))
+        return self.stored.simulated
 
     @property
     def parameters(self) -> Mapping[str, ParameterEstimate]:
         """All parameters by name, the robot's first, then the rig's."""
-        columns = (np.asarray(column).tolist() for column in self._columns().values())
+        columns = (column.tolist() for column in self._columns().values())
         rows = (ParameterEstimate(*row) for row in zip(*columns, strict=True))
         return {row.name: row._replace(sigma=number_or_null(row.sigma)) for row in rows}
 
@@ -221,7 +213,7 @@ class Calibration(Displayed):
         """ "rad" or "m" for each joint."""
         return self.robot.chain.joint_units
 
-    @property
+    @cached_property
     def document(self) -> Mapping[str, Any]:
         """The content of result.json (docs/reference/result-format.md)."""
         return self.stored.document
@@ -261,23 +253,22 @@ def read_usable(result: Path, choice: RobotChoice = DEFAULT, allow_unusable: boo
 
 
 def unusable_because(calibration: Calibration) -> str | None:
-    """Return why the fit is not usable, None if it is; results of earlier versions give only the status."""
-    because = calibration.document.get("unusable_because")
-    return because or (None if calibration.stored.status == "converged" else "not converged")
+    """Return why the fit is not usable, None if it is."""
+    return calibration.stored.unusable_because
 
 
-def frames_of(robot: str, base: str | None, tip: str | None, stored: StoredResult) -> tuple[str | None, str | None]:
+def frames_of(robot: str, base: str | None, tip: str | None, stored: Result) -> tuple[str | None, str | None]:
     """Return the first and the last link of a URDF: those given, or else those of the result."""
     return (base or stored.robot.base_frame, tip or stored.robot.end_frame) if is_urdf(robot) else (base, tip)
 
 
-def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str) -> Calibration:
+def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Calibration:
     """Return the calibration of a robot from a result; ``called`` and ``result`` name the two in messages. Raises
     InputError.
     """
     robot = robot_with_laws(robot, _laws_of(stored, robot, result))
-    chain, mine = robot.chain, stored.of_robot
-    names = tuple(name for name, is_robot in zip(stored.parameter_names, mine, strict=True) if is_robot)
+    chain, mine = robot.chain, stored.column("of") == "robot"
+    names = tuple(stored.column("name")[mine].tolist())
     if names != chain.parameter_names or stored.robot.joint_units != chain.joint_units:
         first, last = stored.robot.base_frame, stored.robot.end_frame
         other = robot.is_urdf and (first, last) != (chain.base_frame, chain.end_frame)
@@ -287,7 +278,7 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
             Argument("robot"),
             *(links if other else ()),
         )
-    nominal, identified = stored.nominal[mine], stored.value[mine]
+    nominal, identified = (stored.column(name)[mine] for name in ("nominal", "value"))
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
         at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
@@ -298,7 +289,7 @@ def calibration_of(stored: StoredResult, robot: Robot, called: str, result: str)
     return Calibration(robot, stored, nominal, identified, covariance_of(stored, names), unseen_of(stored, names))
 
 
-def _laws_of(stored: StoredResult, robot: Robot, result: str) -> tuple[Law, ...]:
+def _laws_of(stored: Result, robot: Robot, result: str) -> tuple[Law, ...]:
     """Return the result's joint laws. Raises InputError if they refer to joints or frames that the robot does not have."""
     joints = len(robot.chain.joints)
     for law in stored.laws:
@@ -371,19 +362,19 @@ def _masses(payloads: Sequence[Payload]) -> str:
     return f"{', '.join(f'{mass:g}' for mass in masses)} kg" if masses else ""
 
 
-def covariance_of(stored: StoredResult, names: Sequence[str]) -> Floats:
+def covariance_of(stored: Result, names: Sequence[str]) -> Floats:
     """Return the covariance (k, k) of some parameters, 0 for fixed ones."""
     at = {name: i for i, name in enumerate(names)}
     covariance = np.zeros((len(names), len(names)))
-    rows = [i for i, name in enumerate(stored.covariance_names) if name in at]
-    to = [at[stored.covariance_names[i]] for i in rows]
-    covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance[np.ix_(rows, rows)])
+    rows = [i for i, name in enumerate(stored.covariance.names) if name in at]
+    to = [at[stored.covariance.names[i]] for i in rows]
+    covariance[np.ix_(to, to)] = np.nan_to_num(stored.covariance.matrix[np.ix_(rows, rows)])
     return covariance
 
 
-def unseen_of(stored: StoredResult, names: Sequence[str]) -> Floats:
+def unseen_of(stored: Result, names: Sequence[str]) -> Floats:
     """Return (k, d), the part of the null space for some parameters, including directions fixed as a choice of frame.
 
     Other fixtures may see either.
     """
-    return weights_of((*stored.null_space, *stored.frames), names)
+    return weights_of((*stored.null_space, *stored.defaults.frames), names)

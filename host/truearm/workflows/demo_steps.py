@@ -81,7 +81,7 @@ def identified(
 ) -> DemoCalibration:
     """Return an identification from the demo's session, and write result.json."""
     from truearm.estimate.prediction import predicted_point_error
-    from truearm.files.result_document import document_of
+    from truearm.files.result_document import result_of
     from truearm.files.result_file import RobotFrames, write_result
     from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.inputs import Sources, hashed_inputs
@@ -89,8 +89,9 @@ def identified(
     chain = subject.robot.chain
     predicted = predicted_point_error(chain, rig, table, estimate)
     inputs = hashed_inputs(Sources((out / "session.mcap",), {"": out / "rig.toml"}), subject.choice)
-    document = document_of(estimate, table, RobotFrames.of(chain), inputs, hold_out, prior, predicted)
-    write_result(out / "result.json", document)
+    frames = RobotFrames.of(chain)
+    result = result_of(estimate, table, frames, predicted, inputs=inputs, held_out_by=hold_out, prior=prior)
+    write_result(out / "result.json", result)
     return DemoCalibration(subject, rig, estimate, longitudes(chain, rig, table, estimate), predicted)
 
 

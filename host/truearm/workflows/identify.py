@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from truearm.bounds import ITERATIONS, SEED, OneOf
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.copied_rows import copied_rows
 from truearm.estimate.defaults import choose_defaults, with_frames
-from truearm.estimate.displaced_mounts import Displaced, displaced_mounts
+from truearm.estimate.displaced_mounts import displaced_mounts
 from truearm.estimate.gain import with_gain
 from truearm.estimate.identify import SolverOptions, rows_left_out
 from truearm.estimate.identify import identify as estimate_parameters
@@ -29,10 +29,9 @@ from truearm.estimate.robot_scale import with_scale
 from truearm.estimate.solvers import SOLVERS, LawMode, Loss, Prior, with_loss
 from truearm.estimate.wrong_inputs import absurd, diagnosed, elsewhere
 from truearm.files.observation_table import looks_like_table, write_table
-from truearm.files.result_document import copies_of, document_of
-from truearm.files.result_file import Input, RobotFrames, looks_like_result, with_checksum, write_result
+from truearm.files.result_document import copies_of, result_of
+from truearm.files.result_file import Input, RobotFrames, looks_like_result, write_result
 from truearm.files.robot_file import RobotChoice
-from truearm.files.stored_result import stored_result
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
@@ -40,7 +39,6 @@ from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.results import Effect, Estimate, PredictedError
 from truearm.types import Mask, ObservationTable, Rigs
-from truearm.units import shown
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
@@ -218,24 +216,8 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         with step("drawing the report"):
             write_page(files.report, found, files.command, counted_dwells(recordings, counts))
     if files.out is not None:
-        write_result(files.out, found.document)
+        write_result(files.out, found.stored)
     return found
-
-
-def _held_out_facts(table: ObservationTable, held: Mask | None, copied: Mask) -> dict[str, Any]:
-    """Return the names without any row left in the fit, and a share that could be held out."""
-    proposed = proposed_hold_out(table, copied)
-    return {
-        "all_held_out": [] if held is None else all_held_out(table, held),
-        "hold_out_proposal": None if proposed is None else proposed._asdict(),
-    }
-
-
-def _displaced(found: Sequence[Displaced]) -> list[dict[str, Any]]:
-    """Return base and tool if they are not where they are described, as in result.json."""
-    return [
-        {"frame": of.frame, "distance_mm": shown(of.distance, "m"), "turn_deg": shown(of.turn, "rad")} for of in found
-    ]
 
 
 def _other_robots() -> dict[str, Candidate]:
@@ -352,11 +334,22 @@ def identified(
         exceeded = predicted and not estimate.covariance_explains and not predicted.exceeds(estimate.unexplained)
         if exceeded or tool_undetermined(estimate.systematic):
             predicted = None
-    frames, held_out_by = RobotFrames.of(chain), selection.held_out_by
-    document = document_of(estimate, table, frames, inputs, held_out_by, prior, predicted, chosen)
-    made_with = {"hold_out": list(selection.hold_out), **vars(options)}
-    document |= {"sessions": [count._asdict() for count in counts], "copies": copies_of(copied, table)}
-    document |= {"made_with": made_with, "displaced": _displaced(displaced_mounts(chain, estimate))}
-    document = with_checksum({**document, **_held_out_facts(table, selection.held_out, copied >= 0)})
-    of_robot = vars(calibration_of(stored_result(document), robot, chain.name, "the identification"))
+    held_out, proposal = selection.held_out, proposed_hold_out(table, copied >= 0)
+    result = result_of(
+        estimate,
+        table,
+        RobotFrames.of(chain),
+        predicted,
+        displaced_mounts(chain, estimate),
+        inputs=inputs,
+        prior=prior,
+        defaults=chosen,
+        sessions=[count._asdict() for count in counts],
+        copies=copies_of(copied, table),
+        made_with={"hold_out": selection.hold_out, **vars(options)},
+        held_out_by=selection.held_out_by,
+        all_held_out=[] if held_out is None else all_held_out(table, held_out),
+        hold_out_proposal=proposal and proposal._asdict(),
+    )
+    of_robot = vars(calibration_of(result, robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

@@ -323,8 +323,8 @@ def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known
     """Return what is known before a plan: the design, or a result's robot and its estimates of the rig."""
     params, values = robot.chain.params_nominal, {}
     if result is not None:
-        estimates = zip(result.stored.parameter_names, result.stored.value.tolist(), strict=True)
-        params, values = result.identified, {name: value for name, value in estimates if np.isfinite(value)}
+        estimates = {parameter.name: parameter.value for parameter in result.stored.parameters}
+        params, values = result.identified, {name: value for name, value in estimates.items() if value is not None}
     prior = default_prior(robot, DEFAULTS.solver)
     known = Known.design(robot, with_rig_values(rig, values))
     return replace(known, params=params, rig_values=values, free=robot.free, prior=prior)

@@ -383,7 +383,7 @@ def _session(path: Path, project: Project) -> SessionState:
 
 def _result(path: Path, others: Sequence[Path]) -> ResultState:
     """Return the state of a result; ``others`` are the sessions outside the project's folder."""
-    from truearm.files.stored_result import read_result
+    from truearm.files.result_file import read_result
 
     document = result_document(path)
     session = next((session for session in others if was_read(session, document)), None)

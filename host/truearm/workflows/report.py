@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 
 from truearm.errors import Argument, InputError
-from truearm.estimate.solvers import Prior
 from truearm.files.disk import sha256, write_atomic
-from truearm.files.result_consistency import EARLIER_PRIOR
+from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import load_robot
-from truearm.files.stored_result import read_result
 from truearm.progress import step
 from truearm.report import validation_page
 from truearm.report.certificate import Recording
@@ -49,10 +47,10 @@ def report_files(files: ReportFiles) -> Identification:
     record how it was made, or if the files are not the original ones or give another result.
     """
     stored = read_result(files.result)
-    options, hold_out = _options(files.result, stored.document)
+    options, hold_out = _options(files.result, stored.made_with)
     recordings: list[Recording] = []
     given = files.made_from.sources
-    measured = {entry["sha256"] for entry in stored.document.get("inputs", ()) if entry["role"] == "observations"}
+    measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
     sources = replace(
         given,
         inputs=tuple(path for path in with_parts(list(given.inputs)) if sha256(path) in measured) or given.inputs,
@@ -61,14 +59,14 @@ def report_files(files: ReportFiles) -> Identification:
     choice = files.made_from.robot
     check_files(sources, choice, [(files.out, looks_like_page, ".html")], files.made_from.force)
     inputs = hashed_inputs(sources, choice)
-    _check_inputs(files.result, stored.document, {one.sha256 for one in inputs})
+    _check_inputs(files.result, stored, {one.sha256 for one in inputs})
     name = choice.robot or stored.robot.name
     robot = load_robot(name, *frames_of(name, choice.base, choice.tip, stored))
     rig, table, counts = read_sources(sources, robot.chain.joint_units, robot)
     selection = selected(robot, table, hold_out, options)
     found = identified(robot, rig, table, selection, options, inputs=inputs, counts=counts)
     recordings = counted_dwells(recordings, counts)
-    _check_same(files.result, stored.value, found)
+    _check_same(files.result, stored.column("value"), found)
     certificate = calibration_certificate(found, files.issue, recordings, inputs)
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
@@ -90,40 +88,31 @@ def validation_report(files: ReportFiles, keep_rig: bool = False) -> Validation:
     return validation
 
 
-def _options(path: Path, document: Mapping[str, Any]) -> tuple[IdentifyOptions, tuple[str, ...]]:
+def _options(path: Path, made: Mapping[str, Any] | None) -> tuple[IdentifyOptions, tuple[str, ...]]:
     """Return the options recorded in the result. Raises InputError."""
-    made = document.get("made_with")
-    if not isinstance(made, Mapping):
+    if made is None:
         raise InputError(
             f"{path}: does not say how it was made (truearm demo or an earlier truearm wrote it); identify again with truearm identify"
         )
     names = {one.name for one in fields(IdentifyOptions)}
-    given: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in made.items() if key in names
-    }
-    if given.get("prior") == EARLIER_PRIOR:
-        given["prior"] = Prior.WHERE_NEEDED.value
-    hold_out = made.get("hold_out", [])
-    if (
-        set(made) - names - {"hold_out"}
-        or not isinstance(hold_out, list)
-        or not all(isinstance(one, str) for one in hold_out)
-    ):
+    given = {key: value for key, value in made.items() if key in names}
+    hold_out = made.get("hold_out", ())
+    if set(made) - names - {"hold_out"} or not isinstance(hold_out, tuple):
         raise InputError(
             f"{path}: made_with is damaged or comes from a later truearm; update truearm, or identify again"
         )
     try:
-        return IdentifyOptions(**given), tuple(hold_out)
+        return IdentifyOptions(**given), hold_out
     except (TypeError, InputError) as exc:
         raise InputError(f"{path}: made_with: {exc}") from None
 
 
-def _check_inputs(path: Path, document: Mapping[str, Any], given: set[str]) -> None:
+def _check_inputs(path: Path, stored: Result, given: set[str]) -> None:
     """Raise InputError if a file used for the result is not among those given."""
-    for entry in document.get("inputs", ()):
-        if entry["sha256"] not in given:
+    for entry in stored.inputs:
+        if entry.sha256 not in given:
             raise InputError(
-                f"{path}: was made from {entry['role']} {entry['name']}, which is not among the files given, or was changed since; give that file unchanged, or identify again"
+                f"{path}: was made from {entry.role} {entry.name}, which is not among the files given, or was changed since; give that file unchanged, or identify again"
             )
 
 

@@ -42,15 +42,15 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
         ]
 
     said = []
-    places, defaults = mounting(chain, calibration.nominal), calibration.document.get("defaults") or {}
+    places, defaults = mounting(chain, calibration.nominal), calibration.stored.defaults
     own = np.array(chain.parameter_names)
     base = set(own[places.base].tolist())
-    held = moving(calibration.stored.frames)
+    held = moving(calibration.stored.defaults.frames)
     for what, key, mask, effect, outside in (
         ("pose of the base", "base", places.base, "moves and turns all targets together, as one body", own_frames),
         ("mounting of the tool", "tool", places.tool, "is the same offset in the end's frame at every pose", False),
     ):
-        names = set(defaults.get(key) or own[mask].tolist())
+        names = set(getattr(defaults, key) or own[mask].tolist())
         mine = [one for one in held if names.intersection(one.names)]
         if mine and not outside:
             said.append(_held(what, [name for name in own.tolist() if name in names], mine, effect))

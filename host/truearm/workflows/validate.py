@@ -25,11 +25,10 @@ from truearm.estimate.defaults import moved
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.payload_rows import payloads_of
 from truearm.estimate.validation import Expected, Judgement, consistency, expected, judge
-from truearm.files.result_document import copies_of
+from truearm.files.result_document import copies_of, systematic_entries
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
-from truearm.files.systematic_document import systematic_entries
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.model.chain import forward
 from truearm.progress import step
@@ -187,10 +186,10 @@ def validated(
         )
     covariance, unseen = (of(stored, after.identified) for of in (covariance_of, unseen_of))
     due = expected(after, covariance, unseen)
-    elsewhere = moved(chain, stored.still, table.q)
+    elsewhere = moved(chain, stored.defaults.still, table.q)
     if elsewhere.any():  # these rows depend on what their joints did not show in the identification
         due = {si: of._replace(unseen=of.unseen | elsewhere) for si, of in due.items()}
-        lost = np.array([[name == one for one in stored.lost] for name in after.identified], dtype=float)
+        lost = np.array([[name == one for one in stored.defaults.lost] for name in after.identified], dtype=float)
         unseen = np.concatenate([unseen, lost], axis=1)
     test = consistency(after, table, covariance, unseen)
     errors = {
@@ -198,12 +197,7 @@ def validated(
         for si, error in after.error.items()
         if np.isfinite(error[judging]).any()
     }
-    inputs_then = calibration.stored.document.get("inputs")
-    seen = {
-        str(entry.get("sha256"))
-        for entry in (inputs_then if isinstance(inputs_then, list) else [])
-        if isinstance(entry, dict)
-    }
+    seen = {entry.sha256 for entry in stored.inputs}
     hashes = [entry for entry in inputs if entry.role == "observations"]
     figures, regions = _figures(errors, judging), _regions(calibration, table, errors, judging)
     n_unseen = int((judging & np.any([of.due.unseen for of in errors.values()], axis=0)).sum())
@@ -214,12 +208,12 @@ def validated(
         "left_out": int((~judging).sum()),
         "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
         "copies": copies_of(copied, every),
-        "without_rig": _missing_rig(inputs_then, rig),
+        "without_rig": _missing_rig(stored.inputs, rig),
         "settled": n_settled,
         "kept": n_kept,
         "identified_from": [entry.name for entry in hashes if entry.sha256 in seen],
         "residual_units": [UNITS[si].scale.suffix for si in errors],
-        **{key("reference", si): _reference(calibration.stored.document, si) for si in errors},
+        **{key("reference", si): _reference(calibration.document, si) for si in errors},
         **_figure_entries(*figures),
         "placed": before is not raw,
         **{key("rms_raw", si): shown_or_null(rms(raw.error[si][of.rows]), si) for si, of in errors.items()},
@@ -240,12 +234,10 @@ def validated(
     return Validation(words, *counts, *figures, due_rms, regions, document | {"verdict": words})
 
 
-def _missing_rig(inputs_then: Any, rig: Rigs) -> str | None:
+def _missing_rig(inputs_then: Sequence[Input], rig: Rigs) -> str | None:
     """Return the name of the rig file that the identification used, if these rows come without any rig."""
-    if rig != Rig() or not isinstance(inputs_then, list):
-        return None
-    entries = [entry for entry in inputs_then if isinstance(entry, dict) and entry.get("role") == "rig"]
-    return str(entries[0].get("name")) if entries else None
+    names = (entry.name for entry in inputs_then if entry.role == "rig")
+    return next(names, None) if rig == Rig() else None
 
 
 def _identified_rig(calibration: Calibration) -> dict[str, float]:
@@ -259,9 +251,8 @@ def _allowed(calibration: Calibration) -> tuple[Effect, ...]:
 
     A slip or a drift within that session does not apply to another one.
     """
-    made_with = calibration.stored.document.get("made_with")
-    texts = made_with.get("allow") if isinstance(made_with, dict) else None
-    if not (isinstance(texts, list | tuple) and all(isinstance(text, str) for text in texts)):
+    texts = (calibration.stored.made_with or {}).get("allow")
+    if not isinstance(texts, tuple):
         return ()
     return tuple(one for one in map(parse_effect, texts) if one == Effect(one.what))
 
@@ -279,7 +270,7 @@ def _placed(
     It is left unchanged if too few rows could judge afterwards, or if the rows determine neither pose.
     """
     chain, stored = calibration.chain, calibration.stored
-    place = mounting(chain, calibration.nominal).either & stored.free[stored.of_robot]
+    place = mounting(chain, calibration.nominal).either & stored.column("free")[stored.column("of") == "robot"]
     if not place.any():
         return raw
     found = judge(chain, rig, table, calibration.nominal, kept, place, allowed)
@@ -383,9 +374,8 @@ def _expected(errors: Mapping[str, RegionErrors]) -> tuple[dict[str, float], dic
 
 def _reference(document: Mapping[str, Any], si: str) -> float | None:
     """Return the calibration's RMS, for display, on rows to which it was not fitted, or else on those to which it was."""
-    held_out = document.get("held_out")
-    value = held_out.get(key("rms", si)) if isinstance(held_out, dict) else document.get(key("rms_after", si))
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    held_out, value = document["held_out"], document.get(key("rms_after", si))
+    return value if held_out is None else held_out.get(key("rms", si))
 
 
 def _regions(
