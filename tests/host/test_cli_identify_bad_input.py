@@ -45,7 +45,7 @@ BAD_ARGUMENTS = {
     "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
     "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
-    "no such robot": (["--model", "puma561"], "puma560, ulb"),
+    "no such robot": (["--model", "puma561"], "did you mean puma560?"),
     "no such robot file": (["--model", "none.urdf"], "none.urdf: no such file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
     "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
@@ -80,11 +80,10 @@ def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> N
 @pytest.mark.parametrize("name", ["rig.toml", "result.json", "arm.urdf"])
 def test_a_file_of_another_kind_as_observations(run: Run, good: list[object], tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("# a rig\njoint_sigma_rad = 1e-4, 2\n[[bar]]\n")
-    told(
-        run("identify", tmp_path / name, *good[2:]),
-        "neither a table of observations (.csv) nor a session (.mcap)"
-        + "; a rig is given as --rig" * name.endswith(".toml"),
-    )
+    expected = "is a rig, where a session (.mcap) or a table of observations (.csv) is expected; give it as --rig"
+    told(run("identify", tmp_path / name, *good[2:]), expected)
+    (tmp_path / name).write_text("something else\n")
+    told(run("identify", tmp_path / name, *good[2:]), "neither a table of observations (.csv) nor a session (.mcap)")
 
 
 def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:

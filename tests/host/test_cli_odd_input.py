@@ -75,7 +75,7 @@ CASES = {
     "absurd lengths": (("inspect", "claims.mcap"), "is incomplete"),
     "a name with a surrogate": (("identify", "\udcff", "--model", "puma560"), "no such file"),
     "a robot with a NUL": (("identify", "t.csv", "--model", "a\0b"), "is neither a built-in robot"),
-    "a table as robot": (("identify", "t.csv", "--model", "t.csv"), "is neither a built-in robot"),
+    "a table as robot": (("identify", "t.csv", "--model", "t.csv"), "t.csv: is a table of observations, where a robot"),
     "an empty rig name": ((*IDENTIFY, "--rig", "=x"), "no such file"),
     "a file of no name": ((*IDENTIFY, "--rig", "a="), "is a directory"),
     "nothing between commas": ((*IDENTIFY, "--also-free", ","), "matches no parameter"),

@@ -252,7 +252,10 @@ def test_bad_input_is_one_line(folder, tmp_path, run):
         ((tmp_path / "none.csv",), "no such file"),
         ((tmp_path / "one.csv",), "no row can judge"),
         ((tmp_path / "one.csv", tmp_path / "one.csv"), "is given twice"),
-        ((folder / "result.json",), "by its name, is neither a table of observations"),
+        (
+            (folder / "result.json",),
+            "is a result, where a session (.mcap) or a table of observations (.csv) is expected",
+        ),
     ]
     for inputs, says in cases:
         code, said, err = run("validate", folder / "result.json", *inputs)

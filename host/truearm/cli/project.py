@@ -15,6 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from truearm.cli.command import ARGUMENTS, EXPERT
 from truearm.cli.names import command_for
 from truearm.errors import InputError
+from truearm.files.file_kind import DESCRIPTIONS, kind_of
 from truearm.files.project_folder import find_project
 
 if TYPE_CHECKING:
@@ -23,6 +24,18 @@ if TYPE_CHECKING:
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
 EXPERIMENTS = ("ballbar", "line", "both")  # of truearm demo, whose option was once --rig
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash", "reset")
+# kinds of file that a parameter takes (``files.file_kind``); targets and programs are none of them
+TAKES = {
+    "session": ("session",),
+    "inputs": ("session", "table"),
+    "measured": ("session", "table"),
+    "result": ("result",),
+    "rig": ("rig",),
+    "noise": ("noise", "rig"),  # one that is written by hand has keys of a rig
+    "plan": ("plan",),
+    "model": ("robot",),
+    "targets": (),
+}
 Answer = Callable[[], Any]  # the value of an option; None: no default
 
 
@@ -58,6 +71,8 @@ class ProjectCommand(TyperCommand):
             for value in given if isinstance(given, list | tuple) else (given,):
                 if isinstance(value, float) and not math.isfinite(value):
                     raise InputError(f"{one.opts[0]} must be a finite number, is {value}")
+                if one.name in TAKES and isinstance(value, str | Path):
+                    _check_kind(one.name, value, self.params)
                 if "--rig" in one.opts and str(value) in EXPERIMENTS and not Path(str(value)).exists():
                     raise InputError(
                         f"--rig {value}: --rig takes a rig file (.toml); choose what is simulated with truearm demo "
@@ -74,6 +89,17 @@ class ProjectCommand(TyperCommand):
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(taken)
         return super().invoke(ctx)
+
+
+def _check_kind(name: str, value: str | Path, parameters: Sequence[Any]) -> None:
+    """Raise InputError if a file is recognised as another kind than the parameter ``name`` takes."""
+    paths = (Path(value), Path(str(value).rpartition("=")[2]))  # of NAME=FILE
+    path, kind = next(((path, kind) for path in paths if (kind := kind_of(path))), (paths[0], None))
+    if kind is None or kind in TAKES[name]:
+        return
+    wanted = " or ".join(DESCRIPTIONS[one] for one in TAKES[name]) or "a table of targets (.csv) or a program"
+    instead = f"; give it as --{kind}" if any(f"--{kind}" in one.opts for one in parameters) and kind != name else ""
+    raise InputError(f"{path}: is {DESCRIPTIONS[kind].partition(' (')[0]}, where {wanted} is expected{instead}")
 
 
 class CommandGroup(TyperGroup):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -64,6 +65,9 @@ def robot_file(robot: str) -> Path | None:
         return None
     path = Path(robot)
     if path.suffix.lower() not in (".toml", ".urdf", ".xml"):
+        meant = difflib.get_close_matches(robot.lower(), builtin_names(), n=1)
+        if meant and not path.suffix:
+            raise RobotError(f"there is no built-in robot {robot!r}; did you mean {meant[0]}?")
         raise RobotError(
             f"{robot!r} is neither a built-in robot ({', '.join(builtin_names())}) nor a .toml or .urdf file"
         )

@@ -1,0 +1,48 @@
+"""A file of another kind than the command expects is named as what it is."""
+
+from pathlib import Path
+
+import pytest
+
+DATA = Path(__file__).parents[1] / "data" / "mukca"
+FILES = {
+    "rig.toml": (DATA / "rig.toml").read_text(encoding="utf-8"),
+    "arm.urdf": (DATA / "panda.urdf").read_text(encoding="utf-8"),
+    "poses.csv": "kind,q1_rad,place,socket\n",
+    "plan.csv": "pose,q1_rad\n",
+    "result.json": '{"format": "truearm-result"}',
+    "truearm.toml": 'model = "ur5e"\n',
+    "report.html": "<!DOCTYPE html>",
+}
+
+
+@pytest.mark.parametrize(
+    ("typed", "file", "kind", "expected"),
+    [
+        ("report rig.toml poses.csv --out r.html", "rig.toml", "a rig", "a result (result.json)"),
+        ("validate poses.csv result.json", "poses.csv", "a table of observations", "a result"),
+        ("identify rig.toml --model ur5e", "rig.toml", "a rig", "give it as --rig"),
+        ("identify poses.csv --model rig.toml", "rig.toml", "a rig", "a robot (.toml or .urdf)"),
+        ("identify poses.csv --model ur5e --rig day=plan.csv", "plan.csv", "a plan", "a rig (rig.toml)"),
+        ("inspect arm.urdf", "arm.urdf", "a robot", "a session (.mcap)"),
+        ("simulate --plan report.html", "report.html", "a page", "a plan (plan.csv)"),
+        ("plan ballbar --model ur5e --minutes 9 --rig truearm.toml", "truearm.toml", "a project's file", "a rig"),
+        (
+            "correct result.json result.json --out o.csv",
+            "result.json",
+            "a result",
+            "a table of targets (.csv) or a program",
+        ),
+    ],
+)
+def test_a_swapped_file_is_named(typed, file, kind, expected, run, tmp_path, monkeypatch):
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "cell").mkdir()
+    monkeypatch.chdir(tmp_path / "cell")
+    monkeypatch.setattr("truearm.cli.main.defaults", lambda folder: {})
+    words = [f"../{word}" if word in FILES else word.replace("day=", "day=../") for word in typed.split()]
+    code, out, err = run(*words)
+    assert (code, out) == (2, "")
+    assert f"{file}: is {kind}, where " in err
+    assert expected in err
