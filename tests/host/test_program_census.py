@@ -494,3 +494,18 @@ OUTSIDE = {  # what files that are not there may do: with --strict, and for name
 def test_what_other_files_may_change(name):
     text, surroundings = OUTSIDE[name]
     check("rapid", [text], **{"frames": GIVEN, **surroundings})
+
+
+BROKEN_KRL = [
+    "BAS(", "BAS(#TOOL", "BAS(#TOOL,)", "$TOOL=", "$H_POS=", "FDAT_ACT=", "SPLINE WITH $TOOL", "XP1=", "P[1]=", "=", "(", "GLOBAL", "DEF =", "..a", "/R1/P..XP1=",
+    "LIN", "LIN {", "LIN ,", "LIN {X}", "LIN {X 0..0,Y 1,Z 1,A 0,B 0,C 0}", "LIN {X 1 2,Y 1,Z 1,A 0,B 0,C 0}", "LIN {X a1,Y 1,Z 1,A 0,B 0,C 0}", "SLIN WITH",
+    "SLIN XP1 WITH $TOOL=STOOL2(", "SLIN XP1 WITH $TOOL=STOOL2(),$BASE=SBASE(FP1.),$IPO_MODE", "DECL E6POS", "DECL FRAME F={X", "TRIGGER DO", "MACHINE_FRAME_DAT[2]=",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", BROKEN_KRL)
+def test_a_broken_line_costs_its_move_alone(line):
+    files = krl(f"{line}\n{ACTIVE}LIN XP2\nPTP XHOME")
+    (program,) = read_programs("krl", [Source(name, text.encode()) for name, text in files.items()], Surroundings())
+    assert program.moves[-1].goals
+    assert not any(move.goals for move in program.moves[:-2])

@@ -8,6 +8,7 @@ WITH, or those that were set before it with no branch, loop or call of another r
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -67,6 +68,7 @@ PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which sets the f
 FRAMELESS = words("#acc_cp #acc_ptp #acc_glue #vel_cp #vel_ptp #cp_dat #ptp_dat #out_sync #out_async #group")
 ROOTS = words("$robroot $world")  # of all frames
 CORRECTIONS = words("tool_corr_on tool_corr_w_on base_corr_on m_bas_cor_on")  # switches of offsets that BAS adds
+PLAIN = re.compile(r"(?:[-+] )?[\d.]+(?:[eE][-+]?\d+)?")  # a number with its sign
 STEPS = {
     **dict.fromkeys(words("def deffct"), Step.ROUTINE),
     **dict.fromkeys(words("end endfct endif endfor endwhile endloop endswitch until"), Step.END),
@@ -160,7 +162,8 @@ class _Reader:
             self.note(line)
         home = self.modules[""]["$h_pos"]
         if not home.uses:  # only the controller reads it, to say whether the robot is where the program calls home
-            self.program.harmless |= {Place(line.file, value[0].start) for value, line in self.values[home, ""]}
+            values = [(line.file, token.start) for value, line in self.values[home, ""] for token in value[:1]]
+            self.program.harmless |= {Place(*place) for place in values}
         displacing = _displacing(self.lines, self.routines)
         if displacing is not None:
             where = self.program.where(Place(displacing.file, displacing.tokens[0].start))
@@ -169,7 +172,7 @@ class _Reader:
     def declare(self, line: Line) -> None:
         """Note the data and parameters that a line declares."""
         tokens = line.tokens
-        if line.word in ("def", "deffct") and line.routine:
+        if line.word in ("def", "deffct") and "(" in line.texts:
             self.parameters[line.module] |= set(line.texts[line.texts.index("(") :])
         kind = next((index for index, text in enumerate(line.texts[:4]) if text in TYPES), len(tokens))
         prefix = set(line.texts[:kind])
@@ -313,8 +316,8 @@ def _components(tokens: Tokens) -> dict[str, Tokens]:
 
 def _number(tokens: Tokens) -> float:
     """Return a plain number. Raises Uncertain."""
-    text = "".join(token.text for token in tokens)
-    number = float(text) if tokens and tokens[-1].kind == "number" and len(tokens) < 3 else math.nan
+    text = " ".join(token.text for token in tokens)
+    number = float(text.replace(" ", "")) if PLAIN.fullmatch(text) else math.inf
     if not math.isfinite(number):
         raise Uncertain("not-written")
     return number
@@ -386,7 +389,7 @@ class _ActiveFrames:
     def note(self, line: Line) -> None:
         """Note $TOOL=…, BAS(#TOOL,n), FDAT_ACT=…, BAS(#PTP_PARAMS,n), SPLINE and what else sets frames."""
         texts, tokens = line.texts, line.tokens
-        command = texts[2] if texts[:2] == ["bas", "("] else ""
+        command = "".join(texts[2:3]) if texts[:2] == ["bas", "("] else ""
         try:
             if texts[0] in ACTIVE:
                 self.frames.pop(texts[0][1:], None)
@@ -428,7 +431,9 @@ class _ActiveFrames:
         """Return the tool or base of a number; for the mode, whether the robot holds the tool. Raises Uncertain."""
         text = "".join(token.text for token in tokens)
         if name != "ipo_mode":
-            return self.reader.frame(tokens_of(KRL, f"{name}_data[{text}]"), name, line)
+            data = f"{name}_data[{text}]"
+            frame: Floats = self.reader.memo.get(data, lambda: self.reader.frame(tokens_of(KRL, data), name, line))
+            return frame
         if text not in ("#base", ""):
             raise Uncertain("fixed-tool")
         return IDENTITY
@@ -459,14 +464,16 @@ def _add_move(reader: _Reader, line: Line, active: _ActiveFrames) -> None:
     try:
         if line.word in RELATIVE:
             raise Uncertain("relative")
-        for argument in list(separated(tokens[1:end], ","))[: 1 + ("circ" in line.word)]:
-            for target, file, uses in reader.targets(argument, line):
-                literal = reader.literal(target, file)
-                if literal.form.is_joints:
-                    move.goals.append(Goal(Target(literal, uses=uses)))
-                    continue
-                turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
-                move.goals.append(Goal(Target(literal, uses=uses), *active.tool_and_base(line), turns=turns))
+        arguments = list(separated(tokens[1:end], ","))[: 1 + ("circ" in line.word)]
+        targets = [target for argument in arguments for target in reader.targets(argument, line)]
+        literals = [reader.literal(target, file) for target, file, _ in targets]
+        if all(literal.form.is_joints for literal in literals):
+            tool = base = IDENTITY
+        else:
+            tool, base = active.tool_and_base(line)
+        for literal, (_, _, uses) in zip(literals, targets, strict=True):
+            turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
+            move.goals.append(Goal(Target(literal, uses=uses), tool, base, turns=turns))
         program.count(move)
     except Uncertain as uncertain:
         move.refuse(uncertain)
