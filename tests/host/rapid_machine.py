@@ -9,6 +9,7 @@ frame of variables, and the values choose the program's branches.
 import copy
 import operator
 import re
+from itertools import repeat, takewhile
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,20 +23,11 @@ TOKEN = re.compile(
 RESERVED = {"module", "endmodule", "proc", "endproc", "var", "pers", "const", "if", "then", "endif", "while", "do", "endwhile", "for",
             "return", "true", "false", "local", "task", "func", "trap", "record", "alias", "connect", "error", "undo", "main", "test", "endtest",
             "case", "default", "else", "elseif", "endfor", "from", "to", "step", "endfunc", "endrecord", "not", "and", "or", "xor", "div", "mod", "goto", "raise", "retry", "trynext", "backward"}  # fmt: skip
-SPEEDS = {
-    f"v{n}": [float(n), 500.0, 5000.0, 1000.0]
-    for n in (5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 1000)
-}
+SPEEDS = {f"v{n}": [float(n), 500.0, 5000.0, 1000.0] for n in (5, 10, 20, 50, 100, 150, 200, 300, 400, 500, 1000)}
 NO_FRAME = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
 TOOL0 = [True, NO_FRAME, [0.001]]
-DATA = {
-    **SPEEDS,
-    "fine": "fine",
-    "z10": "z10",
-    "load0": [0.001],
-    "wobj0": [False, True, "", NO_FRAME, NO_FRAME],
-    "tool0": TOOL0,
-}
+WOBJ0 = [False, True, "", NO_FRAME, NO_FRAME]
+DATA = {**SPEEDS, "fine": "fine", "z10": "z10", "load0": [0.001], "wobj0": WOBJ0, "tool0": TOOL0}
 COMPONENTS = {
     "trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "q1": 0, "q2": 1, "q3": 2, "q4": 3,
     "robhold": 0, "tframe": 1, "tload": 2, "ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4,
@@ -46,20 +38,6 @@ OPERATORS = {
     "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
 }  # fmt: skip
 LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
-SIGNALS = (
-    "high",
-    "low",
-    "doglue",
-    "dogrip",
-    "dolamp",
-    "dipart",
-    "dipress",
-    "distop",
-    "diprobe",
-    "inpos50",
-    "errno",
-    "err_wait_maxtime",
-)
 TURNS = 10_000  # of all loops together: a program that runs longer is not a test
 
 
@@ -67,12 +45,8 @@ def tokens_of(text):
     out, at = [], 0
     while at < len(text):
         match = TOKEN.match(text, at)
-        if match is None:
-            raise ProgramFault(f"{text[at : at + 20]!r} is not RAPID")
-        if match.lastgroup == "name" and len(match[0]) > 32:
-            raise ProgramFault(f"{match[0]} has more than 32 characters")
-        if match.lastgroup == "string" and len(match[0]) > 82:
-            raise ProgramFault(f"{match[0]} has more than 80 characters")
+        if match is None or len(match[0]) > {"name": 32, "string": 82}.get(match.lastgroup, 1000):
+            raise ProgramFault(f"{text[at : at + 20]!r} is not RAPID, or too long")
         if match.lastgroup not in ("space", "comment"):
             out.append((match.lastgroup, match[0]))
         at = match.end()
@@ -122,7 +96,7 @@ class Machine:
         self.controller, self.names, self.routines = controller, set(), {}
         self.data = {name: Cell(copy.deepcopy(value)) for name, value in DATA.items()}
         self.components = dict(COMPONENTS)
-        self.configurations = {"ConfJ": True, "ConfL": True}
+        self.is_watched = True
         self.choices, self.turns = list(choices), TURNS
 
     # grammar
@@ -145,98 +119,58 @@ class Machine:
             return True
         return False
 
-    def new_name(self):
+    def new_name(self, is_local=False):
         kind, name = self.take()
-        if kind != "name" or name in RESERVED - {"main"} or name in self.names | set(DATA):
+        if kind != "name" or name in RESERVED - {"main"} or (not is_local and name in self.names | set(DATA)):
             raise ProgramFault(f"{name!r} is not a new name")
-        self.names.add(name)
-        return name
-
-    def local_name(self):
-        kind, name = self.take()
-        if kind != "name" or name in RESERVED:
-            raise ProgramFault(f"{name!r} is not a name")
+        self.names |= set() if is_local else {name}
         return name
 
     def module(self):
         self.take("module")
         self.new_name()
-        if self.taken("("):
-            while not self.taken(")"):
-                self.take()
         declarations = []
         while not self.taken("endmodule"):
             self.taken("local") or self.taken("task")
             if self.word() in ("var", "pers", "const"):
-                declarations.append(self.declaration(self.new_name))
-            elif self.word() == "record":
-                self.record()
+                declarations.append(self.declaration())
             else:
                 self.routine()
-        if self.tokens[self.at][0] != "end":
-            raise ProgramFault("a module ends with ENDMODULE")
-        frame = {}
+        if self.tokens[self.at][0] != "end" or "main" not in self.routines:
+            raise ProgramFault("a module has a main and ends with ENDMODULE")
         for name, value in declarations:
-            self.data[name] = Cell(value(frame))
-        if "main" not in self.routines:
-            raise ProgramFault("a program has a main")
-        self.enter("main", [], {}, {})
+            self.data[name] = Cell(value({}))
+        self.enter("main", [])
 
-    def record(self):
-        self.take()
-        self.new_name()
-        place = 0
-        while not self.taken("endrecord"):
-            self.take()
-            name = self.take()[1]
-            if self.components.setdefault(name, place) != place:
-                raise ProgramFault(f"{name} is another component too; this interpreter has no types")
-            self.take(";")
-            place += 1
-
-    def declaration(self, new_name):
+    def declaration(self, is_local=False):
         """Return a name and the source of its first value."""
         self.take("var", "pers", "const")
-        kind = self.take()[1]
-        name = new_name()
-        sizes = []
-        if self.taken("{"):
-            sizes = [int(self.take()[1])]
-            while self.taken(","):
-                sizes.append(int(self.take()[1]))
-            self.take("}")
-        first = {"num": 0.0, "bool": False, "string": ""}.get(kind)
-
-        def empty(_):
-            value = first
-            for size in reversed(sizes):
-                value = [copy.deepcopy(value) for _ in range(size)]
-            return value
-
-        value = self.expression() if self.taken(":=") else empty
+        first = {"num": 0.0, "bool": False, "string": ""}.get(self.take()[1])
+        name = self.new_name(is_local)
+        size = self.index() if self.taken("{") else None
+        value = self.expression() if self.taken(":=") else lambda _: first if size is None else [first] * int(size({}))
         self.take(";")
         return name, lambda frame: copy.deepcopy(value(frame))
+
+    def index(self):
+        index = self.expression()
+        self.take("}")
+        return index
 
     def routine(self):
         kind = self.take("proc", "func", "trap")[1]
         if kind == "func":
             self.take()
-        name, parameters = self.new_name(), []
+        name, parameters, local = self.new_name(), [], []
         if kind != "trap":
             self.take("(")
             while not self.taken(")"):
-                optional = self.taken("\\")
-                mode = self.take()[1] if self.word() in ("inout", "var", "pers", "switch") else ""
-                if mode != "switch":
-                    self.take()
-                parameters.append((self.local_name(), optional, mode in ("inout", "var", "pers")))
-                if self.taken("{"):
-                    while not self.taken("}"):
-                        self.take()
+                mode = self.take()[1] if self.word() in ("inout", "var", "pers") else ""
+                self.take()
+                parameters.append((self.new_name(True), mode != ""))
                 self.taken(",")
-        local = []
         while self.word() in ("var", "pers", "const"):
-            local.append(self.declaration(self.local_name))
+            local.append(self.declaration(True))
         ends = f"end{kind}", "error", "undo", "backward"
         body = self.block(*ends)
         while not self.taken(f"end{kind}"):  # no error is raised here
@@ -268,11 +202,7 @@ class Machine:
             self.take(":=")
             value = self.expression()
             self.take(";")
-
-            def assigned(frame):
-                place(frame).value = copy.deepcopy(value(frame))
-
-            return assigned
+            return lambda frame: setattr(place(frame), "value", copy.deepcopy(value(frame)))
         kind, name = self.take()
         if kind != "name":
             raise ProgramFault(f"no instruction {name!r}")
@@ -280,92 +210,61 @@ class Machine:
         return lambda frame: self.call(INSTRUCTIONS, name, arguments, frame)
 
     def choice(self):
-        conditions, blocks = [self.expression()], []
-        if self.word() != "then":
-            step = self.statement()
-            return lambda frame: step(frame) if conditions[0](frame) else None
-        self.take("then")
-        blocks.append(self.block("elseif", "else", "endif"))
-        while self.taken("elseif"):
-            conditions.append(self.expression())
-            self.take("then")
-            blocks.append(self.block("elseif", "else", "endif"))
-        if self.taken("else"):
-            conditions.append(lambda _: True)
-            blocks.append(self.block("endif"))
-        self.take("endif")
-
-        def chosen(frame):
-            for condition, block in zip(conditions, blocks, strict=True):
-                if condition(frame):
-                    block(frame)
-                    return
-
-        return chosen
+        cases = [(self.expression(), self.block("elseif", "else", "endif") if self.taken("then") else None)]
+        if cases[0][1] is None:
+            cases = [(cases[0][0], self.statement())]
+        else:
+            while self.taken("elseif"):
+                condition = self.expression()
+                self.take("then")
+                cases.append((condition, self.block("elseif", "else", "endif")))
+            if self.taken("else"):
+                cases.append((lambda _: True, self.block("endif")))
+            self.take("endif")
+        return lambda frame: next((block for condition, block in cases if condition(frame)), NOTHING)(frame)
 
     def test(self):
-        value, cases = self.expression(), []
+        value, cases, other = self.expression(), [], NOTHING
         while self.taken("case"):
             values = [self.expression()]
             while self.taken(","):
                 values.append(self.expression())
             self.take(":")
             cases.append((values, self.block("case", "default", "endtest")))
-        other = None
         if self.taken("default"):
             self.take(":")
             other = self.block("endtest")
         self.take("endtest")
-
-        def tested(frame):
-            here = value(frame)
-            for values, block in cases:
-                if any(one(frame) == here for one in values):
-                    block(frame)
-                    return
-            if other:
-                other(frame)
-
-        return tested
+        matching = lambda f: (block for values, block in cases if value(f) in [one(f) for one in values])  # noqa: E731
+        return lambda frame: next(matching(frame), other)(frame)
 
     def counted(self):
-        name = self.local_name()
+        name = self.new_name(True)
         self.take("from")
         first = self.expression()
         self.take("to")
         last = self.expression()
-        step = self.expression() if self.taken("step") else None
         self.take("do")
-        block = self.block("endfor")
-        self.take("endfor")
-
-        def run(frame):
-            k, end = first(frame), last(frame)
-            by = step(frame) if step else (1.0 if end >= k else -1.0)
-            while (k - end) * by <= 0.0:
-                self.turn()
-                block({**frame, name: Cell(k)})
-                k += by
-
-        return run
+        numbers = lambda frame: np.arange(first(frame), last(frame) + 1.0).tolist()  # noqa: E731
+        return self.repeated(lambda frame: ({**frame, name: Cell(k)} for k in numbers(frame)), "endfor")
 
     def loop(self):
         condition = self.expression()
         self.take("do")
-        block = self.block("endwhile")
-        self.take("endwhile")
+        return self.repeated(lambda frame: takewhile(condition, repeat(frame)), "endwhile")
+
+    def repeated(self, frames, end):
+        block = self.block(end)
+        self.take(end)
 
         def run(frame):
-            while condition(frame):
-                self.turn()
-                block(frame)
+            for inner in frames(frame):
+                self.turns -= 1
+                if self.turns < 0:
+                    raise ProgramFault("a loop without an end")
+                block(inner)
 
         return run
-
-    def turn(self):
-        self.turns -= 1
-        if self.turns < 0:
-            raise ProgramFault("a loop without an end")
 
     def returned(self):
         value = None if self.word() == ";" else self.expression()
@@ -382,12 +281,7 @@ class Machine:
         while not self.taken(end):
             if self.taken("\\"):
                 option = self.take()[1]
-                options[option] = lambda _: True
-                if self.taken(":="):
-                    options[option] = self.reference()
-                elif self.taken("?"):
-                    source = self.take()[1]
-                    options[option] = lambda frame, source=source: frame.get(source)
+                options[option] = self.reference() if self.taken(":=") else lambda _: True
             elif not self.taken(","):
                 values.append(self.reference())
         return values, options
@@ -408,11 +302,8 @@ class Machine:
     def call(self, table, name, arguments, frame):
         values = [one(frame) for one in arguments[0]]
         options = {key: one(frame) for key, one in arguments[1].items()}
-        options = {
-            key: value for key, value in options.items() if value_of(value) is not None
-        }  # a \name?parameter that is absent
         if name in self.routines:
-            return self.enter(name, values, options, frame)
+            return self.enter(name, values)
         if name not in table:
             raise ProgramFault(f"no routine {name!r}")
         if name not in WRITES:
@@ -423,20 +314,15 @@ class Machine:
         except TypeError as exc:
             raise ProgramFault(f"{name}: {exc}") from exc
 
-    def enter(self, name, values, options, frame):
+    def enter(self, name, values):
         parameters, local, body = self.routines[name]
-        required = [one for one in parameters if not one[1]]
-        if len(values) != len(required):
-            raise ProgramFault(f"{name} has {len(required)} arguments")
+        if len(values) != len(parameters):
+            raise ProgramFault(f"{name} has {len(parameters)} arguments")
         inner = {}
-        for (parameter, _, shared), value in zip(required, values, strict=True):
+        for (parameter, shared), value in zip(parameters, values, strict=True):
             inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
             if not isinstance(inner[parameter], Cell | Part):
                 raise ProgramFault(f"{parameter} of {name} needs a variable")
-        for parameter, optional, shared in parameters:
-            if optional:
-                value = options.get(parameter, Cell(None))
-                inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
         for variable, value in local:
             inner[variable] = Cell(value(inner))
         try:
@@ -458,8 +344,6 @@ class Machine:
                 return self.data[name]
             if name in ("dotruearm", "ditruearm"):
                 return Cell(name)
-            if name in SIGNALS:
-                return Cell(0.0)
             raise ProgramFault(f"{name!r} is not known here")
 
         found = root
@@ -471,11 +355,8 @@ class Machine:
                 found = self.part(found, lambda _, k=self.components[component]: k)
                 continue
             self.take("{")
-            while True:
-                index = self.expression()
-                found = self.part(found, lambda frame, index=index: int(index(frame)) - 1)
-                if self.take(",", "}")[1] == "}":
-                    break
+            index = self.index()
+            found = self.part(found, lambda frame, index=index: int(index(frame)) - 1)
         return found
 
     @staticmethod
@@ -573,7 +454,7 @@ class Machine:
 
     def MoveL(self, target, speed, zone, tool, wobj=None, **options):
         frame = self.use(tool, wobj)
-        if self.configurations["ConfL"] and isinstance(target, Computed):
+        if self.is_watched and isinstance(target, Computed):
             raise ProgramFault("a computed target while configurations are watched")
         self.controller.move_line(frame @ self.robtarget(target), 1e-3 * speed[0])
 
@@ -582,47 +463,19 @@ class Machine:
         self.MoveL(circle, speed, zone, tool, wobj)
         self.MoveL(target, speed, zone, tool, wobj)
 
-    def TriggL(self, target, speed, trigger, zone, tool, t2=None, t3=None, wobj=None):
-        self.MoveL(target, speed, zone, tool, wobj)
-
-    def TriggJ(self, target, speed, trigger, zone, tool, t2=None, wobj=None):
-        self.MoveJ(target, speed, zone, tool, wobj)
-
-    def SearchL(self, signal, found, target, speed, tool, stop=False, pstop=False, flanks=False, wobj=None):
+    def SearchL(self, signal, found, target, speed, tool, stop=False):
         """Search without finding anything: the search ends at its target, which is where it stopped."""
-        work = [False, True, "", NO_FRAME, NO_FRAME] if wobj is None else wobj.value
-        self.MoveL(target.value, value_of(speed), "fine", value_of(tool), work)
+        self.MoveL(target.value, value_of(speed), "fine", value_of(tool))
         found.value = copy.deepcopy(target.value)
 
-    def MoveLDO(self, target, speed, zone, tool, signal, level, wobj=None):
-        self.MoveL(target, speed, zone, tool, wobj)
-
-    def ArcL(self, target, speed, seam, weld, zone, tool, weave=None, wobj=None, seamname=""):
-        self.MoveL(target, speed, zone, tool, wobj)
-
-    def ArcC(self, circle, target, speed, seam, weld, zone, tool, weave=None, wobj=None):
-        self.MoveC(circle, target, speed, zone, tool, wobj)
-
-    def SpotL(self, target, speed, spot, gun, tool, inpos=False, wobj=None):
-        self.MoveL(target, speed, "fine", tool, wobj)
-
-    def SpotJ(self, target, speed, spot, gun, tool, inpos=False, wobj=None):
-        self.MoveJ(target, speed, "fine", tool, wobj)
-
-    def ConfJ(self, off=False, on=False):
-        self.configurations["ConfJ"] = not off
-
     def ConfL(self, off=False, on=False):
-        self.configurations["ConfL"] = not off
+        self.is_watched = not off
 
     def SetDO(self, signal, level):
         if level not in (0.0, 1.0):
             raise ProgramFault("an output is 0 or 1")
         if signal == "dotruearm":
             self.controller.put_out(level == 1.0)
-
-    def settled(self, *values, **options):
-        """Do what neither moves nor changes data."""
 
     def WaitTime(self, seconds, inpos=False):
         self.controller.t += seconds
@@ -640,17 +493,8 @@ class Machine:
     def Stop(self):
         self.controller.said.append((len(self.controller.moves), self.text))
 
-    def Add(self, variable, by):
-        variable.value += value_of(by)
-
     def Incr(self, variable):
         variable.value += 1.0
-
-    def Decr(self, variable):
-        variable.value -= 1.0
-
-    def Clear(self, variable):
-        variable.value = 0.0
 
     def CalcRobT(self, target, tool, wobj=None):
         frame = self.use(tool, wobj)
@@ -662,22 +506,9 @@ class Machine:
         i, j, k, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
         return [(1e3 * pose[:3, 3]).tolist(), [w, i, j, k]]
 
-    def CRobT(self, tool=None, wobj=None):
-        """Return the position of the tool."""
-        frame = self.use(TOOL0 if tool is None else tool, wobj)
-        here = self.controller.pose_of(self.controller.q)
-        return [*self.numbers(np.linalg.inv(frame) @ here), [0.0] * 4, [9e9] * 6]
-
     def Offs(self, target, x, y, z):
         """Move along the axes of the work object; a taught target keeps its configuration."""
         return type(target)([[a + b for a, b in zip(target[0], (x, y, z), strict=True)], *target[1:]])
-
-    def OrientZYX(self, z, y, x):
-        """Return rotations about z, then the new y, then the new x."""
-        about = zip(np.deg2rad([z, y, x]), np.eye(3)[::-1], strict=True)
-        turns = [Rotation.from_rotvec(angle * axis) for angle, axis in about]
-        i, j, k, w = (turns[0] * turns[1] * turns[2]).as_quat().tolist()
-        return [w, i, j, k]
 
     def RelTool(self, target, x, y, z, rx=0.0, ry=0.0, rz=0.0):
         """Move along the axes of the tool; rotations about x, then the new y, then the new z."""
@@ -689,11 +520,12 @@ class Machine:
     def DInput(self, signal):
         return float(self.choices.pop(0)) if self.choices else 0.0
 
-    def Present(self, value):
-        return value is not None
-
     def Dim(self, array, dimension):
         return float(len(array))
+
+
+def NOTHING(frame):
+    pass
 
 
 class Computed(list):
@@ -704,18 +536,15 @@ def value_of(of):
     return of.value if isinstance(of, Cell | Part) else of
 
 
+def linear(places):
+    """Return an instruction like MoveL whose target, speed, zone and tool are at these places."""
+    return lambda machine, *values, wobj=None, **_: machine.MoveL(*(values[place] for place in places), wobj)
+
+
 INSTRUCTIONS = {
     name.lower(): getattr(Machine, name)
-    for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "TriggL", "TriggJ", "SearchL", "ArcL", "ArcC", "SpotL", "SpotJ", "ConfJ", "ConfL", "SetDO", "WaitTime",
-                 "WaitDI", "TPWrite", "Stop", "Add", "Incr", "Decr", "Clear", "MoveLDO")
+    for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "ConfL", "SetDO", "WaitTime", "WaitDI", "TPWrite", "Stop", "Incr", "SearchL")
 }  # fmt: skip
-INSTRUCTIONS |= {"arclstart": Machine.ArcL, "arclend": Machine.ArcL}
-INSTRUCTIONS |= dict.fromkeys(
-    ("accset", "velset", "gripload", "singarea", "isignaldi", "idelete", "triggio", "pdispoff", "eoffsoff"),
-    Machine.settled,
-)
-FUNCTIONS = {
-    name.lower(): getattr(Machine, name)
-    for name in ("CalcRobT", "CRobT", "Offs", "OrientZYX", "RelTool", "DInput", "Dim", "Present")
-}
-WRITES = ("searchl", "add", "incr", "decr", "clear")  # arguments that they change
+INSTRUCTIONS |= {"triggl": linear((0, 1, 3, 4)), "arcl": linear((0, 1, 4, 5)), "spotl": linear((0, 1, 1, 4))}
+FUNCTIONS = {name.lower(): getattr(Machine, name) for name in ("CalcRobT", "Offs", "RelTool", "DInput", "Dim")}
+WRITES = ("searchl", "incr")  # arguments that they change
