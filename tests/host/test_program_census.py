@@ -96,6 +96,8 @@ RAPID = {
     "array in a loop, element assigned": [module('a{2}:=p1;\nFOR i FROM 1 TO 2 DO\nMoveL a{i},~ !R\nENDFOR','VAR robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\n')],
     "array, two tools": [module('FOR i FROM 1 TO 2 DO\nMoveL a{i},~ !K\nENDFOR\nMoveL a{1},v100,z1,t2; !O','CONST robtarget a{2}:=['+target(301,2)+','+target(3,4)+'];\n')],
     "loop counter named as a point": [module('FOR p1 FROM 1 TO 2 DO\nMoveL p1,~ !R\nENDFOR')],
+    "loop counter hides a name in its loop alone": [module('FOR v1 FROM 1 TO 2 DO\nMoveL p1,~ !K\nENDFOR\nMoveL v1,~ !K')],
+    "array copied": [module('b:=a;\nFOR i FROM 1 TO 2 DO\nMoveL b{i},~ !K\nENDFOR','CONST robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\nVAR robtarget b{2};\n')],
     "offset counts": [module('FOR i FROM 1 TO 2 DO\nMoveL Offs(p1,0,0,i*10),~ !R\nENDFOR\nMoveL p1,~ !O')],
     "offset constant near": [module('MoveL Offs(p1,0,0,1),~ !K\nMoveL p1,~ !K')],
     "offset constant far": [module('MoveL Offs(p1,0,0,400),~ !O\nMoveL p1,~ !K')],

@@ -20,10 +20,8 @@ def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], object]) -> floa
     else:
         return None
     total = 0.0
-    for number, operand in enumerate(operands):
-        sign = operand[0].text if operand and operand[0].kind == "sign" and operand[0].text in signs else ""
-        if number == 0 and not operand and signs == "+-":
-            continue  # the sign of the first operand
+    for operand in operands if operands[0] or signs == "*/" else operands[1:]:  # the first operand may have a sign
+        sign = operand[0].text if operand and operand[0].text in signs else ""
         value = evaluate(operand[bool(sign) :])
         if not isinstance(value, float) or (sign == "/" and not value):
             raise Uncertain("run-time")

@@ -12,7 +12,6 @@ from typing import Generic, TypeVar, assert_never
 from truearm.correct.programs.program import Step
 
 T = TypeVar("T")
-MOST_PASSES = 5  # over the text, until the ends of all loops are known
 
 
 @dataclass(eq=False)
@@ -31,13 +30,9 @@ def preceding(steps: Sequence[Step | T], counts: Callable[[T], bool], most: int)
     None among them: it is unknown, as where a routine begins, or after a call. More than ``most`` are unknown too.
     """
     loop_ends: dict[int, frozenset[T | None]] = {}
-    last: dict[T, frozenset[T | None]] = {}
-    for _ in range(MOST_PASSES):
-        ends_before = dict(loop_ends)
-        last = _followed(steps, counts, most, loop_ends)
-        if loop_ends == ends_before:
-            return last
-    return dict.fromkeys(last, frozenset([None]))
+    _followed(steps, counts, most, loop_ends)
+    # What a loop ends with comes from its body, which this pass has followed, or from before it.
+    return _followed(steps, counts, most, loop_ends)
 
 
 def _followed(

@@ -127,7 +127,6 @@ class Datum:
     kind: str
     place: Place
     local: bool = False
-    array: bool = False
     values: list[tuple[Tokens, object]] = field(default_factory=list)
     written: set[Place] = field(default_factory=set)
     uses: set[Place] = field(default_factory=set)

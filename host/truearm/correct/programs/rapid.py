@@ -26,15 +26,7 @@ from truearm.correct.programs.program import (
     Target,
     Uncertain,
 )
-from truearm.correct.programs.rapid_names import (
-    Scope,
-    Statement,
-    Task,
-    arguments_of,
-    certain,
-    find,
-    read_names,
-)
+from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, certain, find, read_names
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
 from truearm.correct.programs.tokens import DEEPEST, NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.types import Floats

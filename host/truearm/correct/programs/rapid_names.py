@@ -10,16 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from truearm.correct.programs.program import (
-    Change,
-    Datum,
-    Memo,
-    Place,
-    Program,
-    Step,
-    Surroundings,
-    Uncertain,
-)
+from truearm.correct.programs.program import Change, Datum, Memo, Place, Program, Step, Surroundings, Uncertain
 from truearm.correct.programs.program import certain as certain_in_program
 from truearm.correct.programs.rapid_words import BY_NAME, DISPLACING, LANGUAGE, LOADING, READERS, SEARCHES
 from truearm.correct.programs.tokens import RAPID, Source, Tokens, closing, is_word, separated, tokens_of, words
@@ -139,9 +130,7 @@ class _ModuleReader:
                 outline += [Step.END] * (len(self.blocks) > 1)
                 self.blocks = self.blocks[-1:]
             elif word in ("const", "var", "pers"):
-                self.declaration(
-                    word, is_word(tokens, self.index - 2, "task"), is_word(tokens, self.index - 2, "local")
-                )
+                self.declaration(word, tokens[max(self.index - 2, 0)].text)
             elif word in STEPS:
                 outline.append(STEPS[word])
                 self.structure(word)
@@ -196,8 +185,8 @@ class _ModuleReader:
             self.task.routines[self.tokens[first].text].append(parameters)
         self.blocks = (data, self.blocks[-1])
 
-    def declaration(self, kind: str, is_task: bool, is_local: bool) -> None:
-        """Read CONST, VAR or PERS."""
+    def declaration(self, kind: str, before: str) -> None:
+        """Read CONST, VAR or PERS, which may have LOCAL or TASK before it."""
         end = self.end()
         tokens = self.tokens[self.index : end]
         self.index = min(self.index + 2, end)
@@ -205,13 +194,12 @@ class _ModuleReader:
             return
         sign = next((index for index, token in enumerate(tokens) if token.text == ":="), end)
         name, place = tokens[1].text, Place(self.file, tokens[1].start)
-        is_local |= len(self.blocks) > 1
-        datum = Datum(name, tokens[0].text, kind, place, is_local)
+        datum = Datum(name, tokens[0].text, kind, place, before == "local" or len(self.blocks) > 1)
         if tokens[sign + 1 :]:
             datum.values.append((tokens[sign + 1 :], Scope(self.file, self.blocks)))
         if self.blocks[0].setdefault(name, datum) is not datum:
             self.blocks[0][name].changes.append(Change(place, "redeclared"))
-        if kind == "pers" and not is_task and not is_local:
+        if kind == "pers" and before != "task" and not datum.local:
             self.task.persistents.append(datum)
         self.add(end)
 

@@ -89,11 +89,6 @@ def tokens_of(pattern: re.Pattern[str], text: str, lower: bool = True) -> list[T
     return [Token(kind, match[0], match.start(), match.end()) for match in matches if (kind := match.lastgroup)]
 
 
-def depth_change(token: Token) -> int:
-    """Return 1 for an opening bracket, -1 for a closing one, 0 for another token."""
-    return DEPTH.get(token.text, 0)
-
-
 def closing(tokens: Tokens, start: int) -> int:
     """Return the index of the bracket that closes the one at ``start``; the number of tokens if none does."""
     depth = 0
