@@ -340,6 +340,7 @@ STRANGE_KRL = {
     "base from a sensor": krl(f'{ACTIVE}ok=EKI_GetFrame("c","f",BASE_DATA[2])\nLIN XP1 ;R'),
     "frames of a function": krl(f"{ACTIVE}ok=own()\nLIN XP1 ;R") | {"own.src": "DEFFCT BOOL own()\n$TOOL=$NULLFRAME\nRETURN TRUE\nENDFCT\n"},
     "component passed on": krl(f"own(XP1.X)\n{ACTIVE}LIN XP1 ;R\nLIN XP2 ;K"),
+    "name that hides a global one": {"p.src": f"DEF a()\nDECL E6POS XG\nXG=XP1\n{ACTIVE}LIN XG ;R\nEND\nDEF b()\n{ACTIVE}LIN XG ;R\nLIN XP2 ;K\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES + "DECL GLOBAL E6POS XG={X 400,Y 10,Z 300,A 0,B 90,C 0}\n"},
     "system file": krl(f"{ACTIVE}LIN XP1 ;K") | {"bas.src": "DEF bas(c:IN,r:IN)\n$TOOL=TOOL_DATA[TOOL_NO]\nXP1=$H_POS\nPTP posovertp\nEND\n"},
     "interrupt": {"p.src": f"DEF p()\nINTERRUPT DECL 3 WHEN $IN[1] DO isr()\nINTERRUPT ON 3\n{ACTIVE}LIN XP1 ;R\nLIN XP2 ;R\nEND\nDEF isr()\nXP1.Z=5\n$TOOL=TOOL_DATA[2]\nEND\n", "p.dat": KRL_POINTS, "$config.dat": FRAMES},
     "start of the motion": krl(f"{ACTIVE}BAS(#INITMOV,0)\nLIN XP1 ;R"),

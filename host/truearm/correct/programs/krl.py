@@ -158,6 +158,9 @@ class _Reader:
         self.modules[""] = {name: Datum(name, "", "var", Place(0, 0)) for name in SYSTEM}
         for line in self.lines:
             self.declare(line)
+        for names in list(self.modules.values())[1:]:  # another routine of the module may mean the one that all see
+            for name in names.keys() & self.modules[""].keys():
+                names[name].changes.append(Change(names[name].place, "redeclared"))
         for line in self.lines:
             self.note(line)
         home = self.modules[""]["$h_pos"]
