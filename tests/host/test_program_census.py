@@ -29,9 +29,8 @@ def target(x, y=0):
     return f"[[{x},{y},300],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
 
 
-POINTS = "".join(
-    f"CONST robtarget p{k}:={target(300 + k, k)};\nVAR robtarget v{k}:={target(400 + k, k)};\n" for k in (1, 2, 3)
-)
+POINTS = "".join(f"CONST robtarget p{k}:={target(300 + k, k)};\n" for k in (1, 2, 3))
+POINTS += "".join(f"VAR robtarget v{k}:={target(400 + k, k)};\n" for k in (1, 2, 3))
 POINTS += "CONST jointtarget j1:=[[0,10,20,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
 
 
@@ -47,13 +46,8 @@ def script(body, head="set_tcp(p[0,0,0.1,0,0,0])\n"):
 
 FRAMES = "TOOL_DATA[1]={X 0,Y 0,Z 100,A 0,B 0,C 0}\nBASE_DATA[2]={X 10,Y 0,Z 0,A 0,B 0,C 0}\n"
 KRL_POINTS = 'DEFDAT p\nDECL E6POS XP1={X 400,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2,E1 0.0,E2 0.0}\nDECL E6POS XP2={X 450,Y 20,Z 300,A 0,B 90,C 0,S 2,T 2,E1 0.0}\nDECL FDAT FP1={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE,POINT2[] " "}\nDECL E6AXIS XHOME={A1 5,A2 -90,A3 100,A4 5,A5 10,A6 5}\nENDDAT\n'
-
-
-KRL_ARRAY = (
-    KRL_POINTS
-    + "DECL E6POS XA[3]\n"
-    + "".join(f"XA[{k}]={{X 4{k}0,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2}}\n" for k in (1, 2, 3))
-)
+KRL_ARRAY = f"{KRL_POINTS}DECL E6POS XA[3]\n"
+KRL_ARRAY += "".join(f"XA[{k}]={{X 4{k}0,Y 10,Z 300,A 0,B 90,C 0,S 2,T 2}}\n" for k in (1, 2, 3))
 
 
 def krl(body, data=KRL_POINTS, config=FRAMES):
@@ -80,18 +74,15 @@ def ls(body, points=LS_POINTS):
 RAPID = {
     "plain": [module('MoveL p1,v100,z1,t1\\WObj:=w1; !K\nMoveJ v1,~ !K')],
     "EOffsSet in another module": [module('MoveL p1,~ !R'),'MODULE b\nPROC x()\nEOffsSet e1;\nENDPROC\nENDMODULE\n'],
-    "PDispSet": [module('MoveL p1,~ !R\nPDispSet d;\nMoveL p2,~ !R')],
     "PDispOn \\Rot": [module('PDispOn\\Rot, p1, t1;\nMoveL p2,~ !R\nMoveAbsJ j1,v1,z1,t1; !K')],
     "tool reassigned in a TRAP": [module('MoveL p1,~ !R','',"TRAP tr\nt1:=t2;\nENDTRAP\n")],
     "tool component assigned in another module": [module('MoveL p1,~ !R'),'MODULE b\nPROC x()\nt1.tframe.trans.z:=150;\nENDPROC\nENDMODULE\n'],
     "tool measured": [module('MToolTCPCalib j1,j1,j1,j1,t1,e,e2; !R\nMoveL p1,~ !R')],
     "TPWrite of the point": [module('MoveL v1,~ !O\nTPWrite "x"\\Pos:=v1.trans;')],
-    "TPWrite of text": [module('MoveL v1,~ !K\nTPWrite "v1 := nothing";')],
     "component assigned": [module('v1.trans.x:=5;\nMoveL v1,~ !R')],
     "component read by IF": [module('IF v1.trans.x > 3 THEN\nMoveL v1,~ !O\nENDIF')],
     "compact IF reads": [module('IF p1.trans.x>3 MoveL p2,~ !K\nMoveL p1,~ !O')],
     "compact IF assigns": [module('IF di1=1 v1:=p2;\nMoveL v1,~ !K\nMoveL p2,~ !K')],
-    "p := p2": [module('v1:=v2;\nMoveL v2,~ !K\nMoveL v1,~ !K')],
     "array in a loop, one tool": [module('FOR i FROM 1 TO 2 DO\nMoveL a{i},~ !K\nENDFOR','CONST robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\n')],
     "array in a loop, element assigned": [module('a{2}:=p1;\nFOR i FROM 1 TO 2 DO\nMoveL a{i},~ !R\nENDFOR','VAR robtarget a{2}:=['+target(1,2)+','+target(3,4)+'];\n')],
     "array, two tools": [module('FOR i FROM 1 TO 2 DO\nMoveL a{i},~ !K\nENDFOR\nMoveL a{1},v100,z1,t2; !O','CONST robtarget a{2}:=['+target(301,2)+','+target(3,4)+'];\n')],
@@ -101,15 +92,11 @@ RAPID = {
     "offset counts": [module('FOR i FROM 1 TO 2 DO\nMoveL Offs(p1,0,0,i*10),~ !R\nENDFOR\nMoveL p1,~ !O')],
     "offset constant near": [module('MoveL Offs(p1,0,0,1),~ !K\nMoveL p1,~ !K')],
     "offset constant far": [module('MoveL Offs(p1,0,0,400),~ !O\nMoveL p1,~ !K')],
-    "offset by a num that is assigned": [module('MoveL Offs(p1,0,0,h),~ !R\nh:=h+1;','VAR num h:=10;\n')],
-    "offset by a num of a constant": [module('MoveL Offs(p1,0,0,-h/2),~ !K','CONST num h:=10;\n')],
     "RelTool with Rz": [module('MoveL RelTool(p1,0,0,5\\Rz:=10),~ !K')],
     "LOCAL shadows": [TOOLS + f'LOCAL CONST robtarget p:={target(1)};\nPROC x()\nMoveL p,~ !K\nENDPROC\nENDMODULE\n',f'MODULE b\nCONST robtarget p:={target(2)};\nPROC y()\nMoveL p,~ !K\nENDPROC\nENDMODULE\n'],
     "routine data shadows": [module('VAR robtarget p1;\np1:=CRobT();\nMoveL p1,~ !R','','PROC z()\nMoveL p1,~ !K\nENDPROC\n')],
     "parameter shadows": [module('z p2;','','PROC z(robtarget p1)\nMoveL p1,~ !R\nENDPROC\nPROC y()\nMoveL p1,~ !K\nMoveL p2,~ !O\nENDPROC\n')],
     "same global name in two modules, used in a third": [module('MoveL q,~ !R'),f'MODULE b\nCONST robtarget q:={target(1)};\nENDMODULE\n',f'MODULE c\nCONST robtarget q:={target(2)};\nENDMODULE\n'],
-    "passed by INOUT": [module('change v1;\nMoveL v1,~ !R','','PROC change(INOUT robtarget r)\nr.trans.z:=0;\nENDPROC\n')],
-    "passed to an unknown routine": [module('change v1;\nMoveL v1,~ !R')],
     "tool passed to an unknown routine": [module('Grip t1;\nMoveL p1,~ !R')],
     "SearchL stores into v1": [module('SearchL di1,v1,p2,v100,t1; !K\nMoveL v1,~ !R')],
     "SetDataVal by name": [module('SetDataVal "v1",v2;\nMoveL v1,~ !R\nMoveL p1,v100,z1,tool0; !K')],
@@ -121,7 +108,6 @@ RAPID = {
     "external axis": [module('MoveL x1,~ !R','CONST robtarget x1:=[[1,2,3],[1,0,0,0],[0,0,0,0],[120,9E9,9E9,9E9,9E9,9E9]];\n')],
     "SingArea LockAxis4": [module('SingArea\\LockAxis4;\nMoveL p1,~ !R')],
     "Corr": [module('MoveL p1,v1,z1,t1\\Corr; !R')],
-    "comment and text": [module('! v1 := p2;\nTPWrite "MoveL p1; v1:=0;";\nMoveL v1,~ !K')],
     "two tools, one point": [module('MoveL p1,v1,z1,t1; !K\nMoveL p1,v1,z1,t2; !O')],
     "declared in terms of names": [module('MoveL n1,~ !R','CONST num x0:=5;\nCONST robtarget n1:=[[x0,0,0],[1,0,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n')],
     "RETURN of the point by a function": [module('MoveL f(),~ !R\nMoveL p1,~ !O','','FUNC robtarget f()\nRETURN p1;\nENDFUNC\n')],
@@ -138,7 +124,6 @@ RAPID = {
     "p := Offs(p)": [module('v1:=Offs(v1,0,0,10);\nMoveL v1,~ !R')],
     "p := p2, p2 := p": [module('v1:=v2;\nv2:=v1;\nMoveL v1,~ !R')],
     "p := p2 then read": [module('v1:=v2;\nMoveL v1,~ !R\nx:=v1.trans;')],
-    "tool := other": [module('t1:=t2;\nMoveL p1,~ !R')],
     "tool := same numbers": [module('t1:=t3;\nMoveL p1,~ !K','PERS tooldata t3:=[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n')],
     "p := CRobT": [module('v1:=CRobT();\nMoveL v1,~ !R')],
     "p := p2 then component": [module('v1:=p2;\nv1.trans.z:=9;\nMoveL v1,~ !R\nMoveL p2,~ !O')],
@@ -153,15 +138,10 @@ URSCRIPT = {
     "local of one name in a function": [script('def f():\nlocal a=p[0.2,0,0,0,0,0]\nend\nmovel(a) #K')],
     "condition reads": [script('if a[2]>0.2:\nmovel(a) #O\nend')],
     "condition over two lines": [script('if (b[2]>0.2 and\n b[1]<2):\nmovel(a) #K\nend\nmovel(b) #O')],
-    "length by point_dist": [script('x=point_dist(a,b)\nmovel(a) #O')],
-    "alias": [script('c=a\nmovel(c) #K\nmovel(a) #K')],
     "alias, other tool": [script('c=a\nmovel(c) #K\nset_tcp(p[0,0,0.3,0,0,0])\nmovel(a) #O')],
-    "tool in a branch": [script('if x:\nset_tcp(p[0,0,0.3,0,0,0])\nend\nmovel(a) #R')],
-    "tool set twice": [script('movel(a) #K\nset_tcp(p[0,0,0.3,0,0,0])\nmovel(b) #K')],
     "tool set at the end of the loop": [script('while True:\nmovel(a) #R\nset_tcp(p[0,0,0.3,0,0,0])\nmovel(b) #K\nend')],
     "tool set by a function": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nend\nmovel(a) #K\nf()\nmovel(b) #K')],
     "function called with two tools": [script('def f():\nmovel(a) #R\nend\nf()\nset_tcp(p[0,0,0.3,0,0,0])\nf()')],
-    "tool set in a thread": [script('thread t():\nset_tcp(p[0,0,0.3,0,0,0])\nend\nrun t()\nmovel(a) #R')],
     "tool computed": [script('movel(a) #R','set_tcp(get_tcp_offset())\n')],
     "no tool": [script('movel(a) #R\nmovej([0,1,0,1,0,1]) #K','')],
     "feature": [script('movel(pose_trans(b,a)) #K')],
@@ -181,7 +161,6 @@ URSCRIPT = {
     "one point, two solved tools": [script('movej(get_inverse_kin(a,tcp=p[0,0,0.5,0,0,0])) #K\nmovel(a) #O')],
     "text sent": [script('socket_send_string("movel(a)")\nmovel(a) #K')],
     "value sent": [script('socket_send_string(a)\nmovel(a) #O')],
-    "pose_sub of two points": [script('movel(pose_sub(a,b)) #R\nmovel(b) #O')],
     "condition sets the tool": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nreturn True\nend\nif f():\nx=1\nelse:\nmovel(a) #K\nend')],
     "loop condition sets the tool": [script('def f():\nset_tcp(p[0,0,0.3,0,0,0])\nreturn True\nend\nwhile f():\nmovel(a) #K\nend\nmovel(b) #K')],
     "else of a loop body": [script('while True:\nif x:\nset_tcp(p[0,0,0.3,0,0,0])\nelse:\nmovel(a) #R\nend\nend')],
@@ -251,7 +230,6 @@ STRANGE_RAPID = {
     "two statements in a line": [module('v1:=CRobT(); MoveL p2,~ !K\nMoveL v1,~ !R')],
     "INOUT of an INOUT": [module('outer v1;\nMoveL v1,~ !R','','PROC outer(INOUT robtarget r)\ninner r;\nENDPROC\nPROC inner(INOUT robtarget s)\ns:=CRobT();\nENDPROC\n')],
     "PERS parameter": [module('own q;\nMoveL q,~ !R','PERS robtarget q:='+target(8)+';\n','PROC own(PERS robtarget r)\nr.rot:=p1.rot;\nENDPROC\n')],
-    "number from the operator": [module('TPReadNum h,"how far?";\nMoveL Offs(p1,0,0,h),~ !R\nMoveL p1,~ !O','VAR num h:=10;\n')],
     "counter named as a number": [module('FOR h FROM 1 TO 3 DO\nMoveL Offs(p1,0,0,h),~ !R\nENDFOR','CONST num h:=10;\n')],
     "number counted by Add": [module('Add h,5;\nMoveL RelTool(p1,0,0,h),~ !R\nMoveL RelTool(p2,0,0,-k),~ !K','VAR num h:=10;\nCONST num k:=10;\n')],
     "number of the routine": [module('VAR num h:=10;\nMoveL Offs(p1,0,0,h),~ !K','VAR num h:=3;\n','PROC z()\nh:=h+1;\nENDPROC\n')],
@@ -273,12 +251,10 @@ STRANGE_URSCRIPT = {
     "named tool that is changed": [script('t[2]=0.1\nset_tcp(t)\nmovel(a) #R','t=p[0,0,0.2,0,0,0]\nset_tcp(t)\n')],
     "keyword named as a point": [script('movel(b, a=1.2, v=0.25) #K\nmovec(a, b, a=1.2, v=0.25, r=0, mode=1) #K')],
     "signs in texts": [script('textmsg("# movel(b), a=0")\npopup(\'say "a[2]=1" #\', title="\'")\n$ 3 "movel(a)" "breakAfter"\nmovel(a) #K')],
-    "text of a point": [script('textmsg("a", a)\nmovel(a) #O')],
     "solved joints changed": [script('q=get_inverse_kin(a)\nq[5]=q[5]+1\nmovej(q) #R\nmovel(a) #O')],
     "solved joints": [script('q=get_inverse_kin(a)\nmovej(q) #K\nmovel(a) #K')],
     "between points": [script('movel(interpolate_pose(a,b,0.5)) #R\nmovel(a) #O\nmovel(b) #O')],
     "asked for a solution": [script('if get_inverse_kin_has_solution(a):\nmovel(a) #O\nend')],
-    "waits for a point": [script('while norm(pose_sub(get_actual_tcp_pose(), a)) > 0.01:\nsync()\nend\nmovel(a) #O')],
     "offset of the path": [script('path_offset_enable() #R\npath_offset_set(p[0,0,0.1,0,0,0],1) #R\nmovel(a) #R')],
     "list of names": [script('l=[a,b]\nmovel(l[0]) #K\nmovel(a) #K\nmovel(b) #O')],
     "list by another name": [script('l=[a,b]\nd=l\nmovel(d[0]) #K\nmovel(a) #K')],
@@ -295,7 +271,6 @@ STRANGE_URSCRIPT = {
     "tool set by a program of its own": ['sec s():\nset_tcp(p[0,0,0.3,0,0,0])\nend\n'+script('movel(a) #R')],
     "set_tcp of the program": [script('def set_tcp(x):\nreturn 0\nend\nset_tcp(p[0,0,0.9,0,0,0])\nmovel(a) #R')],
     "CRLF and tabs": [script('\tif True:\n\t\tmovel( a , r = 0 ) #K\n\tend').replace('\n','\r\n')],
-    "keyword argument": [script('def f(x):\nmovel(x) #R\nend\nf(x=a)\nmovel(a) #O')],
     "returned": [script('def f():\nreturn a\nend\nmovel(f()) #R\nmovel(a) #O')],
     "feature changed": [script('f=p[0.1,0,0,0,0,0]\nf[2]=0.1\nmovel(pose_trans(f,a)) #R')],
     "computed number": [script('movel(p[0.4,0.1+0.1,0.3,0,3.1,0]) #R\nmovel(p[0.4,-.1,3e-1,0,3.1,0]) #K')],
@@ -409,9 +384,7 @@ def named(files):
 def error(flange):
     """Return the pose of a flange with an error of up to 0.7 mm and 1 mrad."""
     x, y, z = flange[:3, 3]
-    moved = frame_of(
-        (x + 0.5e-3 * np.sin(3 * x + 1), y + 0.4e-3 * np.cos(2 * y), z * (1 + 0.6e-3), 1e-3 * x, -1e-3 * y, 5e-4)
-    )
+    moved = frame_of((x + 5e-4 * np.sin(3 * x + 1), y + 4e-4 * np.cos(2 * y), 1.0006 * z, 1e-3 * x, -1e-3 * y, 5e-4))
     moved[:3, :3] = moved[:3, :3] @ flange[:3, :3]
     return moved
 
@@ -460,23 +433,19 @@ def check(language, files, **surroundings):
     assert outcomes == marks
     assert len(marks) == sum(len(MARK.findall(text)) for text in texts.values())
     if "O" not in marks:
-        assert {name: NUMBER.sub("#", data.decode("latin-1")) for name, data in after.items()} == {
-            name: NUMBER.sub("#", text) for name, text in texts.items()
-        }
+        without = [[NUMBER.sub("#", data.decode("latin-1")) for data in files.values()] for files in (before, after)]
+        assert without[0] == without[1]
     assert (after != before) == bool(set(marks) & {"K", "O"})
 
 
-@pytest.mark.parametrize(("language", "name"), [(language, name) for language, cases in ALL.items() for name in cases])
-def test_each_move_is_corrected_or_stays(language, name):
-    check(language, ALL[language][name], frames=GIVEN)
+PROGRAMS = [(language, cases[name]) for kind in (ALL, STRANGE) for language, cases in kind.items() for name in cases]
+NAMES = [f"{language}-{name}" for kind in (ALL, STRANGE) for language, cases in kind.items() for name in cases]
 
 
-@pytest.mark.parametrize(
-    ("language", "name"), [(language, name) for language, cases in STRANGE.items() for name in cases]
-)
-def test_strange_programs(language, name):
-    """Written from the languages alone, without a look at what reads them."""
-    check(language, STRANGE[language][name], frames=GIVEN)
+@pytest.mark.parametrize(("language", "files"), PROGRAMS, ids=NAMES)
+def test_each_move_is_corrected_or_stays(language, files):
+    """The strange ones are written from the languages alone, without a look at what reads them."""
+    check(language, files, frames=GIVEN)
 
 
 OUTSIDE = {  # what files that are not there may do: with --strict, and for names that nothing outside changes

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from tests.host import correct_bench
+from tests.host.controllers import pose_from
 from tests.host.puma_bench import CHAIN, DESIGN, TRUTH
 from tests.host.test_program_corrections import DATA, OBJECTS, POSES, TOOLS, Q, matrix, mm, module, robtarget, six
 
@@ -90,9 +91,7 @@ def irb120(q, origins=ORIGINS, offsets=0.0):
     for origin, axis, angle in zip(origins, AXES, q + offsets, strict=True):
         place = place + turn.apply(origin)
         turn = turn * Rotation.from_rotvec(angle * axis)
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = (turn * TOOL0).as_matrix(), place
-    return out
+    return pose_from(place, turn * TOOL0)
 
 
 def true_irb120(q):
@@ -119,14 +118,18 @@ def off(pose, goal):
     return np.array([*(goal - pose)[:3, 3], *turn])
 
 
+def target_at(pose, q):
+    """Return a robtarget with a pose and the configuration of joints q."""
+    cf1, cf4, cf6 = np.floor(q[[0, 3, 5]] / (0.5 * np.pi)).astype(int)
+    return f"[{mm(pose)},[{cf1},{cf4},{cf6},0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
+
+
 def robtargets(text):
     """Return the poses (n, 4, 4) of a module's robtargets."""
     found = []
     for place, turn in re.findall(r"\[\[([-\d.,]+)\],\[([-\d.,]+)\],\[[-\d,]+\],\[9E9", text):
-        w, x, y, z = map(float, turn.split(","))
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = Rotation.from_quat([x, y, z, w]).as_matrix(), np.fromstring(place, sep=",") * 1e-3
-        found.append(pose)
+        turn = Rotation.from_quat(np.roll(np.fromstring(turn, sep=","), -1))
+        found.append(pose_from(np.fromstring(place, sep=",") * 1e-3, turn))
     return np.array(found)
 
 
@@ -143,11 +146,7 @@ def abb(tmp_path_factory):
     q = np.array([0.2, 0.2, 0.1, 0.3, 0.9, -0.4]) + np.cumsum(rng.uniform(-0.15, 0.15, (8, 6)), axis=0)
     q[0] += 0.4  # a long way between the first two
     targets = np.array([irb120(one) for one in q])
-    quarters = np.floor(q / (0.5 * np.pi)).astype(int)
-    data = [
-        f"CONST robtarget p{k}:=[{mm(pose)},[{quarters[k, 0]},{quarters[k, 3]},{quarters[k, 5]},0],[9E9,9E9,9E9,9E9,9E9,9E9]];"
-        for k, pose in enumerate(targets)
-    ]
+    data = [f"CONST robtarget p{k}:={target_at(*pair)};" for k, pair in enumerate(zip(targets, q, strict=True))]
     moves = [f"Move{'L' if k else 'J'} p{k},v100,fine,tool0;" for k in range(len(q))]
     path = tmp_path_factory.mktemp("abb") / "p.mod"
     path.write_text("\n".join(["MODULE m", *data, "PROC main()", *moves, "ENDPROC", "ENDMODULE"]))
@@ -178,9 +177,7 @@ def test_how_straight_the_irb_120_moves_is_what_is_said(abb):
         turns = Slerp([0.0, 1.0], Rotation.from_matrix([start[:3, :3], end[:3, :3]]))
         places = []
         for share in np.linspace(0.0, 1.0, 13):
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = turns(share).as_matrix(), start[:3, 3] + share * (end - start)[:3, 3]
-            near = solved(pose, near)
+            near = solved(pose_from(start[:3, 3] + share * (end - start)[:3, 3], turns(share)), near)
             places.append(true_irb120(near)[:3, 3])
         along = (places[-1] - places[0]) / np.linalg.norm(places[-1] - places[0])
         beside = [np.linalg.norm(np.cross(place - places[0], along)) for place in places]
@@ -225,9 +222,8 @@ def test_the_geometry_of_a_urdf_decides_what_its_flange_is(tmp_path, turn, tool0
     path.write_text(urdf(TURNS[turn], tool0))
     chain = load_robot(str(path), "base_link", "flange").chain
     q = np.array([0.2, 0.2, 0.1, 0.3, 0.9, -0.4])
-    quarters = np.floor(q / (0.5 * np.pi)).astype(int)
-    target = f"[{mm(irb120(q))},[{quarters[0]},{quarters[3]},{quarters[5]},0],[9E9,9E9,9E9,9E9,9E9,9E9]]"
-    (tmp_path / "p.mod").write_text(f"MODULE m\nPROC main()\nMoveJ {target},v100,fine,tool0;\nENDPROC\nENDMODULE\n")
+    move = f"MoveJ {target_at(irb120(q), q)},v100,fine,tool0;"
+    (tmp_path / "p.mod").write_text(f"MODULE m\nPROC main()\n{move}\nENDPROC\nENDMODULE\n")
     nominal = chain.params_nominal
     how = HowCorrected(ModelPair(chain, nominal, nominal), "newton", 1, None, MARGIN)
     found = tool0_in_flange(RobotChoice(str(path), "base_link", "flange"), chain)
@@ -242,6 +238,8 @@ def test_the_geometry_of_a_urdf_decides_what_its_flange_is(tmp_path, turn, tool0
 
 
 # KUKA and Fanuc
+
+TOOL_1 = (0.0, 0.005, 0.02, 0.0, 0.0, 0.0)
 
 
 def angles(pose):
@@ -270,14 +268,12 @@ def ls_program(poses):
 @pytest.mark.parametrize("language", ["krl", "ls"])
 def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     """The poses that are written bring the true arm's tool to the targets."""
-    tool = matrix((0.0, 0.005, 0.02, 0.0, 0.0, 0.0))
+    tool = matrix(TOOL_1)
     asked = POSES[1:5] @ tool
     files = {"krl": krl_program, "ls": ls_program}[language](asked)
     how = HowCorrected(ModelPair(CHAIN, DESIGN, TRUTH), "newton", 1, None, MARGIN)
     names = CalibrationFrames("base", "tool0", brought=True, own=False)
-    options = ProgramOptions(
-        joint_moves=JointMoves.KEEP, tools={} if language == "krl" else {"ut1": (0.0, 0.005, 0.02, 0.0, 0.0, 0.0)}
-    )
+    options = ProgramOptions(joint_moves=JointMoves.KEEP, tools={} if language == "krl" else {"ut1": TOOL_1})
     contents = {name: text.encode() for name, text in files.items()}
     done = workflow.correct_program(contents, language, how, names, options)
     text = done.programs["p.dat" if language == "krl" else "p.ls"].decode()
@@ -285,11 +281,8 @@ def test_programs_of_kuka_and_fanuc_arms_go_where_they_should(language):
     pattern = r"\b%s (-?[\d.]+)" if language == "krl" else r"\b%s = (-?[\d.]+)"
     columns = [re.findall(pattern % name, text) for name in order]
     told = np.array(columns, dtype=float).T
-    pose = np.tile(np.eye(4), (4, 1, 1))
-    pose[:, :3, 3], pose[:, :3, :3] = (
-        1e-3 * told[:, :3],
-        Rotation.from_euler("ZYX", told[:, 3:], degrees=True).as_matrix(),
-    )
+    turns = Rotation.from_euler("ZYX", told[:, 3:], degrees=True)
+    pose = np.array([pose_from(place, turn) for place, turn in zip(1e-3 * told[:, :3], turns, strict=True)])
     q = inverse(CHAIN, DESIGN, pose @ np.linalg.inv(tool), Q[1:5]).q
     assert np.abs(forward(CHAIN, TRUTH, q) @ tool - asked).max() < 1e-6
     assert np.abs(forward(CHAIN, TRUTH, Q[1:5]) @ tool - asked).max() > 1e-3
@@ -304,16 +297,17 @@ def test_tools_and_work_objects_by_name_at_the_command_line(tmp_path, capsys):
     """Two of each, beside those of the module: the same numbers as where the module declares all of them."""
     lines = [f"MoveJ {robtarget(1 + 3 * t + w, t, w)},v100,fine,t{t}\\WObj:=w{w};" for t in range(3) for w in range(3)]
     whole = module([], lines)
-    part = "\n".join(line for line in whole.split("\r\n") if not re.match(r"  PERS \w+ [tw][12]:=", line))
+    part = "\n".join(line for line in whole.split("\r\n") if not re.match(r" *PERS \w+ [tw][12]:=", line))
     assert len(DATA) - 4 == part.count("PERS")
 
     def six_text(pose):
         numbers = [*(1e3 * pose[:3, 3]), *np.rad2deg(Rotation.from_matrix(pose[:3, :3]).as_rotvec())]
         return ",".join(f"{number:.12g}" for number in numbers)
 
-    named = [option for k in (1, 2) for option in (
-        "--tool", f"T{k}={six_text(matrix(TOOLS[k]))}", "--work", f"w{k}={six_text(matrix(OBJECTS[k][0]) @ matrix(OBJECTS[k][1]))}",
-    )]  # fmt: skip
+    named = []
+    for k in (1, 2):
+        frame = matrix(OBJECTS[k][0]) @ matrix(OBJECTS[k][1])
+        named += ["--tool", f"T{k}={six_text(matrix(TOOLS[k]))}", "--work", f"w{k}={six_text(frame)}"]
     correct_bench.write(tmp_path / "result.json", correct_bench.identified())
     home = ",".join(map(repr, np.rad2deg(Q[0]).tolist()))
     same = "0,0,0,0,0,0"
