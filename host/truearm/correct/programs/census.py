@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from truearm.correct.programs.program import Datum, Goal, Literal, Move, Place, Program
+from truearm.correct.programs.program import Datum, Goal, Move, Place, Program
 from truearm.findings import Finding
 from truearm.model.poses import apart, inverted
 from truearm.types import Floats
@@ -136,8 +136,3 @@ class Census:
 def replaceable(move: Move) -> bool:
     """Return whether numbers can be written in place of all targets of a move."""
     return bool(move.goals) and all(goal.argument is not None for goal in move.goals)
-
-
-def literals_of(goals: Iterable[Goal]) -> list[Literal]:
-    """Return the different literals of goals."""
-    return list({goal.target.literal.place: goal.target.literal for goal in goals}.values())

@@ -127,7 +127,7 @@ class Datum:
     kind: str
     place: Place
     local: bool = False
-    values: list[tuple[Tokens, object]] = field(default_factory=list)
+    values: list[tuple[Tokens, Any]] = field(default_factory=list)
     written: set[Place] = field(default_factory=set)
     uses: set[Place] = field(default_factory=set)
     changes: list[Change] = field(default_factory=list)

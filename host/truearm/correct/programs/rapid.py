@@ -101,17 +101,10 @@ def value_of(task: Task, tokens: Tokens, scope: Scope, depth: int = 0) -> Value:
 
 def _only_value(task: Task, datum: Datum, depth: int) -> Value:
     """Return the only value of a datum."""
-    values = {value_of(task, tokens, scope, depth) for tokens, scope in _values(datum)}
+    values = {value_of(task, tokens, scope, depth) for tokens, scope in datum.values}
     if len(values) > 1:
         raise Uncertain("several", name=datum.name)
     return values.pop()
-
-
-def _values(datum: Datum) -> list[tuple[Tokens, Scope]]:
-    """Return all values of a datum with their scopes. Raises Uncertain if it has none."""
-    if not datum.values:
-        raise Uncertain("no-value", name=datum.name)
-    return datum.values  # type: ignore[return-value]
 
 
 def _datum_of(task: Task, tokens: Tokens, scope: Scope, depth: int) -> tuple[Datum, int | None]:
@@ -122,6 +115,8 @@ def _datum_of(task: Task, tokens: Tokens, scope: Scope, depth: int) -> tuple[Dat
     if datum is None:
         raise Uncertain("undeclared", name=tokens[0].text)
     certain(task, datum)
+    if not datum.values:
+        raise Uncertain("no-value", name=datum.name)
     if len(tokens) == 1:
         return datum, None
     try:
@@ -156,7 +151,7 @@ def targets_of(
     datum, index = _datum_of(task, tokens, scope, depth)
     index = element if index is None else index
     use = datum, Place(scope.file, tokens[0].start)
-    targets = task.memo.get((datum, form, index), lambda: _several(task, _values(datum), form, index, depth))
+    targets = task.memo.get((datum, form, index), lambda: _several(task, datum.values, form, index, depth))
     return [Target(target.literal, target.left, target.right, (use, *target.uses)) for target in targets]
 
 

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from truearm.correct.programs.census import literals_of
 from truearm.correct.programs.corrected_text import Joints
 from truearm.correct.programs.poses import poses_of, readings_of
 from truearm.correct.programs.program import Goal, Move, Program
@@ -22,13 +21,11 @@ CLOSE = 1e-6  # m, rad: below a controller's resolution, above the rounding of t
 
 def target_poses(goals: Sequence[Goal]) -> Floats:
     """Return the targets (n, 4, 4) of goals that are poses, in their frames."""
-    literals = literals_of(goals)
-    rows = {literal.place: row for row, literal in enumerate(literals)}
-    poses = poses_of(literals)
-    if not goals:
-        return poses
-    left, right = (np.array(sides) for sides in zip(*((g.target.left, g.target.right) for g in goals), strict=True))
-    return np.asarray(left @ poses[[rows[goal.target.literal.place] for goal in goals]] @ right)
+    targets = [goal.target for goal in goals]
+    left, right = (
+        np.array(sides).reshape(-1, 4, 4) for sides in ([t.left for t in targets], [t.right for t in targets])
+    )
+    return np.asarray(left @ poses_of([target.literal for target in targets]) @ right)
 
 
 def difference(
