@@ -35,6 +35,7 @@ COMMON = {
         "progress",
         "findings",
         "display",
+        "finding_texts",
     ),
     "option_defaults",
     "__version__",
@@ -50,7 +51,7 @@ ROOMS = {
     "session": set(),
     "files": {"estimate", "kinds", "model"},  # of estimate its registry: the names of solvers, losses and priors
     "record": {"files", "session"},
-    "report": {"estimate", "kinds"},  # the registries, which say what solvers, losses and kinds are
+    "report": {"estimate", "kinds", "session"},  # the registries, and why dwells were rejected
     "box": {"files", "record", "report", "session"},
     "live": {"box", "record", "session"},
     "reproduce": {"estimate", "kinds", "model", "report"},
@@ -79,6 +80,7 @@ ROOMS = {
     "progress": set(),
     "findings": set(),
     "display": set(),
+    "finding_texts": set(),
     "units": set(),
     "schema": set(),
 }

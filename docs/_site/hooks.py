@@ -2,6 +2,7 @@
 
 - reference/commands/: a page a command, of what its parser knows;
 - reference/api.md: the docstrings of the public names, where the page has ``<!-- docstrings -->``;
+- reference/findings.md: the codes of findings, where the page has ``<!-- findings -->``;
 - reference/wire.md: protocol/SPEC.md; changes.md: CHANGELOG.md; notebooks/: a page a notebook.
 
 A link to another file of the repository goes to TRUEARM_URL where that is set; without it the file's name stays as text.
@@ -25,11 +26,13 @@ from mkdocs.structure.pages import Page
 
 import truearm
 from truearm.cli.main import command_tree
+from truearm.finding_texts import STATEMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = {"protocol/SPEC.md": "reference/wire.md", "CHANGELOG.md": "changes.md"}  # file of the repository → page
 COMMANDS = "reference/commands"
 DOCSTRINGS = "<!-- docstrings -->"
+FINDINGS = "<!-- findings -->"
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s#]+)(#[^)\s]*)?\)")
 external: dict[str, set[str]] = defaultdict(set)
 
@@ -61,6 +64,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Put the docstrings in, and point links that leave docs/ to where the file is found."""
     if DOCSTRINGS in markdown:
         markdown = markdown.replace(DOCSTRINGS, "\n".join(docstring_section(name) for name in truearm.__all__))
+    markdown = markdown.replace(FINDINGS, finding_table())
     uri = page.file.src_uri
     home = next((source for source, made in COPIED.items() if made == uri), f"docs/{uri}")
     return LINK.sub(lambda found: _link(found, home, uri), markdown)
@@ -86,6 +90,15 @@ def _link(found: re.Match[str], home: str, uri: str) -> str:
         raise FileNotFoundError(f"{home}: link to {target}, which does not exist")
     url = os.environ.get("TRUEARM_URL", "").rstrip("/")
     return f"[{text}]({url}/blob/HEAD/{path}{anchor})" if url else text
+
+
+def finding_table() -> str:
+    """All findings: code, severity, cause and remedy."""
+    rows = [
+        f"| `{code}` | {statement.severity} | {_escaped(statement.sentence)} | {_escaped(statement.remedy)} |"
+        for code, statement in STATEMENTS.items()
+    ]
+    return "\n".join(["| code | severity | sentence | remedy |", "|---|---|---|---|", *rows])
 
 
 # commands

@@ -1,29 +1,104 @@
-"""What truearm states about data: a short code with values. Screen, report and JSON put it into words."""
+"""What truearm states about data: a short code with values. Screen, page, JSON and Python are readers of these.
+
+``truearm.finding_texts`` has the severity, the sentence and the remedy of every code. To add a finding, add an entry
+there, and return ``Finding(code, values)`` where its cause is seen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+import shlex
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from string import Formatter
+from typing import Any
 
 from truearm.errors import InputError
+from truearm.finding_texts import STATEMENTS, Severity
+from truearm.text import counted, listed, one_line
+from truearm.units import SUFFIXES, UNITS
 
-
-class Severity(StrEnum):
-    """How much a finding matters: nothing is done because of it, the user must look at it, or it is a remark."""
-
-    REFUSAL = "refusal"
-    WARNING = "warning"
-    NOTE = "note"
+_OPTIONAL = re.compile(r"\[([^\[\]]*)\]")
+_ABSENT: tuple[Any, ...] = (None, "", (), [], {}, False)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement by its code, such as "shared-use", with the values that its text needs."""
+    """A statement by its code, such as "shared-use", with the values that its text needs.
+
+    Values are numbers, texts, lists of texts, and quantities: {"mm": 0.42}, with one number for each unit.
+    """
 
     code: str
-    values: Mapping[str, object] = field(default_factory=dict)
-    severity: Severity = Severity.REFUSAL
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def severity(self) -> Severity:
+        return STATEMENTS[self.code].severity
+
+    def text(self, argument: Callable[[str], str] = str) -> str:
+        """Return the sentence and the remedy; ``argument`` is the format of arguments of truearm."""
+        statement = STATEMENTS[self.code]
+        return " ".join(worded(text, self.values, argument) for text in statement[1:] if text)
+
+    def entry(self) -> dict[str, Any]:
+        """Return the finding as JSON."""
+        return {"code": self.code, "severity": self.severity.value, "text": self.text(), "values": dict(self.values)}
+
+
+def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], str] = str) -> str:
+    """Return a template with its values.
+
+    ``{name}``: a text, a list of texts, or a quantity. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
+    ``{n:?is|are}``: the first for one. ``{@loss}``: the argument of this name; ``{rows:@leave_out}``: it, before each
+    text of a list. ``[…]`` is left out if one of its values is
+    absent or false; ``{name:!}`` prints nothing, so that only its presence matters.
+    """
+    words = _Words(argument)
+
+    def present(optional: re.Match[str]) -> str:
+        names = [name for _, name, _, _ in words.parse(optional[1]) if name and not name.startswith("@")]
+        return "" if any(values.get(name) in _ABSENT for name in names) else optional[1]
+
+    return words.vformat(_OPTIONAL.sub(present, template), (), values)
+
+
+class _Words(Formatter):
+    """The formatter of ``worded``."""
+
+    def __init__(self, argument: Callable[[str], str]) -> None:
+        self._argument = argument
+
+    def get_value(self, key: int | str, args: Any, kwargs: Mapping[str, Any]) -> Any:
+        name = str(key)
+        return self._argument(name[1:]) if name.startswith("@") else kwargs[name]
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        kind, choice = format_spec[:1], format_spec[1:].partition("|")
+        count = len(value) if isinstance(value, list | tuple) else value
+        if kind == "!":
+            return ""
+        if kind == "#":
+            return counted(count, choice[0], choice[2])
+        if kind == "?":
+            return choice[0] if count == 1 else choice[2]
+        if isinstance(value, Mapping):
+            return " and ".join(_quantity(number, suffix, format_spec) for suffix, number in value.items())
+        if format_spec.startswith("@"):
+            return " ".join(f"{self._argument(format_spec[1:])} {shlex.quote(one_line(text))}" for text in value)
+        if isinstance(value, list | tuple):
+            return listed([one_line(str(name)) for name in value])
+        if value is None:
+            return "-"
+        return one_line(value) if isinstance(value, str) else format(value, format_spec)
+
+
+def _quantity(number: float | None, suffix: str, spec: str) -> str:
+    """Return a number in the unit of a suffix, by default with one decimal less than a parameter."""
+    unit = SUFFIXES[suffix]
+    if number is None:
+        return "-"
+    return f"{number:{spec or f'.{UNITS[unit.si].decimals - 1}f'}} {unit.symbol}".rstrip()
 
 
 class FindingError(InputError):

@@ -13,7 +13,7 @@ import truearm
 import truearm.extend
 from tests.docs.pages import PAGES, ROOT, Block, blocks, page_skip, unprinted
 from truearm.cli.main import command_tree, main
-from truearm.report.systematic_words import GRADUAL
+from truearm.report.result_findings import GRADUAL
 from truearm.results import DriftWith
 
 BLOCKS = {page: blocks(page.read_text(encoding="utf-8")) for page in PAGES}

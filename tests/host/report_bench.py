@@ -10,10 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy import stats
 
+from truearm.findings import Finding
 from truearm.kinds.registry import NAMES, kinds
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import MOST, Certificate, Recording, Sensor, facts_of, more, sensor_facts
-from truearm.results import Addition, Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
+from truearm.results import Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
 from truearm.types import ObservationTable
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
@@ -280,10 +281,6 @@ def full_page():
         chi2_band=(0.9, 1.1),
         observability=Observability(2.5, 1.25e-7, 0.75, 0.009),
         suggested_free=e.free & (np.arange(54) > 9),
-        additions=(
-            Addition("pairing", ("c3", "s2"), 35, LINK, "measure both"),
-            Addition("line", (), 34, LINK, "measure a line"),
-        ),
         null_space=(NullDirection(("link1.x", "link2.x"), (1.0, -1.0)),),
         hardly_seen=(NullDirection(("link2.z",), (1.0,)),),
     )
@@ -291,7 +288,7 @@ def full_page():
         page,
         estimate=estimate,
         table=replace(page.table, rig=np.where(index % 2 == 0, "monday", "tuesday")),
-        usability=("This explains the observations: the names of chuck c1 and c2 are exchanged.",),
+        findings=(Finding("wrong-inputs", {"after": {"mm": 43.0}}), Finding("labels-unchecked"), Finding("no-law")),
         predicted=PredictedError(6.4e-5, 1.12e-4, "y.csv row 7", 20, True),
         prior="weak",
         certificate=CERTIFICATE,

@@ -47,6 +47,7 @@ PARAMETER = {
     "of": str,
 }
 LISTS = {
+    "findings",
     *("inputs", "observations", "free", "null_space", "residual_units", "held_out_by", "parameters"),
     *("suggested_free", "additions", "relabellings", "chi2_band", "suspect", "hardly_seen", "systematic", "sessions"),
     "all_held_out",

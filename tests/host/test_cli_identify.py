@@ -13,8 +13,8 @@ import ulb_bench
 from command_line import Run, told
 from identify_bench import MUKCA, SIGMA, exact_lengths, identified
 from result_schema import check_schema
+from tests.host.findings_bench import stated
 
-from truearm.cli.identify_text import not_converged, predicted
 from truearm.files.observation_table import concatenate, read_table, write_table
 from truearm.files.rig_file import write_rig
 from truearm.types import Device, ObservationTable, Rig
@@ -36,15 +36,13 @@ def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) ->
 
 
 def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--all-free", "--hold-out", "outer")
+    outcome = run(*good, "--all-free", "--hold-out", "outer", "--details")
     assert outcome.code == 0
     for words in (
-        "puma560: 70 ball_bar rows fitted, 20 held out; converged",
-        "rank 36 of 54 free",
+        "puma560: 36 of 54 parameters identified from 70 ball-bar rows fitted, 20 held out",
         "unidentifiable",
         "18 combinations of parameters are unidentifiable",
         "held out, mean",
-        "--out result.json",
     ):
         assert words in outcome.out
     # Table II: link 2's x is -180.00 mm by design and -180.803 mm in truth.
@@ -60,9 +58,8 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
     outcome = run(*arguments, "--all-free", "--max-iterations", 1)
     assert outcome.code == 3
-    assert "rank 33 of 54 free" in outcome.out  # the paper's Table I: one chuck, three spheres
+    assert "33 of 54 parameters" in outcome.out  # the paper's Table I: one chuck, three spheres
     assert outcome.out.startswith("This fit is not usable. It did not converge")
-    assert "Tool error predicted" not in outcome.out
     # The paper's Table I: a second chuck makes 35, a third sphere is there already.
     assert (
         "Next: measure with one more chuck, not in line with the others, to identify 2 more parameters" in outcome.out
@@ -73,11 +70,10 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     assert document["predicted_error"] is None
     # The inputs are right and a fit that goes on shows it: nobody is sent to look for a mistake in them.
     assert (document["explanations"], document["relabelling_search"]) == ([], "not needed")
-    (stopped,) = not_converged(document)
-    assert "--max-iterations" in stopped
-    assert "roll" not in stopped
-    (stopped,) = not_converged({**document, "status": "stalled"})
-    assert "--max-iterations" not in stopped  # more of them would not help
+    stopped = stated(document)["meaningless"].values
+    assert stopped["limit"]
+    assert not stopped["line"]
+    assert not stated({**document, "status": "stalled"})["meaningless"].values["limit"]  # more would not help
 
 
 def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> None:
@@ -85,14 +81,9 @@ def test_a_fit_that_creeps_is_told_what_holds_it(run: Run, tmp_path: Path) -> No
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     document = json.loads(run("identify", tmp_path / "t.csv", "--model", "ulb", "--max-iterations", 1, "--json").out)
     assert document["status"] == "max_iterations"
-    (stopped,) = not_converged(document)
-    assert (
-        "A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg."
-        in stopped
-    )
+    assert stated(document)["meaningless"].values["line"]
     hardly = [{"names": ["joint2.d"], "weights": [1.0]}]
-    (stopped,) = not_converged({**document, "prior": "none", "hardly_seen": hardly})
-    assert "give --prior weak" in stopped
+    assert "meaningless-weak" in stated({**document, "prior": "none", "hardly_seen": hardly})
 
 
 @pytest.mark.parametrize(
@@ -105,7 +96,11 @@ def test_every_solver_can_be_asked_for(
     result, text = identified(run, tmp_path, *noisy, "--solver", solver)
     assert (result["solver"], result["loss"], result["prior"]) == (solver, "linear", prior)
     check_schema(result)
-    assert ("Use the solver map for a valid covariance" in " ".join(text.split())) == (solver == "renders-1991")
+    assert (
+        ("solver-recipe" in stated(result))
+        == ("valid covariance" in " ".join(text.split()))
+        == (solver == "renders-1991")
+    )
 
 
 @pytest.mark.parametrize("options", [("--loss", "huber"), ("--loss", "cauchy"), ("--solver", "recursive")])
@@ -115,12 +110,13 @@ def test_a_faulty_row_is_named(
     table, rig = noisy
     value = table.value.copy()
     value[70] += 20 * SIGMA
-    result, text = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    result, _ = identified(run, tmp_path, replace(table, value=value), rig, *options)
     # Row 1 is the header.
     assert [entry["source"] for entry in result["suspect"]] == ["t.csv row 72"]
     assert result["suspect"][0]["weight"] < 0.5
-    assert "t.csv row 72 (" in text
-    assert ("1 left out of the fit" in text) == (options[1] == "recursive")
+    outliers = stated(result)["outliers"].values
+    assert "t.csv row 72 (" in outliers["rows"]
+    assert outliers["left_out"] == (options[1] == "recursive")
     assert identified(run, tmp_path, *noisy, *options)[0]["suspect"] == []
 
 
@@ -147,13 +143,11 @@ def test_a_wrong_label_is_the_first_thing_said(run: Run, tmp_path: Path, noisy: 
 
 
 def test_chi2_is_shown_with_its_band(run: Run, tmp_path: Path, noisy: tuple[ObservationTable, Rig]) -> None:
-    result, text = identified(run, tmp_path, *noisy)
+    result, _ = identified(run, tmp_path, *noisy)
     low, high = result["chi2_band"]
     assert low < result["chi2_reduced"] < high
-    assert (
-        f"χ² per degree of freedom {result['chi2_reduced']:.3g}, within its 95 % range of {low:.3g} to {high:.3g}."
-        in text
-    )
+    shown = stated(result)["chi2"].values
+    assert (shown["where"], shown["low"], shown["high"]) == ("within", low, high)
 
 
 def test_free_and_freeze_choose_parameters(run: Run, good: list[object]) -> None:
@@ -228,14 +222,12 @@ def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:
     assert (result["held_out"]["n"], result["held_out"]["n_settled"]) == (24, 12)
     assert result["held_out"]["rms_mm"] < 0.2 * result["held_out_before"]["rms_mm"]
     assert result["rank"] == 4  # the tool lies on the last axis, which its offset turns about
-    assert result["additions"][0]["parameters"] == ["joint6.offset"]
+    assert result["additions"] == []  # no further line shows it, and the user has no other equipment
     for p in result["parameters"]:
         if p["of"] == "robot" and p["sigma"] is not None:
             # 4 σ: one of four clean parameters lies beyond in one draw of 4,000
             assert abs(p["value"] - p["nominal"] - 0.01) < 4 * p["sigma"]
-    text = run(*arguments).out
-    assert "1 combination of parameters is unidentifiable" in text
-    assert "to identify 1 more parameter: joint6.offset" in text
+    assert stated(result)["identified"].values["unseen"] == 1
 
 
 def documented_figures() -> list[list[str]]:
@@ -272,19 +264,17 @@ def test_a_fit_without_spare_rows_says_so(run: Run, tmp_path: Path) -> None:
     lines = (MUKCA / "panda_3.csv").read_text().splitlines()
     few = tmp_path / "few.csv"
     few.write_text("\n".join(lines[:12]) + "\n")
-    outcome = run("identify", str(few), "--model", str(MUKCA / "panda.urdf"), "--tip", "ball_link")
+    outcome = run("identify", str(few), "--model", str(MUKCA / "panda.urdf"), "--tip", "ball_link", "--json")
     assert outcome.code == 0, outcome
-    said = " ".join(outcome.out.split())
-    assert "besides the unknowns of the rig: the residuals say nothing about accuracy" in said
-    assert "declared noise explains" not in outcome.out
+    findings = stated(json.loads(outcome.out))
+    assert findings["little-freedom"].values["rig"]
+    assert not {"noise-leaves", "noise-explains"} & set(findings)
 
 
 def test_an_error_of_the_tool_that_is_not_determined_is_no_number(good_text: str) -> None:
     document = json.loads(good_text)
-    assert predicted(document)[0].startswith("Tool error predicted from these sigmas: ")
-    assert predicted({**document, "predicted_error": None}) == [
-        "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool."
-    ]
+    assert "tool-error" in stated(document)
+    assert "tool-error-unpredictable" in stated({**document, "predicted_error": None})
 
 
 def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
@@ -302,12 +292,12 @@ def test_kinds_and_rigs_are_told_apart(run: Run, tmp_path: Path) -> None:
     write_rig(tmp_path / "tue.toml", Rig(targets=device_bench.TARGETS, trackers={"t": tracker}))
     arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--report", tmp_path / "r.html"]
     arguments += ["--rig", f"mon={tmp_path / 'mon.toml'}", "--rig", f"tue={tmp_path / 'tue.toml'}"]
-    result, text = json.loads(run(*arguments, "--json").out), run(*arguments, "--force").out
+    result, text = json.loads(run(*arguments, "--json").out), run(*arguments, "--force", "--details").out
     assert [(e["rig"], e["kind"], e["fitted"]) for e in result["observations"]] == [
         ("mon", "ball_bar", 90),
         ("tue", "pose", 60),
     ]
-    assert "puma560: 90 ball_bar, 60 pose rows fitted" in text
+    assert stated(result)["identified"].values["rows"] == "90 ball-bar rows, 60 tracked pose rows"
     assert re.search(r"^  mon: ball-bar +\d+\.\d{4} +\d+\.\d{4} +90$", text, re.M)
     assert re.search(r"^  tue: tracked pose +\d+\.\d{4} +\d+\.\d{4} +60$", text, re.M)
     # 2e-4 rad about three axes is 0.0198 deg; 180 of these angles, 6 % of which the fit takes up: 5.3 % each σ, four of them

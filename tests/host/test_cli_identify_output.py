@@ -11,6 +11,7 @@ import pytest
 from command_line import Run, told
 from identify_bench import MUKCA, ROOT, SIGMA, identified
 from result_schema import LISTS, OBJECTS, PARAMETER, RMS, SCALARS, check_schema, signed
+from tests.host.findings_bench import stated
 
 from truearm.cli import main as cli
 from truearm.files.result_file import parse_result, read_result
@@ -118,7 +119,7 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     value = table.value.copy()
     value[70] += 20 * SIGMA
     options = ["--solver", "map", "--loss", "huber", "--hold-out", "outer", "--report", tmp_path / "r.html"]
-    result, text = identified(run, tmp_path, replace(table, value=value), rig, *options)
+    result, _ = identified(run, tmp_path, replace(table, value=value), rig, *options)
     page = (tmp_path / "r.html").read_text()
     assert "<h1>Calibration of puma560</h1>" in page
     assert '<p class="subtitle">t.csv</p>' in page
@@ -129,10 +130,16 @@ def test_the_page_tells_what_the_result_tells(run: Run, tmp_path: Path, noisy: t
     predicted = result["predicted_error"]
     assert (predicted["n"], predicted["relative"]) == (180, False)
     assert 0.0 < predicted["rms_mm"] < predicted["max_mm"]
-    assert f"Tool error predicted from these sigmas: {predicted['rms_mm']:.4f} mm RMS over 180 poses, at most" in text
-    assert "Solved by map with a wide prior on the robot's parameters, huber loss." in text
-    o1 = result["observability"]["o1"]
-    assert f"Observability of {len(result['suggested_free'])} parameters: O1 {o1:.3g}" in text
+    findings = stated(result)
+    assert (findings["tool-error"].values["rms"], findings["tool-error"].values["n"]) == (
+        {"mm": predicted["rms_mm"]},
+        180,
+    )
+    assert (findings["solver"].values["solver"], findings["solver"].values["loss"]) == ("map", "huber")
+    assert findings["observability"].values["n"] == len(result["suggested_free"])
+    assert all(
+        of.text().replace("'", "&#x27;").replace('"', "&quot;").replace("<", "&lt;") in page for of in findings.values()
+    )
     (entry,) = result["observations"]
     assert entry["rms_after_mm"] == pytest.approx(result["rms_after_mm"])
     assert entry["rms_held_out_mm"] == pytest.approx(result["held_out"]["rms_mm"])
@@ -159,10 +166,10 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
 @pytest.mark.parametrize(
     ("name", "says", "key"),
     [
-        ("line", "line.mcap: 2 of 2 lines used (points are named PASS.POINT)\n", ("lines", "lines_used")),
+        ("line", "line.mcap: 2 of 2 lines used (points are named PASS.POINT).", ("lines", "lines_used")),
         (
             "ball-bar",
-            "ball-bar.mcap: 3 of 3 dwells used (numbered 1 to 6 with 3 stops for mounting)\n",
+            "ball-bar.mcap: 3 of 3 dwells used (numbered 1 to 6 with 3 stops for mounting).",
             ("dwells", "used"),
         ),
     ],
@@ -172,8 +179,8 @@ def test_what_a_session_gave_is_counted_in_its_own_kind(
 ) -> None:
     session = MUKCA.parent / "sessions" / f"{name}.mcap"
     out = tmp_path / "r.json"
-    outcome = run("identify", session, "--model", "puma560", "--max-iterations", "1", "--out", out)
-    assert says in outcome.out
+    run("identify", session, "--model", "puma560", "--max-iterations", "1", "--out", out)
+    assert stated(json.loads(out.read_text()))["session"].text() == says
     (count,) = json.loads(out.read_text())["sessions"]
     assert count[key[0]] == count[key[1]] > 0
     assert count["lines_rejected"] == {}

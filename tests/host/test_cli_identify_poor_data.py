@@ -21,6 +21,7 @@ from puma_bench import (
     table,
     vertical_tool_poses,
 )
+from tests.host.findings_bench import stated
 
 from truearm.cli import main as cli
 from truearm.estimate import wrong_inputs
@@ -57,10 +58,7 @@ def held_as_a_choice_of_frame(result, text, n_base, rank):
     assert result["rank"] == result["n_free"] == rank
     assert len(result["defaults"]["base"]) == n_base
     assert result["null_space"] == []
-    assert (
-        f"Held at the nominal values, because such observations cannot determine them in any pose: the pose of the base ({result['defaults']['base'][0]}"
-        in text
-    )
+    assert stated(result)["held-frames"].values["base"] == result["defaults"]["base"]
 
 
 def unseen_and_advised(result, text, rank, advice, promised=None):
@@ -72,11 +70,11 @@ def unseen_and_advised(result, text, rank, advice, promised=None):
     assert {name for direction in result["null_space"] for name in direction["names"]} == unseen
     assert all(p["sigma"] is None for p in result["parameters"] if p["name"] in unseen)
     assert all(np.isfinite(p["value"]) for p in result["parameters"])
-    assert f"rank {rank} of {result['n_free']} free" in text
-    assert f"{lost} combination{'s' * (lost > 1)} of parameters {'are' if lost > 1 else 'is'} unidentifiable" in text
-    assert f"Next: {advice}" in text
-    more = promised or lost
-    assert f"to identify {more} more parameter{'s' * (more > 1)}" in text
+    shown = stated(result)["identified"].values
+    assert (shown["rank"], shown["n_free"], shown["unseen"]) == (rank, result["n_free"], lost)
+    advised = {of["values"]["what"]: of["values"] for of in result["findings"] if of["code"] == "measure-next"}
+    assert advised[advice]["n"] == (promised or lost)
+    assert not advised[advice]["full_rank"]
 
 
 POSES = "measure more varied poses with the same chucks and spheres"
@@ -90,12 +88,12 @@ def test_a_contradictory_rig(identified):
     """The coordinates of two chucks are exchanged and one is off by 50 mm: no robot fits the lengths, whatever their labels."""
     (a, b, c) = (p.xyz for p in RIG.chucks.values())
     wrong = with_chucks([b, (a[0], a[1], a[2] + 0.05), c])
-    result, text = identified(random_table(100, np.random.default_rng(0), SIGMA), wrong)
+    result, _ = identified(random_table(100, np.random.default_rng(0), SIGMA), wrong)
     assert (result["relabellings"], result["relabelling_search"]) == ([], "done")
     assert result["rank"] == 36
     assert result["chi2_reduced"] > 100 * result["chi2_band"][1]
-    assert "above its 95 % range" in text
-    assert "times what the declared sigmas allow: the robot has errors that these parameters do not model" in text
+    assert stated(result)["chi2"].values["where"] == "above"
+    assert "doubtful-residuals" in stated(result)
 
 
 @pytest.mark.parametrize("searched", [False, pytest.param(True, marks=pytest.mark.soak)])
@@ -129,10 +127,8 @@ def test_too_few_observations(identified, solver):
     assert result["chi2_reduced"] is None
     assert not result["usable"]
     if result["unusable_because"] != "not converged":
-        assert text.startswith(
-            "This fit is not usable. Its residuals have no degrees of freedom: the parameters fit any"
-        )
-        assert "Only 0" not in text
+        assert next(iter(stated(result))) == "no-freedom"
+        assert "little-freedom" not in stated(result)
 
 
 def test_too_few_observations_under_a_prior_are_judged_by_what_is_left(identified):
@@ -165,10 +161,10 @@ def test_a_constant_tool_orientation(identified):
 def test_a_wrist_that_stays_in_the_arms_plane(identified):
     """Nine parameters lost (docs/decisions/0007), some of them since joint 4 stands still: these are held."""
     q, pairs = vertical_tool_poses(200, np.random.default_rng(7)), all_pairs(200)
-    result, text = identified(table(q, lengths(DESIGN, q, pairs), pairs))
-    assert "joint4 moves by only 0.00 deg, too little to identify its axis; move it more." in text
+    result, _ = identified(table(q, lengths(DESIGN, q, pairs), pairs))
+    assert stated(result)["still"].values == {"joint": "joint4", "spread": "0.00 deg"}
     lost = result["defaults"]["lost"]
-    assert f"Therefore also held at the nominal values: {lost[0]}" in text
+    assert stated(result)["held-with-still"].values["names"] == lost
     assert result["rank"] == 27
     assert result["n_free"] == 36 - len(lost)
     assert len(result["null_space"]) == 9 - len(lost)
@@ -179,20 +175,18 @@ def test_a_tool_orientation_that_a_real_arm_keeps_nearly(identified, n):
     """The rank is full by what the arm strays, millidegrees to degrees; the same three are told to be hardly seen."""
     q, pairs = constant_orientation_poses(n, np.random.default_rng(7)), all_pairs(n)
     rows = table(q, lengths(TRUTH, q, pairs) + SIGMA * np.random.default_rng(8).normal(size=n), pairs)
-    result, text = identified(rows)
+    result, _ = identified(rows)
     assert (result["rank"], result["null_space"]) == (36, [])
     assert len(result["hardly_seen"]) == 3
     # Where the base and where the tool is: shifts of the one undo those of the other.
     parts = {name.partition(".")[0] for direction in result["hardly_seen"] for name in direction["names"]}
     assert {"link1", "link7"} <= parts
-    assert (
-        "3 combinations of parameters are weakly identifiable: these observations determine them less accurately than a drawing does (1 mm, 5 mrad"
-        in text
-    )
-    assert f"Next: {POSES} to determine 3 more parameters better than a drawing" in text
-    varied, plain = identified(random_table(200, np.random.default_rng(9), SIGMA))
+    assert stated(result)["identified"].values["weak"] == 3
+    (advised,) = [of["values"] for of in result["findings"] if of["values"].get("what") == POSES]
+    assert (advised["n"], advised["full_rank"]) == (3, True)
+    varied, _ = identified(random_table(200, np.random.default_rng(9), SIGMA))
     assert (varied["hardly_seen"], varied["additions"]) == ([], [])
-    assert "All free parameters are identifiable." in plain
+    assert stated(varied)["identified"].values["unseen"] == 0
 
 
 def test_nothing_measured_is_misuse(tmp_path, capsys):

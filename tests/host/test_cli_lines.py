@@ -86,8 +86,8 @@ def test_identify_says_how_late_the_readings_are(folder, solver, said):
 
 def test_identify_in_words_and_on_its_page(folder, said):
     command = ("identify", folder / "both.mcap", "--model", "puma560", "--solver", "map", "--line-points", "8")
-    text = said(*command, "--hold-out", "shell=l2-down", "--report", folder / "page.html")
-    assert "24 line rows fitted, 8 held out" in text
+    text = said(*command, "--details", "--hold-out", "shell=l2-down", "--report", folder / "page.html")
+    assert "24 line rows fitted, 8 held out" in " ".join(text.split())
     late, sigma = map(
         float, re.search(r"time_offset: the joint readings are (\S+) ms late \(σ (\S+) ms\)", text).groups()
     )
@@ -99,7 +99,7 @@ def test_identify_in_words_and_on_its_page(folder, said):
 
 
 def test_one_way_is_said_not_to_show_the_delay(folder, said):
-    text = said("identify", folder / "one.mcap", "--model", "puma560", "--solver", "map")
+    text = said("identify", folder / "one.mcap", "--model", "puma560", "--solver", "map", "--details")
     assert "time_offset: the delay of the joint readings is unidentifiable" in text
     assert "Drive lines there and back." in text
     (row,) = [line.split() for line in text.splitlines() if line.startswith("time_offset ")]

@@ -1,5 +1,6 @@
 """``truearm identify`` on data with a systematic error: what it prints and stores, and that its advice helps."""
 
+import html
 import json
 import re
 from dataclasses import replace
@@ -10,10 +11,11 @@ import pytest
 from command_line import Run, told
 from puma_bench import CHAIN, SIGMA
 from result_schema import check_schema
+from tests.host.findings_bench import stated
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
-from truearm.report.systematic_words import hardly_matters, systematic_sentences
+from truearm.report.result_findings import hardly_matters, systematic_findings
 
 
 @pytest.fixture(scope="module")
@@ -53,24 +55,19 @@ def test_a_person_reads_what_is_off_and_what_to_do(run: Run, slip, tmp_path) -> 
     folder, chuck, _ = slip
     page = tmp_path / "page.html"
     files = [folder / "poses.csv", "--model", "puma560", "--rig", folder / "rig.toml", "--report", page]
-    outcome = run("identify", *files)
-    assert outcome.out.startswith(f"Systematic error: chuck.{chuck} is off by 0.")
-    assert "To apply it: --allow chuck." in outcome.out
-    # The largest comes first: the slip displaces base and tool, and lengths from the slipped chuck agree with that.
-    # Then the error of poses that were not fitted. The covariance knows nothing of the slip.
-    expect = r"The fit has systematic errors\. Expect tool errors of at least (0\.\d+) mm RMS: the tool moves by that "
-    measured = r"The error that the rows show: (0\.\d+) mm \(95 %: (0\.\d+) to (0\.\d+)\), the mean of "
-    without = r"The sigmas predict a tool error of (0\.\d+) mm RMS over "
-    for text in (outcome.out, page.read_text()):
-        assert "Tool error predicted from these sigmas" not in text
-        assert "of the tool, predicted" not in text
-        assert "The covariance of the parameters predicts" not in text
-        mean, low, high = map(float, re.search(measured, text).groups())
-        assert low < mean < high
-        assert float(re.search(expect, text)[1]) > mean
-        places = [re.search(words, text).start() for words in (expect, measured, without)]
-        assert places == sorted(places)
-    assert f"Systematic error: chuck.{chuck} is off by 0." in page.read_text()
+    outcome = run("identify", *files, "--json")
+    findings = stated(json.loads(outcome.out))
+    assert findings["systematic-offset"].values["what"] == f"chuck.{chuck}"
+    assert findings["systematic-apply"].values["allow"][0].startswith("chuck.")
+    # The largest is the one to expect: the slip displaces base and tool, and lengths from the slipped chuck agree with that.
+    # The covariance knows nothing of the slip.
+    assert "tool-error" not in findings
+    expected = findings["tool-error-systematic"].values
+    assert expected["moves"]["mm"] > expected["error"]["mm"] > 0.0
+    text = html.unescape(page.read_text())
+    assert "of the tool, predicted" not in text
+    assert findings["tool-error-systematic"].text() in text
+    assert findings["systematic-offset"].text() in text
 
 
 def test_rows_that_are_left_out_neither_fit_nor_judge(run: Run, slip) -> None:
@@ -111,7 +108,7 @@ def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run:
     run("identify", tmp_path / "clean.csv", "--model", "puma560", *files, "--out", tmp_path / "result.json")
     outcome = run("validate", tmp_path / "result.json", folder / "poses.csv", *files)
     assert f"Systematic error: chuck.{chuck} is off by 0." in outcome.out
-    assert "Correct the error at its source, or judge the result by rows without it. Without it, χ²" in outcome.out
+    assert "Correct the error at its source, or judge the result by rows without it." in outcome.out
     assert "allow" not in outcome.out
 
 
@@ -141,9 +138,9 @@ def document(moves_mm, one):
 def test_a_finding_that_hardly_moves_the_tool_says_so(moves_mm, little):
     of = document(moves_mm, entry([1, 232], [1, 1], [220, 244]))
     assert hardly_matters(of) is little
-    finding, apply = systematic_sentences(of, str)
-    assert "rows 1 to 232±12 (in the files: a.csv row 1 to a.csv row 232)" in finding
-    assert ("less than a tenth of the error to expect" in apply) is little
+    error, apply = systematic_findings(of)
+    assert error.values["rows"] == "rows 1 to 232±12 (in the files: a.csv row 1 to a.csv row 232)"
+    assert apply.values["little"] is little
 
 
 def test_other_explanations_are_said_in_words():
@@ -156,46 +153,42 @@ def test_other_explanations_are_said_in_words():
         "chuck.c1",
     ]
     of = document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names})
-    finding, which, figures = systematic_sentences(of, "--{}".format)
-    assert finding.endswith(
+    error, which = systematic_findings(of)
+    assert error.text().endswith(
         "; or, nearly as well supported: a gradual change of bar.b46.zero, or bad rows 196 to 200, "
         "or a constant error of base from row 181 on (base@181), "
         "or a drift of bar.b46.zero linear in time in all rows (bar.b46.zero.drift), "
         "or a constant error of chuck.c2 in rows 1 to 9 (chuck.c2@1:9), or a constant error of chuck.c1 in all rows. "
         "Estimating the first: χ² falls by 60 with 3 degrees of freedom."
     )
-    assert which.startswith("The rows do not show which of these explanations is right")
-    assert figures.startswith(
-        "With the first explanation: χ² per degree of freedom is 64, and the tool moves by 0.200 mm RMS."
-    )
-    assert "target.reflector@" not in which + figures, "no advice to apply one of them"
+    assert (which.code, which.values["chi2"], which.values["moves"]) == ("systematic-open", "64", {"mm": 0.2})
+    assert "target.reflector@" not in which.text(), "no advice to apply one of them"
 
 
 def test_other_forms_of_an_error_of_the_same_item_do_not_forbid_to_apply_it():
     names = ["a gradual change of target.reflector", "target.reflector.thermal_drift", "target.reflector@1:40"]
     of = document(0.2, {**entry([1, 232], [1, 1], [220, 244]), "rivals": names})
-    finding, apply = systematic_sentences(of, "--{}".format)
-    assert finding.endswith(
+    error, apply = systematic_findings(of)
+    assert error.text().endswith(
         "Other possible explanations: a gradual change of target.reflector, a drift of target.reflector linear in the "
         "temperature in all rows (target.reflector.thermal_drift), a constant error of target.reflector in rows 1 to 40 "
         "(target.reflector@1:40)."
     )
-    assert apply.startswith("To apply it: --allow target.reflector@1:232.")
+    assert apply.text("--{}".format).startswith("To apply it: --allow target.reflector@1:232.")
 
 
 def test_of_several_errors_only_the_certain_ones_are_applied():
     one = {**entry([1, 232], [1, 1], [220, 244]), "rivals": ["chuck.c1"]}
     sure = {**entry([1, 232], [1, 1], [220, 244]), "what": "chuck.c2", "apply": {"allow": "chuck.c2@1:232"}}
     of = {**document(0.2, one), "systematic": [one, sure]}
-    *_, which, figures = systematic_sentences(of, "--{}".format)
-    assert which.endswith("Until then, apply only what is certain: --allow chuck.c2@1:232.")
-    assert figures.startswith("With the first explanation of each error: χ²")
+    *_, which = systematic_findings(of)
+    assert (which.code, which.values["allow"]) == ("systematic-open", ["chuck.c2@1:232"])
+    assert which.text("--{}".format).endswith("Until then, apply only what is certain: --allow chuck.c2@1:232.")
 
 
 def test_a_finding_whose_last_row_may_be_anywhere_is_not_located():
-    finding, _ = systematic_sentences(document(0.2, entry([1, 232], [1, 1], [90, 744])), str)
-    assert "in some of rows 1 to 744 (rows 1 to 232 fit best, but others fit nearly as well)" in finding
-    assert "±" not in finding
+    error, _ = systematic_findings(document(0.2, entry([1, 232], [1, 1], [90, 744])))
+    assert error.values["rows"] == "some of rows 1 to 744 (rows 1 to 232 fit best, but others fit nearly as well)"
 
 
 def test_a_slip_in_a_table_that_is_sorted_by_a_joint_is_named_by_its_times(run: Run, tmp_path) -> None:

@@ -1,13 +1,11 @@
 """The declared and the unexplained part of the residuals, as two numbers."""
 
-import re
-
 import numpy as np
 import pytest
+from tests.host.findings_bench import stated
 from tests.host.puma_bench import CHAIN, FREE, RIG, ROBOT, SIGMA, random_table
 
 import truearm
-from truearm.cli import identify_text
 from truearm.estimate.identify import identify
 from truearm.workflows.calibration_report import write_page
 
@@ -29,18 +27,15 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(1), 3.0 * SIGMA), RIG)
     declared, unexplained = (found.document[f"rms_{name}_mm"] for name in ("declared", "unexplained"))
     assert declared**2 + unexplained**2 == pytest.approx(found.document["rms_after_mm"] ** 2)
-    words = (
-        f"Declared noise explains {declared:.4f} mm of the RMS after; the rest, {unexplained:.4f} mm, is unexplained"
-    )
-    assert any(words in line for line in identify_text.chi2_notes(found.document))
+    share = stated(found.document)["noise-leaves"]
+    assert (share.values["declared"], share.values["unexplained"]) == ({"mm": declared}, {"mm": unexplained})
+    assert share.values["rest"] == "is unexplained"
     write_page(tmp_path / "page.html", found)
-    assert words in (tmp_path / "page.html").read_text()
+    assert share.text() in (tmp_path / "page.html").read_text()
 
 
 def test_what_noise_alone_may_leave_is_not_called_unexplained():
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(0), 1.05 * SIGMA), RIG)
     assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
     assert found.document["rms_unexplained_mm"] > 0.0
-    text = " ".join(identify_text.chi2_notes(found.document))
-    assert re.search(r"the rest, 0\.0\d+ mm, may be chance", text)
-    assert "unexplained" not in text
+    assert stated(found.document)["noise-leaves"].values["rest"] == "may be chance"

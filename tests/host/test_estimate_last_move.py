@@ -13,7 +13,7 @@ from puma_bench import CHAIN, SIGMA
 from truearm.errors import InputError
 from truearm.estimate.circumstances import last_directions, last_moves
 from truearm.files.result_document import systematic_entries
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.result_findings import systematic_findings
 from truearm.types import ObservationTable
 from truearm.workflows.selection import parse_effect
 
@@ -84,13 +84,12 @@ def test_an_error_that_follows_the_last_move_is_named(form, joint):
 
 def test_the_message_says_what_to_look_at():
     rows = by_last_move(0, FORMS["settling"][0], 0)
-    said = " ".join(systematic_sentences(systematic_entries(worlds.identified(rows).systematic, rows), str))
-    assert "joint1 is off in proportion to its last move: the error changes by " in said
-    assert "(read before the arm stood still?)" in said
-    assert "allow joint1.settling" in said
+    error, apply = systematic_findings(systematic_entries(worlds.identified(rows).systematic, rows))
+    assert (error.code, error.values["what"]) == ("systematic-settling", "joint1")
+    assert apply.values["allow"] == ["joint1.settling"]
     rows = by_last_move(0, FORMS["backlash"][0], 0)
-    said = " ".join(systematic_sentences(systematic_entries(worlds.identified(rows).systematic, rows), str))
-    assert "joint1 has a backlash of " in said
+    error, *_ = systematic_findings(systematic_entries(worlds.identified(rows).systematic, rows))
+    assert (error.code, error.values["what"]) == ("systematic-backlash", "joint1")
 
 
 def test_without_moves_in_both_directions_nothing_can_be_estimated():

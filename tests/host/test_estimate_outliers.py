@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.host.findings_bench import stated
 from tests.host.puma_bench import CHAIN, FREE, RIG, SIGMA, SPHERES, TRUTH, random_table
 
 import truearm
-from truearm.cli import identify_text
-from truearm.cli.outlier_text import suspects
 from truearm.estimate.defaults import choose_defaults
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.model.chain import point_forward
-from truearm.report.suspect_words import bad_row_sentences
 
 REJECT = SolverOptions(reject=True)
 N = 360
@@ -119,23 +117,16 @@ def test_more_bad_rows_than_are_left_out_are_named(loss):
     )
     assert np.flatnonzero(of.estimate.suspect).tolist() == bad.tolist()
     assert of.estimate.systematic is None
-    said = bad_row_sentences(of.document, "--{}".format)
-    advised = identify_text.advice(of.document, identify_text.ResultFiles([], None))
-    assert not any("the robot has errors" in line for line in (*advised, *suspects(of.document)))
+    findings = stated(of.document)
+    assert not {"doubtful-residuals", "too-many-outliers"} & set(findings)
     if loss == "cauchy":
-        assert said == []
+        assert "bad-rows" not in findings
         assert of.estimate.chi2_reduced < of.estimate.chi2_band[1]
         assert tool_error(of.estimate) < 1.3 * of.predicted.rms
     else:
-        assert said[0].startswith(
-            "22 of 360 rows are bad: they disagree significantly with all others, which the declared noise explains"
-        )
-        assert said[-1].endswith("or give --loss cauchy.")
+        assert (findings["bad-rows"].values["n"], findings["bad-rows"].values["fitted"]) == (22, 360)
         assert of.estimate.without_bad_rows.chi2_reduced < of.estimate.chi2_band[1]
         assert (of.estimate.weight == 1.0).all()
         expect = of.estimate.without_bad_rows.moves
         assert tool_error(of.estimate) == pytest.approx(expect, rel=0.2)  # the fit without them errs too
-        first, _ = identify_text.predicted(of.document)
-        assert first.startswith(
-            f"Bad rows are in the fit. Expect tool errors of {1e3 * expect:.4f} mm RMS: the tool moves by that much"
-        )
+        assert findings["tool-error-bad-rows"].values["moves"] == {"mm": 1e3 * expect}

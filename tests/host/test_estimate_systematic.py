@@ -7,9 +7,9 @@ import fault_worlds as worlds
 import numpy as np
 import pytest
 from puma_bench import CHAIN, CHUCKS, DESIGN, FREE, PAIRS, RIG, SIGMA, TRUTH, lengths, random_poses, random_table, table
+from tests.host.findings_bench import stated
 
 import truearm
-from truearm.cli.identify_text import chi2_notes
 from truearm.errors import InputError
 from truearm.estimate import systematic_candidates
 from truearm.estimate.identify import SolverOptions, identify
@@ -27,7 +27,7 @@ from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.result_findings import systematic_findings
 from truearm.results import Effect
 from truearm.types import Device, ObservationTable, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
@@ -329,8 +329,8 @@ def in_time(rows, size, pause_s, swing):
 
 
 DRIFTS = {
-    "bar.bar46.zero.thermal_drift": "bar.bar46.zero drifts with the box's temperature (which varies by 6.0 °C) by ",
-    "bar.bar46.zero.drift": "bar.bar46.zero drifts linearly in 132 min by ",
+    "bar.bar46.zero.thermal_drift": ("systematic-thermal-drift", "over", {"degc": 6.0}),
+    "bar.bar46.zero.drift": ("systematic-drift", "minutes", 132),
 }
 
 
@@ -345,9 +345,10 @@ def test_a_drift_is_named_by_what_it_is_linear_in(name):
         found = the_one(before)
         assert str(found.effect) == name
         assert abs(found.size - 200e-6) < 4.0 * found.sigma < 150e-6
-        said, applied = systematic_sentences(systematic_entries(before.systematic, rows), str)
-        assert DRIFTS[name] in said
-        assert f"allow {name}." in applied
+        error, applied = systematic_findings(systematic_entries(before.systematic, rows))
+        code, value, expected = DRIFTS[name]
+        assert (error.code, error.values["what"], error.values[value]) == (code, "bar.bar46.zero", expected)
+        assert applied.values["allow"] == [name]
         after = worlds.identified(rows, [parse_effect(name)])
         assert after.systematic is None
         assert chi2(before) - chi2(after) == pytest.approx(found.drop, rel=0.01, abs=0.2)
@@ -416,9 +417,8 @@ def test_laws_are_not_fitted_to_rounding(mode, decimals):
     assert found.estimate.status == "converged"
     assert not (found.estimate.joint_laws and found.estimate.joint_laws.kept)
     if decimals is None:
-        assert chi2_notes(found.document)[0].startswith(
-            "χ² per degree of freedom 0 within rounding, below its 95 % range"
-        )
+        shown = stated(found.document)["chi2"].values
+        assert (shown["chi2"], shown["where"]) == ("0 within rounding", "below")
 
 
 def test_a_drift_is_a_drift_and_not_a_step():

@@ -33,7 +33,7 @@ from truearm.model.poses import position_and_rotation
 from truearm.plan.forecast import Known
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.law_figures import law_figures
-from truearm.report.law_words import law_sentences
+from truearm.report.law_findings import law_findings
 from truearm.types import CurveKnots, ObservationTable, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
@@ -296,7 +296,7 @@ def test_too_few_rows_and_still_joints_are_said():
     few = identified_with(table.select(np.arange(12) < 9), np.zeros(9, dtype=bool), "auto")
     for one in (found, few):
         assert "too few" in one.estimate.joint_laws.reasons[0]
-        assert law_sentences(one.document)[1] == "No joint law is used: the geometry alone is fitted."
+        assert [of.code for of in law_findings(one.document)][1] == "no-law"
 
 
 def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
@@ -369,7 +369,8 @@ def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
     assert blind.held_out.figures["m"].mean > 3.0 * mean
     laws = found.document["joint_laws"]
     assert [one["mass_kg"] for one in laws["payloads"]] == [0.0, 4.0]
-    assert "The sag of the joints depends on the payload, which was 0, 4 kg." in law_sentences(found.document)
+    (masses,) = [of.values["masses"] for of in law_findings(found.document) if of.code == "sag-of-payloads"]
+    assert masses == ["0", "4"]
     at = {name: i for i, name in enumerate(found.chain.parameter_names)}
     for joint, give in (("joint2", 4e-5), ("joint3", 6e-5)):
         which = at[f"{joint}.sag.payload"]
@@ -407,10 +408,8 @@ def test_sag_of_poses_with_alike_torques_is_said_to_be_extrapolated():
         "tried": [law, {**law, "joint": "joint3", "range_share": 0.9}],
         "noise": {"factor": 1.0, "shared_mm": 0.0, "joint_mrad": 0.0},
     }
-    assert [line for line in law_sentences({"joint_laws": found}) if "extrapolated" in line] == [
-        "The fitted poses show only part of the sag's range within the joint limits (joint2 18%): the rest is "
-        "extrapolated. Measure poses with other gravity torques if you use them."
-    ]
+    (shown,) = [of for of in law_findings({"joint_laws": found}) if of.code == "sag-extrapolated"]
+    assert shown.values == {"joints": ["joint2 18%"]}
 
 
 def test_one_payload_in_all_rows_says_nothing_of_another():
@@ -427,7 +426,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
-        assert any("holds for the payload of these rows, 4 kg" in line for line in law_sentences(found.document))
+        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [{"mass": ["4"]}]
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
     sentence = "The sag of the joints holds for the payload of the calibration, 4 kg."
     assert again.doubt_of_payload == sentence
@@ -501,7 +500,8 @@ def test_a_gap_in_the_readings_is_not_covered(gap_arm, tmp_path):
     assert not curve.covered[inside].any()
     assert {line.rpartition(",")[2] for line in np.array(curve_table([curve]).splitlines()[1:])[inside]} == {"0"}
     gap = f"except {np.degrees(left):.0f} to {np.degrees(right):.0f} deg"
-    assert any(line.startswith("joint1 curve") and gap in line for line in law_sentences(found.document))
+    (curve,) = [of for of in law_findings(found.document) if of.code == "curve-kept" and of.values["joint"] == "joint1"]
+    assert gap in curve.values["covered"]
     write_page(tmp_path / "page.html", found)
     assert gap in (tmp_path / "page.html").read_text()
     q = np.tile(found.table.q.mean(axis=0), (3, 1))

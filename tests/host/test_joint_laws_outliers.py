@@ -7,8 +7,8 @@ import pytest
 from test_joint_laws_monte_carlo import DOWN, MIDDLE, NOISE, POINTS, WIDE, rig_of, rms_error, table_of, truth_of
 from ur10_bench import ROBOT
 
-from truearm.cli.outlier_text import suspects
 from truearm.model.chain import joint_frames, point_forward
+from truearm.report.result_findings import outliers
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 GEAR, CYCLES = 4e-4, 17  # rad; cycles a turn
@@ -92,4 +92,5 @@ def test_the_reason_for_a_kept_row_is_that_of_the_fit(laws, why):
         "without_bad_rows": None,
         "joint_laws": {"tried": [{"kept": laws}]},
     }
-    assert suspects(document)[1].startswith(f"Not left out, because {why}: a.csv row 9 (6.0 σ). ")
+    (finding,) = outliers(document)
+    assert (finding.values["why"], finding.values["kept"]) == (why, "a.csv row 9 (6.0 σ)")

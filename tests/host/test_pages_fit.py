@@ -8,6 +8,7 @@ import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
 from report_bench import full_page, make_page
 
+from truearm.findings import Finding
 from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page
 from truearm.report.map_picture import Cells, map_picture
 
@@ -18,7 +19,9 @@ LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.
 def demo():
     """The report of ``truearm demo``, whose steps are as long as their names get."""
     steps = (("plan 800 poses on the shells of each bar", 1.5), ("record 1600 dwells, 73 minutes of robot time", 75.0))
-    return calibration_page.render(make_page(100, steps=steps, command=LONG, notes=(LONG,)))
+    return calibration_page.render(
+        make_page(100, steps=steps, command=LONG, findings=(Finding("not-converged", {"message": LONG}),) * 2)
+    )
 
 
 def gauge():

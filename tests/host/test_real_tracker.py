@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.host.findings_bench import stated
 from tests.host.ur10_bench import RIG, ROBOT, tracked
 
 import truearm
-from truearm.cli import identify_text
 from truearm.files.observation_table import concatenate
-from truearm.report.result_words import all_identifiable
-from truearm.report.usability_words import usability_sentences
+from truearm.report.result_findings import tool_error
 from truearm.workflows.selection import held_out_rows
 
 GEOMETRY = truearm.IdentifyOptions(joint_laws="none")
@@ -44,12 +43,13 @@ def test_defaults_converge_and_predict(series, kind, largest):
         p["value"] - p["nominal"] for p in found.document["parameters"] if p["unit"] == "m" and p["of"] == "robot"
     ]
     assert np.abs(lengths).max() < 8e-3  # nothing wanders off along what the data hardly tell
-    (before,) = identify_text.raw(found.document)
-    assert "target.reflector, tracker.tracker fitted" in before
+    findings = stated(found.document)
+    assert {"target.reflector", "tracker.tracker"} <= set(
+        (findings.get("before") or findings["before-placed"]).values["fitted"]
+    )
     assert found.document["unexplained"]["mean_mm"] == pytest.approx(errors.mean(), rel=0.05)
     assert found.document["predicted_error"] is None  # the covariance knows only of the declared noise
-    (line,) = [line for line in identify_text.held(found.document) if "in any pose" in line]
-    assert "the pose of the base (base.x" in line
+    assert "base.x" in findings["held-frames"].values["base"]
 
 
 def test_what_the_prior_holds_is_still_called_hardly_seen():
@@ -62,23 +62,6 @@ def test_what_the_prior_holds_is_still_called_hardly_seen():
     free = truearm.identify(ROBOT, table, RIG, options=replace(GEOMETRY, prior="none", max_iterations=4))
     assert free.document["prior"] == "none"
     assert free.document["defaults"]["believed"] == []
-
-
-@pytest.mark.parametrize(
-    ("prior", "believed", "text"),
-    [
-        ("none", (), "All free parameters are identifiable."),
-        ("wide", (), "The observations alone, without the prior, identify all free parameters."),
-        ("where-needed", ("joint5.d",), "these, 1 of them is weakly identifiable and held by the weak prior."),
-        (
-            "where-needed",
-            ("joint5.d", "joint5.a"),
-            "these, 2 of them are weakly identifiable and held by the weak prior.",
-        ),
-    ],
-)
-def test_what_is_identifiable_is_so_by_the_observations_alone(prior, believed, text):
-    assert all_identifiable(prior, believed).endswith(text)
 
 
 def test_a_fraction_held_out_is_of_poses():
@@ -94,10 +77,9 @@ def test_a_fit_that_did_not_converge_leads_with_that():
     options = truearm.IdentifyOptions(max_iterations=1)
     found = truearm.identify(ROBOT, tracked("c", "position", every=10), RIG, options=options)
     assert found.document["predicted_error"] is None
-    assert identify_text.predicted(found.document) == []
+    assert tool_error(found.document) == []
     assert (found.document["usable"], found.document["unusable_because"]) == (False, "not converged")
-    first, *_ = usability_sentences(found.document)
-    assert first.startswith("This fit is not usable. It did not converge")
+    assert next(iter(stated(found.document))) == "not-converged"
 
 
 AXIS = """[joint1]
@@ -131,6 +113,6 @@ def test_an_axis_that_stands_still_is_held(tmp_path, jitter):
     assert still["spread"] == pytest.approx(np.ptp(axis[found.estimate.fitted]))
     assert {"joint1.a", "joint1.alpha"} <= set(found.document["defaults"]["lost"])
     assert found.document["rank"] == found.document["n_free"] == 18  # as the arm alone
-    assert any("joint1 moves by only" in line for line in identify_text.held(found.document))
+    assert stated(found.document)["still"].values["joint"] == "joint1"
     asked = truearm.IdentifyOptions(also_free=("joint1.a",), max_iterations=1)
     assert "joint1.a" in truearm.identify(robot, on_axis, RIG, options=asked).document["free"]

@@ -7,78 +7,61 @@ import pytest
 
 import truearm
 from truearm.model.chain import forward
-from truearm.report.result_words import displacement_sentences, unexplained_words, zero_sentences
-from truearm.results import MeanError
+from truearm.report.result_findings import displaced, joint_zeros, tool_error
 
-HELD_OUT = {"m": MeanError(mean=0.9e-4, low=0.7e-4, high=1.1e-4, n=36, held_out=True)}
+SHOWN = {"mean_mm": 0.09, "low_mm": 0.07, "high_mm": 0.11, "n_mm": 36, "by": "held out"}
 
 
-@pytest.mark.parametrize(
-    ("systematic", "tool", "first"),
-    [
-        (None, None, "The declared noise does not explain the residuals. Expect errors of 0.0900 mm (95 %: "),
-        (None, (2e-4, 50), "The declared noise does not explain the residuals. Expect tool errors of 0.2000 mm RMS"),
-        (math.nan, (5e-5, 50), "The fit has systematic errors. Expect errors of 0.0900 mm (95 %: "),
-        (8e-5, (5e-5, 50), "The fit has systematic errors. Expect errors of 0.0900 mm (95 %: "),
-        (1e-4, (2e-4, 50), "The fit has systematic errors. Expect tool errors of 0.2000 mm RMS over 50 poses"),
-        (
-            5.5e-3,
-            (2e-4, 50),
-            "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: the tool moves by that much",
-        ),
-        (
-            5.5e-3,
-            None,
-            "The fit has systematic errors. Expect tool errors of at least 5.5000 mm RMS: the tool moves by that much",
-        ),
-    ],
-)
-def test_the_largest_comes_first(systematic, tool, first):
-    lines = unexplained_words(HELD_OUT, systematic, tool)
-    assert lines[0].startswith(first)
-    assert "0.0900 mm (95 %: 0.0700 to 0.1100), the mean of 36 poses held out." in " ".join(lines)
+def error_of(systematic=None, tool=None, without_bad=None, shown=SHOWN):
+    """The error of the tool to expect [mm]: ``systematic`` is how far the tool moves, NaN for not known."""
+    moves = None if systematic is None or math.isnan(systematic) else systematic
+    document = {
+        "status": "converged",
+        "usable": True,
+        "unexplained": shown,
+        "predicted_error": None if tool is None else {"rms_mm": tool[0], "n": tool[1]},
+        "without_systematic": None if systematic is None else {"tool_moves_mm": moves},
+        "without_bad_rows": None if without_bad is None else {"tool_moves_mm": without_bad},
+    }
+    (finding,) = tool_error(document)
+    return finding
 
 
 @pytest.mark.parametrize(
-    ("n", "said"),
+    ("systematic", "tool", "code"),
     [
-        (1, "the mean of 1 pose (predicted from the other poses)."),
-        (2, "the mean of 2 poses (each predicted from the other poses)."),
+        (None, None, "tool-error-shown"),
+        (None, (0.2, 50), "tool-error-by-sigmas"),
+        (math.nan, (0.05, 50), "tool-error-shown"),
+        (0.08, (0.05, 50), "tool-error-shown"),
+        (0.1, (0.2, 50), "tool-error-by-sigmas"),
+        (5.5, (0.2, 50), "tool-error-systematic"),
+        (5.5, None, "tool-error-systematic"),
     ],
 )
-def test_poses_left_out_in_turn_are_said_to_be_predicted_from_the_others(n, said):
-    (line,) = unexplained_words({"m": MeanError(mean=1e-4, low=0.9e-4, high=1.1e-4, n=n, held_out=False)}, None, None)
-    assert said in line
+def test_the_largest_is_the_one_to_expect(systematic, tool, code):
+    finding = error_of(systematic, tool)
+    assert finding.code == code
+    assert (finding.values["error"], finding.values["n"], finding.values["by"]) == ({"mm": 0.09}, 36, "held out")
+    assert "0.090 mm (95 %: 0.0700 to 0.1100)" in finding.text()
+    if code == "tool-error-systematic":
+        assert finding.values["moves"] == {"mm": 5.5}
 
 
-@pytest.mark.parametrize(
-    ("frames", "said"),
-    [
-        (
-            ("base",),
-            "The fit places the base 12 mm from where it is described. This is normal if nobody measured its place: ",
-        ),
-        (
-            ("base", "tool"),
-            "and the tool 12 mm from where it is described. This is normal if nobody measured their places: ",
-        ),
-    ],
-)
-def test_a_base_or_tool_elsewhere_may_be_wrong_positions_in_the_rig(frames, said):
-    displaced = [{"frame": frame, "distance_mm": 12.0, "turn_deg": 0.1} for frame in frames]
-    (line,) = displacement_sentences({"displaced": displaced})
-    assert said in line
-    assert line.endswith("check the positions in the rig.")
+def test_poses_left_out_in_turn_are_not_called_held_out():
+    assert error_of(shown={**SHOWN, "by": "cross-validation"}).values["by"] == "left out in turn"
+
+
+@pytest.mark.parametrize("frames", [("base",), ("base", "tool")])
+def test_a_base_or_tool_elsewhere_may_be_wrong_positions_in_the_rig(frames):
+    (finding,) = displaced({"displaced": [{"frame": frame, "distance_mm": 12.0, "turn_deg": 0.1} for frame in frames]})
+    assert (finding.code, finding.values["n"]) == ("displaced", len(frames))
+    assert all(f"the {frame} 12 mm from where" in finding.text() for frame in frames)
 
 
 def test_bad_rows_in_the_fit_come_first_whatever_the_rows_show():
-    lines = unexplained_words(HELD_OUT, None, (2e-4, 50), without_bad=5e-5)
-    assert lines[0] == (
-        "Bad rows are in the fit. Expect tool errors of 0.0500 mm RMS: the tool moves by that much if they are left out."
-    )
-    assert lines[1].startswith(
-        "The error that the rows show includes that of the bad rows themselves: 0.0900 mm (95 %: "
-    )
+    finding = error_of(tool=(0.2, 50), without_bad=0.05)
+    assert (finding.code, finding.values["moves"]) == ("tool-error-bad-rows", {"mm": 0.05})
 
 
 def seen_by_a_tracker(turned=(0.0,) * 6, mirrored=1.0):
@@ -96,13 +79,13 @@ def seen_by_a_tracker(turned=(0.0,) * 6, mirrored=1.0):
 
 def test_a_joint_that_counts_from_another_zero_is_named():
     """The first and the last joint's zeros are those of base and tool, which may be anywhere."""
-    assert zero_sentences(seen_by_a_tracker()) == []
-    assert zero_sentences(seen_by_a_tracker((1.5, 0.0, 2.0 * np.pi, 0.0, 0.0, 1.5))) == []
-    (said,) = zero_sentences(seen_by_a_tracker((0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0)))
-    assert said.startswith("Zeros of joints differ from the description: joint2.offset by -90.0 deg. ")
+    assert joint_zeros(seen_by_a_tracker()) == []
+    assert joint_zeros(seen_by_a_tracker((1.5, 0.0, 2.0 * np.pi, 0.0, 0.0, 1.5))) == []
+    (said,) = joint_zeros(seen_by_a_tracker((0.0, np.pi / 2.0, 0.0, 0.0, 0.0, 0.0)))
+    assert (said.code, said.values["joints"]) == ("joint-zeros", ["joint2.offset by -90.0 deg"])
 
 
 def test_left_handed_axes_that_a_mirrored_arm_explains_are_not_silent():
     """A robot with its lengths and zeros reversed is the mirrored one; no residual is left."""
     document = seen_by_a_tracker(mirrored=-1.0)
-    assert not document["usable"] or "check the signs and axes" in zero_sentences(document)[0]
+    assert not document["usable"] or joint_zeros(document)

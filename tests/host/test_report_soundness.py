@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from report_bench import HOSTILE, Strict, drawings, make_page
 
+from truearm.findings import Finding
 from truearm.report.calibration_page import render
 from truearm.results import NullDirection
 
@@ -39,7 +40,7 @@ def test_names_from_files_stay_text():
         facts=((HOSTILE, HOSTILE),),
         steps=((HOSTILE, 1.0),),
         command=HOSTILE,
-        notes=(HOSTILE,),
+        findings=(Finding("not-converged", {"message": HOSTILE}),),
     )
     text = render(page)
     parsed = Strict(text)

@@ -8,8 +8,7 @@ import pytest
 
 import truearm
 from truearm.estimate.robot_scale import LEVEL, robot_scale, with_scale
-from truearm.report.result_words import scale_sentence
-from truearm.report.usability_words import usability_sentences
+from truearm.report.result_findings import verdict
 from truearm.results import SystematicErrors, Unusable
 
 DATA = Path(__file__).parents[1] / "data" / "mukca"
@@ -38,10 +37,8 @@ def test_a_distance_that_is_two_percent_wrong_is_said(arm):
     scale = given.document["scale"]
     assert scale["factor"] == pytest.approx(1.02, abs=4.0 * scale["sigma"])
     assert scale["chance"] < LEVEL
-    sentence = usability_sentences(given.document)[0]
-    assert sentence.startswith(
-        f"This fit is not usable. The robot is {scale['factor']:.4f} times as large as described"
-    )
+    assert verdict(given.document).code == "robot-scale"
+    assert f"{scale['factor']:.4f} times" in verdict(given.document).text()
     assert (given.document["usable"], given.document["unusable_because"]) == (False, "robot scale")
     assert given.document["systematic"] == []
 
@@ -55,9 +52,10 @@ def test_a_correct_arm_has_no_scale(arm):
     ("factor", "unit"), [(0.001, "metres and millimetres"), (25.4, "inches and millimetres"), (1.02, None)]
 )
 def test_a_ratio_of_units_is_named(factor, unit):
-    said = scale_sentence({"factor": factor, "sigma": 1e-4, "n": 6, "chance": 1e-9})
-    assert ("suggests a wrong unit" in said) == (unit is not None)
-    assert unit is None or unit in said
+    scale = {"factor": factor, "sigma": 1e-4, "n": 6, "chance": 1e-9}
+    found = verdict({"unusable_because": "robot scale", "scale": scale, "mean_change": None})
+    assert bool(found.values["unit"]) == (unit is not None)
+    assert unit is None or unit in found.text()
 
 
 @pytest.mark.parametrize("state", [{"status": "max_iterations"}, {"unusable": Unusable.WRONG_INPUTS}])

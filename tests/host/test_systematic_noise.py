@@ -10,7 +10,7 @@ from puma_bench import CHAIN, FREE, SIGMA, TRUTH, random_poses
 from truearm.estimate.identify import identify
 from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.result_findings import systematic_findings
 from truearm.types import Device, ObservationTable, Point, Rig
 
 WORLDS = 200
@@ -128,7 +128,7 @@ def test_a_wander_that_resembles_a_step_of_a_joint_is_named_beside_it():
         if not of.found[0].effect.what.startswith("bar."):
             other += 1
             assert "a gradual change of bar.bar46.zero" in of.found[0].rivals
-            assert not any("To apply" in line for line in systematic_sentences(first, str))
+            assert "systematic-apply" not in [finding.code for finding in systematic_findings(first)]
     assert other
 
 

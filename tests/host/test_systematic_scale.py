@@ -9,7 +9,7 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.files.result_document import systematic_entries
 from truearm.model.chain import point_forward
-from truearm.report.systematic_words import systematic_sentences
+from truearm.report.result_findings import systematic_findings
 from truearm.results import Effect
 from truearm.types import Device, ObservationTable, Point, Rig
 
@@ -62,9 +62,9 @@ def test_the_scale_of_a_tracker_is_named_and_not_the_bar(ppm):
     (found,) = before.systematic.found
     assert str(found.effect) == "tracker.t.scale"
     assert found.off_by[0].value == pytest.approx(1e-6 * ppm, abs=4.0 * found.sigma)
-    *_, apply = systematic_sentences(systematic_entries(before.systematic, rows), str)
+    *_, apply = systematic_findings(systematic_entries(before.systematic, rows))
     if not found.rivals:
-        assert apply.startswith("To apply it: allow tracker.t.scale.")
+        assert (apply.code, apply.values["allow"]) == ("systematic-apply", ["tracker.t.scale"])
     after = identified(rows, found.effect)
     assert after.systematic is None
     assert after.chi2_reduced < after.chi2_band[1]
@@ -84,11 +84,9 @@ def test_if_bar_and_tracker_explain_the_rows_equally_both_are_named_and_none_is_
     estimate = identified(rows)
     (found,) = estimate.systematic.found
     assert {found.effect.what, *found.rivals} >= {"bar.bar46.zero", "tracker.t.scale"}
-    sentence, which, _ = systematic_sentences(systematic_entries(estimate.systematic, rows), "--{}".format)
-    assert "; or, nearly as well supported: a constant error of " in sentence
-    assert which.startswith("The rows do not show which of these explanations is right")
-    assert "--allow bar" not in which
-    assert "--allow tracker" not in which
+    error, which = systematic_findings(systematic_entries(estimate.systematic, rows))
+    assert error.values["others"]
+    assert (which.code, which.values["allow"]) == ("systematic-open", [])
 
 
 def test_neither_is_named_if_both_are_right():

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from puma_bench import DESIGN, SIGMA
 from scipy.spatial.transform import Rotation
+from tests.host.findings_bench import stated
 from ur10_bench import POSITION_SIGMA, tracked
 from ur10_bench import RIG as UR10_RIG
 from ur10_bench import ROBOT as UR10
 
 import truearm
-from truearm.cli import identify_text
 from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.misread_columns import mirrored
@@ -28,7 +28,7 @@ from truearm.kinds.ball_bar import BallBarRows
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import joint_frames, point_forward
 from truearm.model.robot import builtin_robot
-from truearm.report.usability_words import usability_sentences
+from truearm.report.result_findings import inputs, verdict
 from truearm.results import Unusable, WrongInput
 from truearm.types import ObservationTable, Plane, Rig, thinned
 
@@ -176,11 +176,12 @@ def test_an_unusable_fit_names_the_joint_that_reads_the_same_in_all_rows():
         "message": "50 iterations were not enough",
         "relabelling_search": "done",
         "defaults": {"still": [still]},
+        "mean_change": None,
+        "status": "converged",
     }
-    assert usability_sentences(document) == [
-        "This fit is not usable. It did not converge: 50 iterations were not enough.",
-        "joint4 reads -70.00 deg in all rows: if it moved, its readings are wrong.",
-    ]
+    assert verdict(document).code == "not-converged"
+    (finding,) = inputs(document)
+    assert (finding.code, finding.values) == ("still-joint", {"joint": "joint4", "reading": "-70.00 deg"})
 
 
 def test_a_session_of_another_robot_is_named_and_no_success():
@@ -225,9 +226,10 @@ def test_a_wrong_number_in_the_rig_is_named_and_once_allowed_the_fit_is_usable(w
     first = given.estimate.explanations[0]
     assert given.estimate.unusable is Unusable.WRONG_INPUTS
     assert (first.what, first.allow, first.apply) == (WrongInput.CONSTANT, name, "")
-    sentence = usability_sentences(given.document, lambda argument: f"--{argument}")[1]
-    assert f"{name} differs from the rig by " in sentence
-    assert sentence.endswith(f"; correct this, or give --allow {name}.")
+    explained = next(iter(inputs(given.document)))
+    assert f"{name} differs from the rig by " in explained.values["explanation"]
+    assert explained.values["allow"] == name
+    assert f"give --allow {name}" in explained.text("--{}".format)
     allowed = truearm.identify(robot, rows, rig, options=truearm.IdentifyOptions(allow=(name,)))
     assert allowed.estimate.unusable is None
     assert allowed.estimate.systematic is None
@@ -249,10 +251,9 @@ def test_the_error_to_expect_includes_what_no_row_sees():
     result = truearm.identify(truearm.load_robot("puma560"), rows, rig, options=options)
     held_out = result.document["unexplained"]["mean_mm"]
     assert held_out < 0.4 < 1.0 < result.document["predicted_error"]["rms_mm"]
-    first, second = identify_text.predicted(result.document)
-    assert first.startswith("The declared noise does not explain the residuals. Expect tool errors of ")
-    assert f"{result.document['predicted_error']['rms_mm']:.3g}"[:3] in first
-    assert second.startswith(f"The error that the rows show: {held_out:.4f}"[:-2])
+    expected = stated(result.document)["tool-error-by-sigmas"].values
+    assert expected["tool"] == {"mm": result.document["predicted_error"]["rms_mm"]}
+    assert expected["error"] == {"mm": held_out}
 
 
 def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels(monkeypatch):

@@ -56,12 +56,13 @@ def identify(
     report: Path | None = None,
     line_points: Annotated[int | None, LINE_POINTS] = None,
     allow_damaged: bool = False,
+    details: bool = False,
 ) -> None:
     """Identify a robot's parameters from observations.
 
-    Prints the nominal value, the estimate and the standard deviation of every parameter, the combinations that are
-    unidentifiable, and the errors before and after, also on held-out rows. A fit that is not usable is written too, marked
-    as such, and the exit code is 3.
+    Prints whether the result is usable, the error of the tool, what to look at, and what to do next; with --details also
+    every parameter, combination and residual. A fit that is not usable is written too, marked as such, and the exit code is
+    3.
 
     Example:
       truearm identify poses.csv --model puma560 --rig rig.toml --hold-out shell=s61
@@ -86,6 +87,8 @@ def identify(
         File to write: the result (.json).
     report : FILE
         Write a report on the result (.html).
+    details
+        Print everything: parameters, combinations, residuals, all notes.
 
     Expert options
     --------------
@@ -133,6 +136,6 @@ def identify(
         typer.echo(format_document(document))
     else:
         others = [path for path in (table_out, report) if path is not None]
-        show_result(document, ResultFiles(inputs, out, others))
+        show_result(document, ResultFiles(inputs, out, others), details)
     if not document["usable"]:
         raise typer.Exit(ExitCode.UNUSABLE)

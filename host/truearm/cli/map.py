@@ -73,7 +73,7 @@ def map_(
     """
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
-    from truearm.report.result_words import SIMULATED
+    from truearm.findings import Finding
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
@@ -87,7 +87,7 @@ def map_(
     section = Section(varied, stand, _is_up(elbow), MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
     written = [str(path) for path in (out, picture_out) if path is not None]
-    origin = [SIMULATED] if calibration.simulated else []
+    origin = [Finding("simulated").text()] if calibration.simulated else []
     print_result(
         {"simulated": calibration.simulated, **document(found, section.cell), "written": written},
         [

@@ -86,12 +86,15 @@ def _with(
 
 
 def _proposals(here: Chain, rigs: Rigs, table: ObservationTable) -> Iterator[tuple[Proposal, str]]:
-    """Return what each kind proposes at the estimate for each rig and its rows, and the prefix of the rig's unknowns' names."""
+    """Return what each kind of a rig's rows proposes at the estimate, and the prefix of the rig's unknowns' names.
+
+    A kind without rows would propose equipment that the user does not have.
+    """
     for name in dict.fromkeys(table.rig.tolist()):
         rig = rigs if isinstance(rigs, Rig) else rigs[name]
-        for kind in kinds().values():
-            if kind.proposals is not None:
-                rows = table.select(table.rig == name)
+        rows = table.select(table.rig == name)
+        for kind_name, kind in kinds().items():
+            if kind.proposals is not None and kind_name in rows.kind:
                 for proposal in kind.proposals(here, rig, rows, np.random.default_rng(0)):
                     yield proposal, f"{name}." if name and rig is not rigs else ""
 

@@ -154,6 +154,7 @@ class Result(Struct, frozen=True, kw_only=True):
     truearm_version: Name = ""
     inputs: tuple[Input, ...] = ()
     simulated: bool = False
+    findings: tuple[Entry, ...] = ()
     robot: RobotFrames
     status: Literal["converged", "max_iterations", "stalled"]
     message: str = ""

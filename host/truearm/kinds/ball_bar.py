@@ -23,7 +23,7 @@ import numpy as np
 from truearm.kinds.group import Group
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
-from truearm.kinds.proposals import NEW, TRIAL_SIGMA, TRIES, Proposal, anywhere, trial_rows
+from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
@@ -162,11 +162,8 @@ def longitude(chain: Chain, params: Floats, rig: Rig, rows: ObservationTable) ->
 
 
 def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Generator) -> Iterator[Proposal]:
-    """Propose further poses, each unmeasured pairing, and one more chuck or sphere; a ball-bar if the rig has none."""
+    """Propose further poses, each unmeasured pairing, and one more chuck or sphere."""
     bars = table.select(table.kind == "ball_bar")
-    if not len(bars):
-        yield _first_bar(here, rig, rng)
-        return
     bar = str(bars.bar[0])
     used = list(dict.fromkeys(zip(bars.chuck.tolist(), bars.sphere.tolist(), strict=True)))
     chucks, spheres = list(dict.fromkeys(c for c, _ in used)), list(dict.fromkeys(s for _, s in used))
@@ -187,17 +184,6 @@ def proposals(here: Chain, rig: Rig, table: ObservationTable, rng: np.random.Gen
     text = "measure with one more {}, not in line with the others,"
     yield Proposal("chuck", text.format("chuck"), more_chucks, rows(few, [(NEW, s) for s in spheres]))
     yield Proposal("sphere", text.format("sphere"), more_spheres, rows(few, [(c, NEW) for c in chucks]))
-
-
-def _first_bar(here: Chain, rig: Rig, rng: np.random.Generator) -> Proposal:
-    """Propose three chucks at known positions, three spheres on the end, and a bar between them."""
-    corners = {
-        f"{NEW}{i}": Point(f"{NEW}{i}", (float(x), float(y), float(z))) for i, (x, y, z) in enumerate(np.diag(AWAY))
-    }
-    more = replace(rig, chucks=corners, spheres=corners, bars={NEW: BallBar(NEW, 1.0, 1.0, 0.1, TRIAL_SIGMA)})
-    pairs = [(chuck, sphere) for chuck in corners for sphere in corners for _ in range(TRIES)]
-    rows = _trial(anywhere(here, len(pairs), rng), NEW, pairs)
-    return Proposal("ball_bar", "measure with a ball-bar, three chucks and three spheres,", more, rows)
 
 
 def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> ObservationTable:

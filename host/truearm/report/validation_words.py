@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from truearm.report.result_words import FAR_OFF, SIMULATED, copy_sentences
-from truearm.report.systematic_words import systematic_sentences
+from truearm.findings import Finding
+from truearm.report.result_findings import FAR_OFF, copies, systematic_findings
 from truearm.results import chi2_text
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, Scale, from_shown, size, title
@@ -100,7 +100,7 @@ def _is_worse(region: Mapping[str, Any], unit: str) -> bool:
 
 def validation_lines(document: Mapping[str, Any]) -> list[str]:
     """Format the document for people: a table per unit, and its meaning."""
-    first = [SIMULATED] if document["simulated"] else []
+    first = [Finding("simulated").text()] if document["simulated"] else []
     tables = [line for rows in error_tables(document) for line in _aligned(rows)]
     before, after = validation_remarks(document)
     return [*first, *before, *tables, *after, one_line(document["verdict"])]
@@ -131,7 +131,7 @@ def validation_remarks(document: Mapping[str, Any]) -> tuple[list[str], list[str
         lines.append(
             f"χ² per degree of freedom {chi2_text(document['chi2_reduced'])}; declared noise alone leaves it below {document['chi2_limit']:.3g} (99 %)."
         )
-    lines += systematic_sentences(document)
+    lines += [finding.text() for finding in systematic_findings(document, judging=True)]
     if document["settled"]:
         lines.append(
             f"{counted(document['settled'], 'unknown of the rig was', 'unknowns of the rig were')} estimated from these rows, without and with the calibration alike."
@@ -142,7 +142,7 @@ def validation_remarks(document: Mapping[str, Any]) -> tuple[list[str], list[str
         lines.append(
             f"{counted(document['left_out'], 'row is', 'rows are')} not judged: unknowns of the rig fit such rows exactly."
         )
-    return first, [*lines, *copy_sentences(document), *document["payload"]]
+    return first, [*lines, *(finding.text() for finding in copies(document)), *document["payload"]]
 
 
 def error_tables(document: Mapping[str, Any]) -> list[list[tuple[str, ...]]]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.files.disk import write_atomic
-from truearm.files.strict_json import number_or_null
 from truearm.kinds.registry import kinds
 from truearm.model.chain import Chain
 from truearm.results import Estimate, PredictedError
@@ -20,11 +19,6 @@ from truearm.units import SUFFIXES
 if TYPE_CHECKING:
     from truearm.report.certificate import Certificate, Recording
     from truearm.workflows.identify import Identification
-
-UNPREDICTED = (
-    "The error of the tool at a pose is not determined: unidentifiable or weakly identifiable combinations of parameters would "
-    "move it. The residuals only show how well the observations are predicted."
-)
 
 
 def write_page(
@@ -39,21 +33,12 @@ def write_page(
     """
     from truearm.report.calibration_page import CalibrationPage, render
     from truearm.report.certificate import facts_of
-    from truearm.report.law_words import law_sentences, law_steps
+    from truearm.report.law_words import law_steps
     from truearm.report.residual_rows import row_name
-    from truearm.report.result_words import copy_sentences, displacement_sentences, zero_sentences
-    from truearm.report.suspect_words import bad_row_sentences
-    from truearm.report.systematic_words import hardly_matters, systematic_sentences
-    from truearm.report.usability_words import usability_sentences
+    from truearm.report.result_findings import result_findings
 
     table, estimate = found.table, found.estimate
     files = dict.fromkeys(row_name(source).rsplit(" ", 2)[0] for source in table.source)  # "poses.csv row 17"
-    systematic = (
-        *copy_sentences(found.document),
-        *bad_row_sentences(found.document),
-        *systematic_sentences(found.document, str),
-    )
-    little = hardly_matters(found.document)
     page = CalibrationPage(
         title=f"Calibration of {found.chain.name}",
         subtitle=", ".join(files),
@@ -63,7 +48,6 @@ def write_page(
         command=command,
         prior=found.prior,
         predicted=found.predicted if found.predicted and _leads(found.predicted, estimate) else None,
-        laws=tuple(law_sentences(found.document)),
         law_steps=tuple(
             (SUFFIXES[suffix].symbol, *step)
             for suffix in found.document["residual_units"]
@@ -72,15 +56,7 @@ def write_page(
         curves=_curves(found),
         facts=(*facts_of(recordings), *_facts(table)),
         certificate=certificate,
-        systematic=() if little else systematic,
-        usability=tuple(usability_sentences(found.document)),
-        notes=(
-            *zero_sentences(found.document),
-            *_timing(estimate),
-            *_error_elsewhere(found),
-            *displacement_sentences(found.document),
-            *(systematic if little else ()),
-        ),
+        findings=tuple(result_findings(found.document)),
     )
     write_atomic(path, render(page))
 
@@ -96,36 +72,12 @@ def _facts(table: ObservationTable) -> tuple[tuple[str, str], ...]:
     return tuple(fact for kind, rows in every if kind.facts and len(rows) for fact in kind.facts(rows))
 
 
-def _error_elsewhere(found: Identification) -> list[str]:
-    """Describe the error where nothing was measured, if it does not follow from the parameters' covariance."""
-    from truearm.report.result_words import unexplained_words
-
-    estimate, predicted = found.estimate, found.predicted
-    if estimate.unexplained:
-        tool = (predicted.rms, predicted.n) if predicted else None
-        moves = estimate.systematic.moves if estimate.systematic else None
-        bad = None if estimate.without_bad_rows is None else estimate.without_bad_rows.moves
-        return unexplained_words(estimate.unexplained, moves, tool, bad)
-    return [] if found.predicted else [UNPREDICTED]
-
-
 def _leads(predicted: PredictedError, estimate: Estimate) -> bool:
     """Return whether the covariance says which error of the tool to expect."""
     if estimate.without_bad_rows is not None:
         return False
     moved = estimate.systematic.moves if estimate.systematic else 0.0
     return not moved > predicted.rms and (not estimate.unexplained or predicted.exceeds(estimate.unexplained))
-
-
-def _timing(estimate: Estimate) -> list[str]:
-    """Return one sentence on the delay of the joint readings for each rig with a time offset."""
-    from truearm.report.result_words import time_offset
-
-    sigma = np.where(np.isfinite(estimate.sigma), estimate.sigma, np.nan)
-    return [
-        time_offset(estimate.parameter_names[i], float(estimate.value[i]), number_or_null(sigma[i]))
-        for i in np.flatnonzero(estimate.free & (np.array(estimate.units) == "s"))
-    ]
 
 
 def longitudes(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> Floats:

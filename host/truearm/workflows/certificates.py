@@ -14,9 +14,9 @@ from truearm.estimate.gain import gain_of
 from truearm.estimate.prediction import nominal_error, predicted_point_error, tool_undetermined
 from truearm.files.project_file import Project
 from truearm.files.result_file import Input
+from truearm.findings import Finding
 from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
 from truearm.report.page_text import size
-from truearm.report.result_words import SIMULATED
 from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import ObservationTable, Rigs, rigs_by_name, rms
@@ -206,7 +206,7 @@ def _files(inputs: Sequence[Input]) -> Facts:
 
 def _excluded(found: Identification) -> tuple[str, ...]:
     """Return what the error of the tool does not include."""
-    e, sentences = found.estimate, [SIMULATED] if found.simulated else []
+    e, sentences = found.estimate, [Finding("simulated").text()] if found.simulated else []
     if found.predicted and found.predicted.relative:
         sentences.append("A common displacement of all poses: the observations do not determine where the base stands.")
     exact = {name for rig in rigs_by_name(found.rig).values() for name, bar in rig.bars.items() if not bar.zero_sigma}

@@ -19,8 +19,8 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.strict_json import number_or_null
+from truearm.findings import Finding
 from truearm.model.poses import apart, inverted, position_and_rotation
-from truearm.report.result_words import SIMULATED
 from truearm.text import counted, listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
@@ -183,7 +183,7 @@ def _number(entry: Any, name: str) -> float:
 def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
     """Return what the operator must know before the program is run."""
     before, after = (rms(error[:, 0]) for error in (targets.correction.before, targets.correction.after))
-    said = [SIMULATED] if calibration.simulated else []
+    said = [Finding("simulated").text()] if calibration.simulated else []
     if after > before:
         said.append(
             f"The corrected targets are farther off than the uncorrected ones, {MM.text(after, '.4f')} RMS and not {MM.text(before, '.4f')}: use another method."

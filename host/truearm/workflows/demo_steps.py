@@ -18,6 +18,7 @@ from truearm.workflows.session_observations import Say
 from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simulated_robot, with_repeatability
 
 if TYPE_CHECKING:
+    from truearm.findings import Finding
     from truearm.model.robot import Robot
     from truearm.model.workspace import Branch
     from truearm.results import Estimate, PredictedError
@@ -68,6 +69,7 @@ class DemoCalibration:
     estimate: Estimate
     longitude: Floats  # (n,) rad, of the sphere about its chuck, for the identified robot
     predicted: PredictedError | None
+    findings: tuple[Finding, ...]
 
 
 def identified(
@@ -83,6 +85,7 @@ def identified(
     from truearm.estimate.prediction import predicted_point_error
     from truearm.files.result_document import result_of
     from truearm.files.result_file import RobotFrames, write_result
+    from truearm.report.result_findings import result_findings
     from truearm.workflows.calibration_report import longitudes
     from truearm.workflows.inputs import Sources, hashed_inputs
 
@@ -92,7 +95,8 @@ def identified(
     frames = RobotFrames.of(chain)
     result = result_of(estimate, table, frames, predicted, inputs=inputs, held_out_by=hold_out, prior=prior)
     write_result(out / "result.json", result)
-    return DemoCalibration(subject, rig, estimate, longitudes(chain, rig, table, estimate), predicted)
+    findings = tuple(result_findings(result.document))
+    return DemoCalibration(subject, rig, estimate, longitudes(chain, rig, table, estimate), predicted, findings)
 
 
 def write_page(
@@ -119,6 +123,7 @@ def write_page(
         command=command,
         prior=prior,
         predicted=found.predicted,
+        findings=found.findings,
     )
     path = out / "report.html"
     path.write_text(render(page), encoding="utf-8")

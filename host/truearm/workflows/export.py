@@ -18,9 +18,9 @@ from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
+from truearm.findings import Finding
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
-from truearm.report.result_words import SIMULATED
 from truearm.text import counted, one_line
 from truearm.types import CurveKnots, Floats, Payload, rms, thinned
 from truearm.units import DEG, MM, MRAD
@@ -191,7 +191,7 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
     fitted = _fitted(calibration, options, over)
-    simulated = [SIMULATED] if calibration.simulated else []
+    simulated = [Finding("simulated").text()] if calibration.simulated else []
     mountings = (*simulated, *_mountings(calibration, fitted.params, options))
     robot = RobotToWrite(
         chain=calibration.chain,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from truearm import option_defaults
@@ -37,6 +38,7 @@ from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
 from truearm.progress import step
 from truearm.report.certificate import Recording
+from truearm.report.result_findings import result_findings
 from truearm.results import Effect, Estimate, PredictedError
 from truearm.types import Mask, ObservationTable, Rigs
 from truearm.workflows.calibration import Calibration, calibration_of
@@ -351,5 +353,7 @@ def identified(
         all_held_out=[] if held_out is None else all_held_out(table, held_out),
         hold_out_proposal=proposal and proposal._asdict(),
     )
+    findings = tuple(finding.entry() for finding in result_findings(result.document))
+    result = msgspec.structs.replace(result, findings=findings)
     of_robot = vars(calibration_of(result, robot, chain.name, "the identification"))
     return Identification(**of_robot, rig=rig, table=table, estimate=estimate, predicted=predicted)

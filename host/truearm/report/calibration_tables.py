@@ -1,0 +1,90 @@
+"""Tables of an identification: the residuals of each kind and rig, suspect rows, observability indices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from truearm.kinds.registry import kinds
+from truearm.report.page_parts import table_of
+from truearm.report.page_text import ABSENT, escape, figures, number
+from truearm.report.residual_rows import Summary, row_name
+from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
+from truearm.results import Estimate, Figures
+from truearm.text import counted
+from truearm.types import ObservationTable
+from truearm.units import shown, symbol, title, tolerances
+
+MAX_ROWS = 40  # suspect rows that are listed
+MAX_NAMES = 12
+
+
+def residual_table(found: Sequence[Summary]) -> str:
+    """Return a table per unit: RMS and largest residual of each kind, by rig if there are several, with definitions."""
+    tables = [_residuals_in(si, [s for s in found if s.si == si]) for si in dict.fromkeys(s.si for s in found)]
+    words = " ".join(residual_words(kind) for kind in kinds() if any(s.kind == kind for s in found))
+    return f"<p>{escape(words, 1200)}</p>" + "".join(tables)
+
+
+def _residuals_in(si: str, found: Sequence[Summary]) -> str:
+    several = any(s.rig for s in found)
+    titles = ["observations", *["rig"] * several, "fitted rows", title("RMS before", si), title("RMS after", si)]
+    titles += [title("largest after", si), "held-out rows", title("RMS held out", si)]
+    rows = [
+        [
+            escape(kind_name(s.kind)),
+            *[escape(s.rig) or ABSENT] * several,
+            str(s.fitted),
+            *(figures(shown(value, si)) for value in (s.before, s.after, s.largest)),
+            str(s.held_out),
+            figures(shown(s.validation, si)),
+        ]
+        for s in found
+    ]
+    return table_of(titles, rows, f"residuals {symbol(si)}")
+
+
+def suspect_table(e: Estimate, table: ObservationTable) -> str:
+    """Return the fitted rows that are farther from the others than chance allows, the farthest first."""
+    rows = np.flatnonzero(e.suspect)
+    rows = rows[np.argsort(-e.distance[rows], kind="stable")]
+    units = Figures.by_unit(e.residual, rows)
+    cells = [
+        [
+            escape(row_name(table.source[row])),
+            escape(kind_name(str(table.kind[row]))),
+            number(float(e.distance[row]), 1),
+            *(figures(shown(float(e.residual[si][row]), si)) for si in units),
+            figures(float(e.weight[row]), 2),
+        ]
+        for row in rows[:MAX_ROWS]
+    ]
+    sizes = [title("residual", si) for si in units]
+    titles = ["row", "observation", "distance from the others [σ]", *sizes, "weight in the fit [1]"]
+    more = f"<p>and {rows.size - MAX_ROWS} more (suspect in result.json)</p>" if rows.size > MAX_ROWS else ""
+    return table_of(titles, cells, "rows far from the others") + more
+
+
+def observability_table(e: Estimate) -> str:
+    """Return the four indices of the suggested free set; "" if they were not computed."""
+    if e.observability is None or not e.suggested_free.any():
+        return ""
+    names = [name for name, is_in in zip(e.parameter_names, e.suggested_free, strict=False) if is_in]
+    values = e.observability._asdict()
+    rows = [(key.upper(), figures(values[key]), unit, escape(words)) for key, (words, unit) in OBSERVABILITY.items()]
+    length, angle, gain = tolerances("weak")
+    text = (
+        f"How well the observations alone determine the largest set of parameters that they can distinguish ({len(names)}). A step is {length}, "
+        f"{angle} or {gain}. Larger is better. Compare sets of poses of the same robot only."
+    )
+    table = table_of(("index", "value", "unit", "what it says"), rows, "observability", "plain words")
+    return f"<p>{escape(text, 600)}</p>{table}" + _suggested(e, names)
+
+
+def _suggested(e: Estimate, names: Sequence[str]) -> str:
+    """Return the distinguishable set, if more parameters were free."""
+    if len(names) == int(e.free[: e.n_robot_parameters].sum()):
+        return ""
+    listed = escape(", ".join(names), 4000)
+    return f"<details><summary>the {counted(len(names), 'parameter')} that can be distinguished</summary><p>{listed}</p></details>"

@@ -1,0 +1,59 @@
+"""The findings about joint laws, from the content of result.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from truearm.findings import Finding
+from truearm.report.law_words import intervals_text
+from truearm.text import one_line
+
+SMALL_SHARE = 0.5  # of the range of a sag: it is extrapolated by more than it was measured
+
+
+def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
+    """Return what was learned about joint laws; empty if they were not requested."""
+    laws = document["joint_laws"]
+    if laws is None:
+        return
+    for reason in laws["reasons"]:
+        yield Finding("law-not-tried", {"reason": reason})
+    kept = [law for law in laws["tried"] if law["kept"]]
+    dropped = [law for law in laws["tried"] if not law["kept"]]
+    if not kept:
+        yield Finding("no-law-kept", {"tried": len(dropped)}) if dropped else Finding("no-law")
+        return
+    for law in kept:
+        yield _kept(law)
+    if dropped:
+        names = [f"{law['joint']} {law['term']} {round(law['nats'], 1) + 0.0:.1f}" for law in dropped]
+        yield Finding("laws-dropped", {"laws": ", ".join(map(one_line, names))})
+    sags = [law for law in kept if law["term"] == "sag"]
+    if sags and not laws["gravity_known"]:
+        yield Finding("gravity-assumed")
+    shares = [(law["joint"], law.get("range_share")) for law in sags]  # earlier results do not have it
+    small = [f"{joint} {share:.0%}" for joint, share in shares if share is not None and share < SMALL_SHARE]
+    if small:
+        yield Finding("sag-extrapolated", {"joints": small})
+    payloads = laws.get("payloads", [])
+    masses = [f"{mass:g}" for mass in sorted({payload["mass_kg"] for payload in payloads})]
+    if sags and any(payload["mass_kg"] for payload in payloads):
+        several = len(payloads) > 1
+        yield Finding("sag-of-payloads", {"masses": masses}) if several else Finding("sag-of-payload", {"mass": masses})
+    noise = laws["noise"]
+    terms = [f"{noise['factor']:.2g} times the declared variances"]
+    if noise["shared_mm"]:
+        terms.append(f"{noise['shared_mm']:.2g} mm shared by the rows of a pose")
+    if noise["joint_mrad"]:
+        terms.append(f"{noise['joint_mrad']:.2g} mrad in every joint")
+    yield Finding("law-noise", {"terms": terms})
+
+
+def _kept(law: Mapping[str, Any]) -> Finding:
+    values = {"joint": law["joint"], "rms": {"mrad": float(f"{law['rms_mrad']:.2g}")}, "nats": law["nats"]}
+    if law["term"] != "curve":
+        return Finding("sag-kept", values)
+    periods = [f"{period['cycles']:.0f} ({period['amplitude_mrad']:.2g} mrad)" for period in law["periods"]]
+    values |= {"covered": intervals_text(law["covered_deg"]), "periods": periods, "short": not periods}
+    return Finding("curve-kept", {**values, "resolution": law["resolution_cycles"]})

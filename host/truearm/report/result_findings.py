@@ -1,0 +1,695 @@
+"""The findings of an identification, from the content of result.json: the verdict first, what to do next last."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, assert_never
+
+from truearm.estimate.outliers import MOST
+from truearm.estimate.solvers import SOLVERS, Loss, Prior
+from truearm.finding_texts import Severity
+from truearm.findings import Finding
+from truearm.report.law_findings import law_findings
+from truearm.report.result_words import kind_name
+from truearm.results import DriftWith, ErrorForm, Gain, Unusable, chi2_text
+from truearm.session.dwells import DOUBTFUL, NEED_DECISION
+from truearm.text import counted, listed, one_line
+from truearm.units import DEG, MM, SUFFIXES, UNITS, from_shown
+
+Document = Mapping[str, Any]
+
+CHI2_DOUBTFUL = 2.0  # residuals 1.4 times what the declared sigmas allow
+HELD_OUT_DOUBTFUL = 1.5  # held-out RMS over fitted RMS
+FAR_OFF = 10.0  # times a wide prior: 100 mm or 0.5 rad, beyond any arm, wherever it is bolted
+MAX_COPIES = 5  # copied rows that are named
+MAX_ROWS = 6  # bad rows that are named
+MAX_TERMS = 4  # parameters that are named
+LITTLE = 0.1  # of the error to expect: a tool motion below it changes nothing that the calibration is used for
+GRADUAL = "a gradual change of "  # begins a rival that is no form of ``Effect``
+PLACES = (".x", ".y", ".z", ".rx", ".ry", ".rz")  # numbers of a place
+UNIT_RATIOS = {
+    1000.0: "a thousand (metres and millimetres)",
+    25.4: "25.4 (inches and millimetres)",
+    39.37: "39.37 (inches and metres)",
+    10.0: "ten (centimetres and millimetres)",
+    100.0: "a hundred (metres and centimetres)",
+}
+SAME_RATIO = 0.02  # relative
+
+
+def result_findings(document: Document, paths: Mapping[str, str] | None = None) -> list[Finding]:
+    """Return the findings: verdict, warnings, the error of the tool, notes, advice.
+
+    ``paths``: of the sessions as the user gave them, by file name; for commands that name one.
+    """
+    findings = [
+        verdict(document),
+        *inputs(document),
+        *little_freedom(document),
+        *_doubts(document),
+        *systematic_findings(document),
+        *_sessions(document, paths or {}),
+        *tool_error(document),
+        *_identified(document),
+        *_residuals(document),
+        *outliers(document),
+        *law_findings(document),
+        *_held_out(document),
+    ]
+    by_weight = sorted(findings[1:], key=lambda finding: list(Severity).index(finding.severity))
+    simulated = [Finding("simulated")] if document["simulated"] else []
+    return [*simulated, findings[0], *by_weight, *_advice(document)]
+
+
+# the verdict
+
+
+def verdict(document: Document) -> Finding:
+    """Return whether the result is usable, and how much better than the nominal robot."""
+    change, because = document["mean_change"], document["unusable_because"]
+    if because is not None:
+        return _unusable(Unusable(because), document)
+    if change is not None:
+        return Finding("no-gain" if change["gain"] == Gain.NONE else "better", _change(change))
+    judged, before = document["held_out"], document["held_out_before"]
+    if judged is not None and before is not None:
+        return Finding("held-out", {"n": judged["n"], "after": _sizes(judged, "rms"), "before": _sizes(before, "rms")})
+    return Finding("unjudged", {"after": _sizes(document, "rms_after"), "before": _sizes(document, "rms_before")})
+
+
+def _change(change: Document) -> dict[str, Any]:
+    """Return the mean errors where nothing was fitted, of the calibrated robot and of the nominal one."""
+    n = max(change.get(f"n_{suffix}", 0) for suffix in SUFFIXES)
+    return {
+        "n": n,
+        "by": "held out" if change["by"] == "held out" else "left out in turn",
+        "after": _sizes(change, "mean_after"),
+        "before": _sizes(change, "mean_before"),
+    }
+
+
+def _unusable(because: Unusable, document: Document) -> Finding:
+    after = _sizes(document, "rms_after")
+    match because:
+        case Unusable.NOT_CONVERGED:
+            return Finding("not-converged", {"message": document["message"]})
+        case Unusable.NO_FREEDOM:
+            return Finding("no-freedom")
+        case Unusable.WRONG_INPUTS:
+            return Finding("wrong-inputs", {"after": after})
+        case Unusable.RESIDUALS:
+            return Finding("large-residuals", {"after": after})
+        case Unusable.SCALE:
+            scale = document["scale"]
+            ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
+            unit = [words for of, words in UNIT_RATIOS.items() if abs(ratio / of - 1.0) < SAME_RATIO]
+            return Finding("robot-scale", {**scale, "unit": unit})
+        case Unusable.WORSE:
+            return Finding("worse-than-nominal", _change(document["mean_change"]))
+        case never:
+            assert_never(never)
+
+
+# the inputs
+
+
+def wrong_first(document: Document) -> bool:
+    """Return whether inputs are to be corrected before more is measured.
+
+    A fit that did not converge is one of these if it is explained or labels were searched: with right inputs it may only
+    need more iterations.
+    """
+    because = document["unusable_because"]
+    doubted = document["relabelling_search"] != "not needed" or bool(document["explanations"])
+    wrong = (Unusable.WRONG_INPUTS, Unusable.RESIDUALS, Unusable.SCALE)
+    return because in wrong or (because == Unusable.NOT_CONVERGED and doubted)
+
+
+def inputs(document: Document) -> Iterator[Finding]:
+    """Return what may be wrong with the inputs of a fit."""
+    explanations = document["explanations"]
+    if document["unusable_because"] and not explanations:
+        for joint in document["defaults"]["still"]:
+            yield Finding("still-joint", {"joint": joint["joint"], "reading": _size(joint["at"], joint["unit"])})
+    if document["relabelling_search"] == "too many groups":
+        yield Finding("labels-unchecked")
+    for number, explanation in enumerate(explanations):
+        with_change, as_given = (_sizes(explanation, name) for name in ("rms", "rms_given"))
+        values = {
+            "lead": "This explains them too" if number else "This explains the observations",
+            "explanation": explanation["text"],
+            "with_change": with_change,
+            "as_given": as_given,
+            **(explanation["apply"] or {}),
+        }
+        yield Finding("explanation-by-noise" if with_change == as_given else "explanation", values)
+    if document["status"] != "converged" and not SOLVERS[document["solver"]].ends_by_recipe and not explanations:
+        is_line = any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", entry["name"]) for entry in document["parameters"])
+        is_weak = document["hardly_seen"] and document["prior"] == Prior.NONE
+        values = {"line": is_line, "limit": document["status"] == "max_iterations"}
+        yield Finding("meaningless-weak" if is_weak else "meaningless", values)
+
+
+def little_freedom(document: Document) -> list[Finding]:
+    """Return a warning if the residuals have fewer degrees of freedom than parameters were fitted."""
+    if document["unusable_because"] == Unusable.NO_FREEDOM or not has_little_freedom(document):
+        return []
+    rig = any(parameter["of"] == "rig" and parameter["free"] for parameter in document["parameters"])
+    values = {"freedom": round(document["chi2_freedom"]), "rank": document["rank"], "rig": rig}
+    return [Finding("little-freedom", values)]
+
+
+def has_little_freedom(document: Document) -> bool:
+    """Return whether there are fewer degrees of freedom than fitted parameters: residuals then show no accuracy."""
+    freedom = document["chi2_freedom"]
+    return freedom is not None and bool(freedom < document["rank"])
+
+
+def _doubts(document: Document) -> Iterator[Finding]:
+    """Return joint zeros, bad rows, copies, residuals above the declared noise."""
+    yield from joint_zeros(document)
+    bad = document["without_bad_rows"]
+    if bad is not None:
+        values = {
+            "n": bad["n"],
+            "fitted": document["n_observations"],
+            "after": _sizes(bad, "rms_after", document["residual_units"]),
+            "chi2": chi2_text(bad["chi2_reduced"]),
+            "rows": named_rows(document["suspect"]),
+            "most": MOST,
+        }
+        yield Finding("bad-rows", values)
+    yield from copies(document)
+    chi2 = document["chi2_reduced"]
+    if chi2 is not None and chi2 > CHI2_DOUBTFUL and bad is None:
+        # Least squares and robust losses read the noise from the residuals.
+        reads_noise = SOLVERS[document["solver"]].reads_noise or document["loss"] != Loss.LINEAR
+        values = {
+            "factor": math.sqrt(chi2),
+            "prior": document["prior"] != Prior.NONE,
+            "declared": not reads_noise and document["pose_error"] is None,
+        }
+        yield Finding("doubtful-residuals", values)
+
+
+def joint_zeros(document: Document) -> list[Finding]:
+    """Return which joints count from another zero than described; empty if none does.
+
+    The zeros of the first and the last joint place base and tool, so they do not count, and neither do whole turns.
+    """
+    if document["unusable_because"]:
+        return []
+    offsets = [
+        entry for entry in document["parameters"] if entry["of"] == "robot" and entry["name"].endswith(".offset")
+    ]
+    joints = []
+    for offset in offsets[1:-1]:
+        change = offset["value"] - offset["nominal"]
+        if offset["unit"] == "rad":
+            change = math.remainder(change, 2.0 * math.pi)
+        if offset["sigma"] is not None and abs(change) > FAR_OFF * UNITS[offset["unit"]].wide_sigma:
+            joints.append(f"{offset['name']} by {(DEG if offset['unit'] == 'rad' else MM).text(change, '+.1f')}")
+    return [Finding("joint-zeros", {"joints": joints})] if joints else []
+
+
+def copies(document: Document) -> list[Finding]:
+    """Return which rows were left out because they are copies; empty if there are none."""
+    rows = [f"{one_line(row['source'])} of {one_line(row['of'])}" for row in document.get("copies", ())]
+    return [Finding("copies", {"n": len(rows), "rows": _first(rows, MAX_COPIES, "copies")})] if rows else []
+
+
+def named_rows(rows: Sequence[Document]) -> str:
+    """Return the first MAX_ROWS rows with their distances, and how many more there are."""
+    return _first([f"{one_line(row['source'])} ({row['distance']:.1f} σ)" for row in rows], MAX_ROWS, "suspect")
+
+
+def _first(texts: Sequence[str], most: int, name: str) -> str:
+    more = f" and {len(texts) - most} more ({name} in the JSON result)" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
+
+
+# systematic errors
+
+
+def hardly_matters(document: Document) -> bool:
+    """Return whether the tool moves by less than LITTLE of the error to expect if the systematic errors are applied."""
+    would_be, expected = document["without_systematic"], (document.get("unexplained") or {}).get("mean_mm")
+    if would_be is None or would_be["tool_moves_mm"] is None or expected is None:
+        return False
+    return bool(would_be["tool_moves_mm"] < LITTLE * expected)
+
+
+def systematic_findings(document: Document, judging: bool = False) -> list[Finding]:
+    """Return what is wrong, from which row, by how much, and what to do; empty if nothing was found.
+
+    ``judging``: the rows judge a calibration, so nothing can be applied.
+    """
+    errors, would_be = document["systematic"], document["without_systematic"]
+    findings = [_systematic(error) for error in errors]
+    if would_be is None:
+        return findings
+    chi2 = None if would_be["chi2_reduced"] is None else chi2_text(would_be["chi2_reduced"])
+    if judging:
+        return [*findings, Finding("systematic-here", {"n": len(errors), "chi2": chi2})]
+    numbers = [number["name"] for error in errors for number in _undetermined(error)]
+    findings += [Finding("systematic-undetermined", {"numbers": numbers})] if numbers else []
+    certain = [error for error in errors if not other_items(error)]
+    moves = would_be["tool_moves_mm"]
+    values = {
+        "n": len(errors),
+        "several": len(errors) > 1,
+        "certain": bool(certain),
+        "chi2": chi2,
+        "moves": None if moves is None or numbers else {"mm": moves},
+        "undetermined": bool(numbers),
+        "little": hardly_matters(document) and not numbers,
+        "held_out": would_be["held_out_ratio"],
+        **{
+            name: [error["apply"][name] for error in certain if name in error["apply"]]
+            for name in ("allow", "leave_out")
+        },
+    }
+    return [*findings, Finding("systematic-apply" if len(certain) == len(errors) else "systematic-open", values)]
+
+
+def other_items(error: Document) -> list[str]:
+    """Return the rivals of a systematic error that are errors of other items: to apply it could then be wrong.
+
+    Another form of an error of the same item, such as a gradual change in place of a step, is none of them.
+    """
+    return [name for name in error["rivals"] if _item(name) != error["what"]]
+
+
+def _item(rival: str) -> str:
+    what = rival.removeprefix(GRADUAL).partition("@")[0]
+    endings = [drift.ending for drift in DriftWith if what.endswith(drift.ending)]
+    return what.removesuffix(max(endings, key=len, default=""))
+
+
+def _systematic(error: Document) -> Finding:
+    """Return a systematic error."""
+    is_rows, drifts_with = error["form"] == ErrorForm.ROWS, error.get("drifts_with")
+    code = "systematic-rows" if is_rows else _systematic_code(drifts_with)
+    several, others = ", or ".join(map(_rival, error["rivals"])), other_items(error)
+    lead = ("Without the rows,", "Without them,") if is_rows else ("Estimating the first:", "Estimating this error:")
+    seconds = error.get("over_s")
+    values = {
+        "what": None if error["what"] is None else str(error["what"]),
+        "rows": _rows(error),
+        "size": None if is_rows else _error_size(error),
+        "minutes": None if seconds is None else round(seconds / 60.0),
+        "over": {"degc": round(error["over_degc"], 1)} if error.get("over_degc") is not None else None,
+        "others": several if others else "",
+        "same_item": "" if others else several.replace(", or ", ", "),
+        "estimated": lead[0] if others else lead[1],
+        "chi2_drop": error["chi2_drop"],
+        "freedom": error["freedom"],
+    }
+    return Finding(code, values)
+
+
+def _rival(name: str) -> str:
+    """Return another explanation in words, with the name that ``allow`` takes if it has one."""
+    text = one_line(name)
+    if text.startswith(GRADUAL):
+        return text
+    if re.fullmatch(r"rows \d+ to \d+", text):
+        return f"bad {text}"
+    what, _, rows = text.partition("@")
+    first, _, last = rows.partition(":")
+    where = f" in rows {first} to {last}" if last else f" from row {first} on" if first else " in all rows"
+    for drift in DriftWith:
+        if what.endswith(drift.ending):
+            return f"{_linear_rival(what.removesuffix(drift.ending), drift)}{where} ({text})"
+    return f"a constant error of {what}{where}" + f" ({text})" * bool(rows)
+
+
+def _linear_rival(item: str, drift: DriftWith) -> str:
+    match drift:
+        case DriftWith.TIME:
+            return f"a drift of {item} linear in time"
+        case DriftWith.TEMPERATURE:
+            return f"a drift of {item} linear in the temperature"
+        case DriftWith.DIRECTION:
+            return f"a backlash of {item}"
+        case DriftWith.MOVE:
+            return f"an error of {item} in proportion to its last move"
+        case never:
+            assert_never(never)
+
+
+def _systematic_code(drifts_with: str | None) -> str:
+    match drifts_with and DriftWith(drifts_with):
+        case None | "":
+            return "systematic-offset"
+        case DriftWith.TIME:
+            return "systematic-drift"
+        case DriftWith.TEMPERATURE:
+            return "systematic-thermal-drift"
+        case DriftWith.DIRECTION:
+            return "systematic-backlash"
+        case DriftWith.MOVE:
+            return "systematic-settling"
+        case never:
+            assert_never(never)
+
+
+def _rows(error: Document) -> str:
+    """Return the rows that an error concerns, and how far off the first and the last may be.
+
+    If one may be off by more rows than these are, the error is not located.
+    """
+    first, last = error["rows"]
+    ranges = zip((first, last), (error["first_within"], error["last_within"]), strict=True)
+    off = [max(row - low, high - row) for row, (low, high) in ranges]
+    if max(off) > last - first:
+        every, best = f"rows {error['first_within'][0]} to {error['last_within'][1]}", f"rows {first} to {last}"
+        return f"some of {every}" + f" ({best} fit best, but others fit nearly as well)" * (best != every)
+    places = " to ".join(dict.fromkeys(one_line(error[name]) for name in ("from", "to")))
+    begins, ends = (f"{row}±{by}" if by else str(row) for row, by in zip((first, last), off, strict=True))
+    return f"rows {begins} to {ends} (in the files: {places})"
+
+
+def _error_size(error: Document) -> str:
+    """Return the size of an error with its σ, or the size of each of its numbers."""
+    if error["size"] is None or error["sigma"] is None:
+        return "an amount that cannot be determined"
+    numbers = error.get("off_by", ())
+    if any(map(hardly_determined, numbers)):
+        return ", ".join(_number_size(number, named=len(numbers) > 1) for number in numbers)
+    scale = UNITS[error["unit"]].scale
+    return f"{scale.text(error['size'], '.3g')} (σ {scale.text(error['sigma'], '.1g')})"
+
+
+def hardly_determined(number: Document) -> bool:
+    """Return whether the rows determine a number of an item less accurately than a drawing does."""
+    return number["sigma"] is None or bool(number["sigma"] > UNITS[number["unit"]].weak_sigma)
+
+
+def _number_size(number: Document, named: bool) -> str:
+    """Return the name, size and σ of a number that is off; a size within its large σ would say nothing."""
+    name = f"{one_line(number['name']).rpartition('.')[2]} " if named else ""
+    value, sigma = number["value"], number["sigma"]
+    unknown = f"{name}not determined" if named else "an amount that is not determined"
+    scale = UNITS[number["unit"]].scale
+    if value is None or sigma is None:
+        return unknown
+    if hardly_determined(number) and abs(value) < 2.0 * sigma:
+        return f"{unknown} (σ {scale.text(sigma, '.2g')})"
+    return f"{name}{scale.text(value, '.3g')} (σ {scale.text(sigma, '.1g')})"
+
+
+def _undetermined(error: Document) -> list[Document]:
+    """Return the hardly determined numbers of an item that is off in all rows."""
+    in_all_rows = error["apply"].get("allow") == error["what"]
+    return [number for number in error.get("off_by", ()) if in_all_rows and hardly_determined(number)]
+
+
+# sessions, and the error of the tool
+
+
+def _sessions(document: Document, paths: Mapping[str, str]) -> Iterator[Finding]:
+    """Return how the dwells and lines of each session were used, and what must be decided."""
+    for count in document.get("sessions", ()):
+        has_dwells, has_lines = count["with_bar"] or not count["lines"], bool(count["lines"])
+        rejected, stops = count["rejected"], count["mountings"]
+        dwells = {
+            "used": str(count["used"]),
+            "dwells": count["dwells"],
+            "last": count["dwells"] + stops if stops else None,
+            "stops": stops,
+            "rejected": _rejected(rejected),
+            "relabelled": count["labels"],
+        }
+        lines = {
+            "lines": count["lines"],
+            "lines_used": str(count["lines_used"]),
+            "lines_rejected": _rejected(count["lines_rejected"]),
+        }
+        values = {"session": count["session"], "both": has_dwells and has_lines, **lines}
+        values |= dwells if has_dwells else dict.fromkeys(dwells)
+        yield Finding("session", values)
+        n = sum(number for reason, number in rejected.items() if reason in NEED_DECISION)
+        if has_dwells and n:
+            none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
+            path = paths.get(count["session"], count["session"])
+            values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [path]}
+            yield Finding("no-dwell-fits" if none_fits else "doubtful-dwells", values)
+
+
+def _rejected(reasons: Mapping[str, int]) -> list[str]:
+    return [f"{n} {reason}" for reason, n in reasons.items()]
+
+
+def tool_error(document: Document) -> list[Finding]:
+    """Return the error of the tool to expect.
+
+    If the declared noise does not explain the residuals, it is the largest of three: the error of poses that were not fitted,
+    how far the tool moves if the systematic errors are estimated, and what the covariance predicts. A displaced fixture
+    turns the base with it, and rows held out at the same fixture do not show that. If bad rows are in the fit, it is how far
+    the tool moves without them.
+    """
+    if document["status"] != "converged" or not document["usable"]:
+        return []
+    predicted, shown = document["predicted_error"], document["unexplained"]
+    if shown is None:
+        if predicted is None:
+            return [Finding("tool-error-unpredictable")]
+        sizes = {"rms": {"mm": predicted["rms_mm"]}, "largest": {"mm": predicted["max_mm"]}}
+        return [
+            Finding(
+                "tool-error", {**sizes, "n": predicted["n"], "relative": predicted["relative"], "row": predicted["at"]}
+            )
+        ]
+    systematic, bad = document["without_systematic"], document["without_bad_rows"]
+    moves = None if systematic is None else systematic["tool_moves_mm"]
+    tool = predicted["rms_mm"] if predicted else None
+    noise = "The declared noise does not explain the residuals"
+    values = {
+        "because": noise if systematic is None else "The fit has systematic errors",
+        "error": {name[5:]: shown[name] for name in shown if name.startswith("mean_")},
+        "range": listed(
+            [
+                f"{shown[f'low_{name[5:]}']:.4f} to {shown[f'high_{name[5:]}']:.4f}"
+                for name in shown
+                if name.startswith("mean_")
+            ]
+        ),
+        "n": max(shown[name] for name in shown if name.startswith("n_")),
+        "by": "held out" if shown["by"] == "held out" else "left out in turn",
+        "tool": None if tool is None else {"mm": tool},
+        "tool_n": predicted["n"] if predicted else None,
+    }
+    measured = shown.get("mean_mm")
+    if bad is not None:
+        return [Finding("tool-error-bad-rows", {**values, "moves": {"mm": bad["tool_moves_mm"]}})]
+    if moves is not None and moves > max(measured or 0.0, tool or 0.0):
+        return [Finding("tool-error-systematic", {**values, "moves": {"mm": moves}})]
+    if tool is not None and measured is not None and tool > measured:
+        return [Finding("tool-error-by-sigmas", values)]
+    return [Finding("tool-error-shown", values)]
+
+
+# what was identified, and the residuals
+
+
+def _identified(document: Document) -> Iterator[Finding]:
+    """Return what was identified, what is held by default, base and tool that are elsewhere, time offsets."""
+    yield identified(document)
+    yield Finding("solver", {"solver": document["solver"], "prior": _prior(document), "loss": _loss(document)})
+    if SOLVERS[document["solver"]].ends_by_recipe:
+        yield Finding("solver-recipe", {"message": document["message"]})
+    defaults = document["defaults"]
+    base, tool = defaults["base"], defaults["tool"]
+    if base or tool:
+        yield Finding("held-frames", {"base": base, "tool": tool, "both": bool(base and tool)})
+    for joint in defaults["still"]:
+        yield Finding("still", {"joint": joint["joint"], "spread": _size(joint["spread"], joint["unit"])})
+    if defaults["lost"]:
+        yield Finding("held-with-still", {"names": defaults["lost"]})
+    yield from displaced(document)
+    for offset in (entry for entry in document["parameters"] if entry["unit"] == "s" and entry["free"]):
+        name, value, sigma = offset["name"], offset["value"], offset["sigma"]
+        if value is None or sigma is None:
+            yield Finding("time-offset-unidentifiable", {"name": name})
+        else:
+            late = "late" if value >= 0.0 else "early"
+            values = {"offset": {"ms": 1e3 * abs(value)}, "sigma": {"ms": 1e3 * sigma}, "late": late, "name": name}
+            yield Finding("time-offset", values)
+    indices = document["observability"]
+    if indices is not None and None not in indices.values():
+        named = [f"{name.upper()} {value:.3g}" for name, value in indices.items()]
+        yield Finding("observability", {"n": len(document["suggested_free"]), "indices": named})
+
+
+def identified(document: Document) -> Finding:
+    """Return how many parameters were identified from which rows."""
+    rows: dict[str, int] = {}
+    for entry in document["observations"]:
+        rows[entry["kind"]] = rows.get(entry["kind"], 0) + entry["fitted"]
+    values = {
+        "robot": document["robot"]["name"],
+        "rank": document["rank"],
+        "n_free": document["n_free"],
+        "rows": ", ".join(counted(n, f"{kind_name(kind)} row") for kind, n in rows.items() if n),
+        "held_out": sum(entry["held_out"] for entry in document["observations"]),
+        "unseen": len(document["null_space"]),
+        "weak": len(document["hardly_seen"]),
+    }
+    return Finding("identified", values)
+
+
+def _prior(document: Document) -> str:
+    match Prior(document["prior"]):
+        case Prior.NONE:
+            return "without a prior"
+        case Prior.WHERE_NEEDED:
+            believed = listed(document["defaults"]["believed"])
+            return f"with a weak prior on {believed}, weakly identifiable here"
+        case Prior.WEAK | Prior.WIDE as name:
+            return f"with a {name} prior on the robot's parameters"
+        case never:
+            assert_never(never)
+
+
+def _loss(document: Document) -> str | None:
+    return None if document["loss"] == Loss.LINEAR else str(document["loss"])
+
+
+def displaced(document: Document) -> list[Finding]:
+    """Return that base or tool stands elsewhere than described; empty if neither does."""
+    frames = []
+    for frame in document.get("displaced", ()):
+        sizes = []
+        for name, unit, scale, digits in (("distance_mm", "m", MM, ".3g"), ("turn_deg", "rad", DEG, ".2g")):
+            size = from_shown(frame[name], unit)
+            if size > UNITS[unit].weak_sigma:
+                sizes.append(scale.text(size, digits))
+        frames.append(f"the {frame['frame']} {' and '.join(sizes)} from where it is described")
+    return [Finding("displaced", {"frames": " and ".join(frames), "n": len(frames)})] if frames else []
+
+
+def _residuals(document: Document) -> Iterator[Finding]:
+    """Return χ² and its range, which part of the residuals declared noise explains, what "before" means."""
+    low, high = document["chi2_band"] or (None, None)
+    chi2, units = document["chi2_reduced"], document["residual_units"]
+    if None not in (low, high, chi2):
+        where = "within" if low <= chi2 <= high else "above" if chi2 > high else "below"
+        values = {"chi2": chi2_text(chi2), "where": where, "low": low, "high": high, "less": chi2 < low}
+        yield Finding("chi2", {**values, "loss": _loss(document)})
+    if not has_little_freedom(document):
+        by_chance = chi2 is not None and high is not None and chi2 <= high
+        yield from _noise_share(document, by_chance)
+    shared = document["pose_error"]
+    if shared is not None:
+        yield Finding("pose-error", {"sigma": {"mm": shared["sigma_mm"]}, "n": shared["n"]})
+    before, raw = (_sizes(document, name, units) for name in ("rms_before", "rms_raw"))
+    rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
+    fitted = list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
+    if before == raw:
+        yield Finding("before", {"fitted": fitted})
+    else:
+        yield Finding("before-placed", {"fitted": ["base and tool", *fitted], "raw": raw})
+
+
+def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
+    """Return how much of the residuals the declared noise explains.
+
+    ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust loss weights down.
+    """
+    declared, unexplained = (
+        _sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
+    )
+    shares = {suffix: unexplained[suffix] for suffix in declared if None not in (declared[suffix], unexplained[suffix])}
+    more = {suffix: value for suffix, value in shares.items() if value > 0.0}
+    less = {suffix: declared[suffix] for suffix in shares if suffix not in more}
+    if less:
+        units = [SUFFIXES[suffix].symbol for suffix in less] if more else None
+        yield Finding("noise-explains", {"declared": less, "units": units})
+    if more:
+        weighted = (
+            "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
+        )
+        remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
+        values = {"declared": {suffix: declared[suffix] for suffix in more}, "unexplained": more, "rest": remainder}
+        yield Finding("noise-leaves", values)
+
+
+def outliers(document: Document) -> Iterator[Finding]:
+    """Return the outliers, and the fit of all rows."""
+    rows, fitted = document["suspect"], document["n_observations"]
+    if not rows or document["without_bad_rows"] is not None:
+        return
+    if len(rows) > MOST * fitted and all(row["weight"] == 1.0 for row in rows):
+        yield Finding("too-many-outliers", {"n": len(rows), "fitted": fitted})
+        return
+    laws = any(law["kept"] for law in (document["joint_laws"] or {}).get("tried", ()))
+    left_out, kept = ([row for row in rows if (row["weight"] == 0.0) is is_out] for is_out in (True, False))
+    values: dict[str, Any] = {"n": len(rows), "rows": named_rows(left_out or kept), "left_out": len(left_out)}
+    if left_out and kept:
+        usual = "the residuals of most rows exceed their declared noise"
+        why = "they hardly change the fit" if laws else usual
+        values |= {"why": why, "kept": named_rows(kept), "first": [kept[0]["source"]]}
+    yield Finding("outliers", {"why": None, "kept": None, "first": None, **values})
+    every = document["with_outliers"]
+    if every is not None:
+        after = _sizes(every, "rms_after", document["residual_units"])
+        yield Finding(
+            "all-rows-fit", {"geometry": laws, "plain": not laws, "after": after, "chi2": every["chi2_reduced"]}
+        )
+
+
+def _held_out(document: Document) -> Iterator[Finding]:
+    """Return the limits of the held-out error."""
+    held_out = document["held_out"]
+    rms = [
+        (held_out.get(f"rms_{unit}"), document[f"rms_after_{unit}"]) for unit in document["residual_units"] if held_out
+    ]
+    ratio = max((held / fitted for held, fitted in rms if held and fitted), default=0.0)
+    if ratio > HELD_OUT_DOUBTFUL:
+        yield Finding("held-out-larger", {"ratio": ratio})
+    names = [name for name in document.get("all_held_out", ()) if name not in document["held_out_by"]]
+    if held_out and names:
+        proposed = document.get("hold_out_proposal")
+        yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
+    if held_out and held_out["n_settled"]:
+        yield Finding("rig-from-held-out", {"n": held_out["n_settled"]})
+    if held_out and held_out["n_left_out"]:
+        yield Finding("rows-not-judged", {"n": held_out["n_left_out"]})
+    if held_out is None and document["held_out_by"]:
+        yield Finding("no-row-judged")
+
+
+def _advice(document: Document) -> Iterator[Finding]:
+    """Return what to do next."""
+    because = document["unusable_because"]
+    full_rank = document["rank"] == document["n_free"]
+    most_useful = {addition["kind"]: addition for addition in reversed(document["additions"])}  # the first is the best
+    for addition in () if wrong_first(document) else reversed(most_useful.values()):
+        names = addition["parameters"]
+        more = f" and {counted(len(names) - MAX_TERMS, 'other')}" if len(names) > MAX_TERMS else ""
+        words = ", ".join(map(one_line, names[:MAX_TERMS])) + more
+        values = {"what": addition["text"], "n": len(names), "names": words}
+        yield Finding("measure-next", {**values, "full_rank": full_rank, "lacking": not full_rank})
+    if because not in (None, Unusable.NO_FREEDOM, Unusable.WORSE):  # which more rows mend
+        yield Finding("correct-next")
+    if because is None and not document["held_out_by"]:
+        proposed = document.get("hold_out_proposal")
+        yield Finding("hold-out-next", {"few": proposed is None, **_proposal(proposed)})
+
+
+def _proposal(proposed: Document | None) -> dict[str, Any]:
+    """Return the values of a hold-out that keeps rows of every combination in the fit."""
+    values = dict(proposed or dict.fromkeys(("fraction", "seed", "rows", "combinations")))
+    return values | {"combinations": values["combinations"] if values["combinations"] != 1 else None}
+
+
+def _sizes(of: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) -> dict[str, float]:
+    """Return a figure in each unit that it has."""
+    return {suffix: of[f"{name}_{suffix}"] for suffix in units if suffix and of.get(f"{name}_{suffix}") is not None}
+
+
+def _size(value: float, unit: str) -> str:
+    return UNITS[unit].scale.text(value, ".2f")
