@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from truearm.correct.controller_frames import base_of, flange_of
+from truearm.files.robot_file import RobotChoice, load_robot
+from truearm.workflows.correct import tool0_in_flange
 
 X, Y, Z = np.eye(3)
 
@@ -49,3 +52,23 @@ def test_a_name_that_says_nothing_is_not_guessed_at(language, name):
     for brought in (False, True):
         assert base_of(language, name, brought) is None
         assert flange_of(language, name, brought) is None
+
+
+@pytest.mark.parametrize("has_tool0", [True, False])
+@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (0.0, np.pi / 2, 0.0), (0.7, 0.0, 0.0)])
+def test_the_geometry_of_a_urdf_decides_what_its_flange_is(tmp_path, rpy, has_tool0):
+    """tool0 in the file is the controller's; otherwise x must point out of a flange, or its pose is asked for."""
+    fixed = [("flange", rpy), *([("tool0", (0.0, np.pi / 2, 0.0))] if has_tool0 else [])]
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "link", *(name for name, _ in fixed)))
+    joint = '<joint name="j" type="revolute"><parent link="base"/><child link="link"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    for name, angles in fixed:
+        origin = f'<origin rpy="{" ".join(map(str, angles))}"/>'
+        joint += f'<joint name="to_{name}" type="fixed"><parent link="link"/><child link="{name}"/>{origin}</joint>'
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="r">{links}{joint}</robot>')
+    pose = tool0_in_flange(RobotChoice(str(path), "base", "flange"), load_robot(str(path), "base", "flange").chain)
+    turn = Rotation.from_euler("xyz", rpy)
+    assert (pose is not None) == has_tool0
+    if pose is not None:
+        np.testing.assert_allclose(turn.as_matrix() @ pose[:3, :3] @ Z, X, atol=1e-12)
+    assert (flange_of("rapid", "flange", False, turn.inv().apply(X)) is None) == bool(rpy[1])

@@ -20,7 +20,7 @@ TOKEN = re.compile(
 KEYWORDS = {"def", "end", "while", "if", "else", "elif", "global", "local", "and", "or", "not", "True", "False", "return", "thread", "sec", "run", "join", "kill", "halt", "xor", "break", "continue"}  # fmt: skip
 SAME = {"while", "if", "else", "elif", "and", "or", "not", "True", "False", "return", "break", "continue"}  # in Python
 UNOBSERVED = {"join", "kill", "enter_critical", "exit_critical"}  # statements on threads, which do not run
-MOST_STATEMENTS, MOST_MOVES = 100_000, 3_000  # beyond, a loop does not end
+MOST_STATEMENTS, MOST_MOVES = 100_000, 1_000  # beyond, a loop does not end
 
 
 class Pose(list):
