@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
-from report_bench import full_page, make_page
+from report_bench import CERTIFICATE, full_page, make_page
 
 from truearm.findings import Finding
-from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page
+from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page, validation_page
 from truearm.report.map_picture import Cells, map_picture
 
 PHONE = 400
@@ -44,6 +44,33 @@ def gauge():
             certificate=(("What", group),),
         )
     )
+
+
+def validation():
+    """The page of ``truearm validate`` with lengths and angles, in all four parts of the space."""
+    figures = {
+        f"{name}_{when}_{unit}": 0.1234
+        for name in ("rms", "mean", "max")
+        for when in ("before", "after")
+        for unit in ("mm", "deg")
+    }
+    numbers = {**figures, "n_mm": 120, "n_deg": 120, "rms_expected_mm": 0.1, "rms_expected_deg": None}
+    parts = [f"radius {sign} 644 mm, z {other} 17 mm" for sign in "≤>" for other in "≤>"]
+    document = {
+        **numbers,
+        **{"simulated": True, "verdict": "The calibration holds: " + LONG, "without_rig": "rig.toml", "unseen": 0},
+        **{"residual_units": ["mm", "deg"], "expected": None, "placed": True, "rms_raw_mm": 1.0, "rms_raw_deg": 0.1},
+        **{
+            "chi2_reduced": 1.1,
+            "chi2_limit": 1.2,
+            "systematic": [],
+            "without_systematic": None,
+            "copies": [],
+            "payload": [LONG],
+        },
+        **{"settled": 21, "kept": 1, "left_out": 2, "regions": [{**numbers, "region": part} for part in parts]},
+    }
+    return validation_page.render("puma560", CERTIFICATE, document, LONG)
 
 
 def program(n=30):
@@ -105,6 +132,7 @@ def pages(tmp_path_factory):
         "report.html": calibration_page.render(full_page()),
         "demo.html": demo(),
         "gauge.html": gauge(),
+        "validation.html": validation(),
         "program.html": program(),
         "reproduced.html": reproduced(),
         "map.svg": map_(),
@@ -136,7 +164,9 @@ def test_no_page_is_wider_than_a_phone(pages, tmp_path):
 
 
 @needs_printer
-@pytest.mark.parametrize("name", ["report.html", "demo.html", "gauge.html", "program.html", "reproduced.html"])
+@pytest.mark.parametrize(
+    "name", ["report.html", "demo.html", "gauge.html", "validation.html", "program.html", "reproduced.html"]
+)
 def test_everything_is_on_the_sheets_of_a4(pages, tmp_path, name):
     """All table heads and the whole command are printed within the margins, and no sheet but the last is half empty."""
     sheets = printed(tmp_path, pages[name])
