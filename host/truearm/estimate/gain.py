@@ -4,9 +4,9 @@ The two robots are compared pose by pose: d is the mean magnitude of a pose's er
 before. |d| is at most the distance between the two predictions, so no outlier dominates. Rows of one pose have
 correlated errors, so poses are the independent samples, and t is the mean of d in its standard errors.
 
-The calibration is worse if t is above the quantile of Student's t for LEVEL_WORSE: such a fit is refused, so chance
-must not do it. It is better if t is below the quantile for LEVEL_BETTER. Otherwise the poses show no difference. With
-residuals in several units, a robot that is better in one of them is better.
+The calibration is better if t is below the quantile of Student's t for LEVEL, and worse, and refused, if t is above
+that for 1 − LEVEL. Otherwise the poses show no difference. With residuals in several units, a robot that is better in
+one of them is better.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from truearm.estimate.measured_order import poses
 from truearm.results import Estimate, Gain, MeanChange, Unusable
 from truearm.types import Floats, Indices, ObservationTable, Residuals
 
-LEVEL_WORSE = 0.001
-LEVEL_BETTER = 0.05
+LEVEL = 0.05
 SMALLEST = 1e-9  # m, rad: rounding of exact data is less
 
 
@@ -64,7 +63,7 @@ def mean_changes(before: Residuals, after: Residuals, pose: Indices) -> Mapping[
 def _gain(change: Floats) -> Gain:
     """Return the gain for the changes (n,) of the poses' mean errors."""
     standard_error = float(change.std(ddof=1)) / np.sqrt(change.size)
-    lower, upper = special.stdtrit(change.size - 1, (LEVEL_BETTER, 1.0 - LEVEL_WORSE)) * standard_error
-    if change.mean() < lower:
+    threshold = float(special.stdtrit(change.size - 1, 1.0 - LEVEL)) * standard_error
+    if change.mean() < -threshold:
         return Gain.BETTER
-    return Gain.WORSE if change.mean() > max(upper, SMALLEST) else Gain.NONE
+    return Gain.WORSE if change.mean() > max(threshold, SMALLEST) else Gain.NONE
