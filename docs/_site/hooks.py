@@ -117,15 +117,17 @@ def command_page(path: str, command: Any, level: int = 1) -> str:
     text = text.replace("\b", "").replace("\f", "")
     lines = [f"{'#' * level} {path}", "", _escaped(text.strip()), ""]
     context = command.context_class(command, info_name=path)
-    records = [p.get_help_record(context) for p in command.params]
     usage = " ".join(command.collect_usage_pieces(context))
     if not subcommands:
         lines += ["```text", f"{path} {usage}", "```", ""]
     if example.strip():
         lines += ["Example:", "", "```text", inspect.cleandoc(example).strip(), "```", ""]
-    rows = [_row(*record) for record in records if record and not subcommands]
-    if rows:
-        lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
+    rows: dict[str, list[str]] = defaultdict(list)  # by heading of the help page
+    for parameter in () if subcommands else command.params:
+        if record := parameter.get_help_record(context):
+            rows[getattr(parameter, "rich_help_panel", None) or "argument or option"].append(_row(*record))
+    for heading, texts in rows.items():
+        lines += [f"| {heading.lower().removesuffix('s')} | meaning |", "|---|---|", *texts, ""]
     for name, sub in subcommands.items():
         lines += [command_page(f"{path} {name}", sub, level + 1)]
     return "\n".join(lines)
