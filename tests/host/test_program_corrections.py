@@ -151,15 +151,6 @@ FORMS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_true_arm_goes_where_a_perfect_one_would(tmp_path, form):
-    """Within 1 µm of the identified arm: numbers are written to 1 nm and 1 nrad."""
-    text = program(*FORMS[form])
-    before = misses(text, text)
-    assert before[:, 0].min() > 5e-3
-    assert misses(text, corrected(tmp_path, text)).max() < 1e-6
-
-
 def flipped(q):
     """The other wrist: the same pose of an arm whose last three axes meet."""
     turn = np.where(q[[3, 5]] > 0.0, -np.pi, np.pi)
@@ -175,16 +166,7 @@ FROM_JOINTS = {
     "from a qnear": (f"movej(get_inverse_kin({six(POSES[1])}, qnear={written(flipped(Q[1]))}))", f"movel({six(POSES[2])})"),
     "a rough qnear": (f"movej(get_inverse_kin({six(POSES[2])}, qnear={written(np.round(flipped(Q[2])) + np.array([0.5, 0.5, -0.5, -0.5, 0.6, 0.5]))}))",),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("form", FROM_JOINTS)
-def test_the_configuration_is_the_one_in_which_the_program_comes(tmp_path, form):
-    """Without a home: the wrist is where the joint move before has brought it, however the text is ordered."""
-    np.testing.assert_allclose(forward(CHAIN, DESIGN, flipped(Q[1])[None])[0], POSES[1], atol=1e-12)
-    text = program(*FROM_JOINTS[form])
-    assert misses(text, corrected(tmp_path, text, home=None)).max() < 1e-6
-
-
+# moves that need different numbers of one target, which get their own
 TWO_WAYS = {
     "qnear": (f"W = {six(POSES[1])}", f"movej(get_inverse_kin(W, qnear={written(Q[1])}))", f"movej(get_inverse_kin(W, qnear={written(flipped(Q[1]))}))"),
     "joints before": (f"W = {six(POSES[1])}", f"movej({written(Q[2])})", "movel(W)", f"movej({written(flipped(Q[2]))})", "movel(W)"),
@@ -196,11 +178,20 @@ TWO_WAYS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("form", TWO_WAYS)
-def test_moves_that_need_different_numbers_of_one_target_get_their_own(tmp_path, form):
-    """Each wrist, tool and offset needs other numbers."""
-    text = program(*TWO_WAYS[form])
-    assert misses(text, corrected(tmp_path, text, home=Q[1])).max() < 1e-6
+HOMES = ((FORMS, Q[0]), (FROM_JOINTS, None), (TWO_WAYS, Q[1]))
+DRIVEN = [pytest.param(forms[name], home, id=name) for forms, home in HOMES for name in forms]
+
+
+@pytest.mark.parametrize(("form", "home"), DRIVEN)
+def test_the_true_arm_goes_where_a_perfect_one_would(tmp_path, form, home):
+    """Within 1 µm of the identified arm: numbers are written to 1 nm and 1 nrad.
+
+    Without a home, the wrist is where the joint move before has brought it, however the text is ordered.
+    """
+    np.testing.assert_allclose(forward(CHAIN, DESIGN, flipped(Q[1])[None])[0], POSES[1], atol=1e-12)
+    text = program(*form)
+    assert misses(text, text)[:, 0].max() > 5e-3
+    assert misses(text, corrected(tmp_path, text, home=home)).max() < 1e-6
 
 
 # why moves are refused, by the codes of the reasons: line of the text, code
@@ -554,11 +545,8 @@ FAULTS = {
     "a change is lost": lambda first, second: [first],
     "a digit is lost": lambda first, second: [first, second._replace(text="0.3")],
     "two are exchanged": lambda first, second: [first._replace(text=second.text), second._replace(text=first.text)],
-    "a move is added": lambda first, second: [
-        first._replace(text=f"{first.text},0,0,0,0,0])\n  movel(p[{first.text}"),
-        second,
-    ],
-}
+    "a move is added": lambda first, second: [first._replace(text=f"{first.text},0,0,0,0,0])\n  movel(p[{first.text}"), second],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)
