@@ -18,6 +18,7 @@ from truearm.session.session_file import open_session
 from truearm.workflows.inspect import describe
 
 BLOCK_BYTES = 65_536
+DATA_END = b"\x0f\x04\0\0\0\0\0\0\0"  # MCAP's record between the chunks and the summary
 TOUCHED_S = 2.0  # of the chunks that begin before the block or end after it
 PLAN = [{"pose": k, "bar": "b46", "chuck": "c1", "sphere": "s1", "q": [0.1 * k, 0.2, 0.3]} for k in range(40)]
 MOUNTED = {"bar": "b46", "chuck": "c1", "sphere": "s1"}
@@ -105,6 +106,17 @@ def check_block(recording, begin, path):
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_one_block(recording, tmp_path, share):
     check_block(recording, round(share * (len(recording.whole) - BLOCK_BYTES)), tmp_path / "session.mcap")
+
+
+def test_the_last_chunks_with_what_the_summary_says_of_them(recording, tmp_path):
+    """The footer is intact, but the statistics are not: how much was lost cannot be known, and is not 0 s."""
+    begin = int(recording.bytes[-40, 0])
+    statistics_end = recording.whole.rindex(DATA_END) + 2000
+    path = tmp_path / "session.mcap"
+    zeroed(recording, begin, statistics_end - begin, path)
+    found = recover(open_session(path, allow_damaged=True), tmp_path / "recovered.mcap", {})
+    assert (found.cut_off, found.damage) == (True, ())
+    assert found.seconds == pytest.approx(1e-9 * (recording.log_ns[-41, 1] - recording.log_ns[0, 0]), abs=1.0)
 
 
 @pytest.mark.soak

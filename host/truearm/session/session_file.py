@@ -333,10 +333,14 @@ class IntactParts:
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
-    def finish(self, complete: bool, span: tuple[int, int] | None) -> None:
-        """Compute ``damage``. ``span``: times of the first and last message according to the file's summary."""
-        if not complete and self._gaps and self._gaps[-1][2] is None:
-            self._gaps.pop()  # nothing follows: the file simply ends there
+    def finish(self, complete: bool, span: tuple[int, int] | None) -> bool:
+        """Compute ``damage``; return whether the end of the session is known.
+
+        ``span``: times of the first and last message according to the file's summary, if it is readable.
+        """
+        if self._gaps and self._gaps[-1][2] is None and not (complete and span):
+            self._gaps.pop()  # nothing follows, and nothing says how long it was
+            complete = False
         first, last = span or (self.first_ns or 0, self.last_ns or 0)
         of_s = 1e-9 * max(0, last - first)
         times = [(at, first if a is None else a, last if b is None else b) for at, a, b in self._gaps]
@@ -344,6 +348,7 @@ class IntactParts:
             Damage(at, 1e-9 * max(0, after - before), of_s, 1e-9 * max(0, before - first))
             for at, before, after in times
         )
+        return complete
 
     def _close(self, now_ns: int) -> None:
         if self._gaps and self._gaps[-1][2] is None:
@@ -387,8 +392,7 @@ def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
         whole.unread_bytes += (size if at is None else at) - begin
     if at is not None and not complete:
         whole.unread_bytes += size - at
-    whole.finish(complete, span)
-    return whole, complete
+    return whole, whole.finish(complete, span)
 
 
 def _is_whole(path: Path, file: BinaryIO, opcode: int, at: int, length: int, whole: IntactParts) -> bool:
