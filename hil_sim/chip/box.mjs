@@ -118,9 +118,9 @@ function control(box) {
 }
 
 function main() {
-  const { uf2, store, cause, uid, seed, startNs } = JSON.parse(process.argv[2]);
+  const { uf2, store, packetNs, cause, uid, seed, startNs } = JSON.parse(process.argv[2]);
   const signals = new Signals(query);
-  const pico = new Pico({ flash: new Flash(uf2, store), cause, uid, seed, startNs });
+  const pico = new Pico({ flash: new Flash(uf2, store), packetNs, cause, uid, seed, startNs });
   const symbols = path.join(path.dirname(uf2), 'symbols.json');
   const box = { pico, signals, symbols, sent: [], outputs: [], parts: attachParts(pico, signals) };
   pico.onData = (bytes) => box.sent.push(Buffer.from(bytes));

@@ -17,10 +17,10 @@ export const COMMAND = 3;
 
 export class Pico {
   /**
-   * `flash`: a Flash; `cause`: of this boot; `uid`: eight bytes of the flash chip; `seed`: of the ring oscillator's bits;
+   * `flash`: a Flash; `packetNs`: what a packet on USB takes; `cause`: of this boot; `uid`: eight bytes of the flash chip; `seed`: of the ring oscillator's bits;
    * `startNs`: what the clock shows at power-on, for tests of wrapping counters.
    */
-  constructor({ flash, cause = POWER, uid = [1, 2, 3, 4, 5, 6, 7, 8], seed = 1, startNs = 0 }) {
+  constructor({ flash, packetNs, cause = POWER, uid = [1, 2, 3, 4, 5, 6, 7, 8], seed = 1, startNs = 0 }) {
     this.clock = new Clock(startNs);
     this.chip = new RP2040(this.clock);
     this.flash = flash;
@@ -40,7 +40,7 @@ export class Pico {
     mends.mendWatchdog(chip, cause, (reason) => this.#end('reset', reason));
     mends.mendRosc(chip, seed);
     mends.mendFlashId(chip, uid);
-    this.usb = new UsbHost(chip, clock, (bytes) => this.onData(bytes));
+    this.usb = new UsbHost(chip, clock, packetNs, (bytes) => this.onData(bytes));
     this.cpu = new Cpu(chip, clock, () => (this.ended ? 0 : Math.min(clock.dueNs, this.pio.nextNs)));
     this.#boot();
   }

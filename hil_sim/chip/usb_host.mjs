@@ -7,7 +7,6 @@
 import { extractEndpointNumbers, setup } from './emulator.mjs';
 
 const PACKET = 64;
-const PACKET_NS = 53_000; // 19 packets of 64 bytes a frame of 1 ms: what full-speed bulk transfers reach at best (latency.py knows it)
 const FRAME_NS = 1_000_000;
 const AVAILABLE = 1 << 10;
 const FULL = 1 << 15;
@@ -23,8 +22,9 @@ const SET_CONTROL_LINE_STATE = 0x22;
 const DTR_RTS = 3;
 
 export class UsbHost {
-  /** `onData(bytes)` is called with what the box sends; `room` says how many bytes may come (Infinity: any). */
-  constructor(chip, clock, onData) {
+  /** A packet takes `packetNs`. `onData(bytes)` is called with what the box sends; `room` says how many bytes may come (Infinity: any). */
+  constructor(chip, clock, packetNs, onData) {
+    this.packetNs = packetNs;
     this.usb = chip.usbCtrl;
     this.dpram = chip.usbDPRAM;
     this.view = chip.usbDPRAMView;
@@ -156,7 +156,7 @@ export class UsbHost {
   }
 
   #poll() {
-    if (this.armed && this.open && this.room > 0 && !this.packet.scheduled) this.packet.schedule(PACKET_NS);
+    if (this.armed && this.open && this.room > 0 && !this.packet.scheduled) this.packet.schedule(this.packetNs);
   }
 
   #control(endpoint, out) {
@@ -182,6 +182,6 @@ export class UsbHost {
     this.wanted = 0;
     const register = this.#control(this.outEndpoint, true);
     this.view.setUint32(register, this.view.getUint32(register, true) & ~AVAILABLE, true);
-    this.usb.endpointReadDone(this.outEndpoint, bytes, PACKET_NS / 1000);
+    this.usb.endpointReadDone(this.outEndpoint, bytes, this.packetNs / 1000);
   }
 }

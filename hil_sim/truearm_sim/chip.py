@@ -101,6 +101,7 @@ class ChipBox:
         argument = {
             "uf2": str(image or node.image()),
             "store": str(store),
+            "packetNs": self.link_ns,
             "cause": boot.cause,
             "uid": list(boot.setup.uid),
             "seed": boot.boot_id,

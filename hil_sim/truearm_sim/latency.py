@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# A packet of 64 bytes: at most 19 fit a frame of 1 ms (USB 2.0, 5.8.4). The emulated chip's link takes this time itself, each way
-# (hil_sim/chip/usb_host.mjs).
+# A packet of 64 bytes: at most 19 fit a frame of 1 ms (USB 2.0, 5.8.4). The emulated chip's link is started with it, and takes
+# this time itself, each way.
 USB_PACKET_NS = 53_000
 
 

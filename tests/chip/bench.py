@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 from truearm_sim import node
+from truearm_sim.latency import USB_PACKET_NS
 
 BENCH = Path(__file__).with_name("driver_bench.mjs")
 SETUP = """
@@ -19,7 +20,12 @@ gc.disable()
 
 def run_steps(steps: list[dict], start_ns: int = 0) -> list[dict]:
     """Boot once and run the steps. `out` of each is the output of its script, one JSON value per line."""
-    message = {"uf2": str(node.image()), "startNs": start_ns, "steps": [{"script": SETUP}, *steps]}
+    message = {
+        "uf2": str(node.image()),
+        "packetNs": USB_PACKET_NS,
+        "startNs": start_ns,
+        "steps": [{"script": SETUP}, *steps],
+    }
     done = subprocess.run(
         [str(node.ready().path), str(BENCH)], input=json.dumps(message), capture_output=True, text=True, timeout=300
     )

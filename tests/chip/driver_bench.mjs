@@ -1,7 +1,7 @@
 // The box's image without its main program: drivers alone, given to MicroPython's raw REPL as scripts, with the magnetostrictive
 // head and the trigger lines on their pins. One boot, any number of steps. JSON on standard input:
 //
-//   {uf2, startNs, steps: [{script, controls: [{afterMs, part, ...}], edges: [[line, level, afterNs], ...], flightsPs: [...]}]}
+//   {uf2, packetNs, startNs, steps: [{script, controls: [{afterMs, part, ...}], edges: [[line, level, afterNs], ...], flightsPs: [...]}]}
 //
 // Times count from the moment the script is sent. Flights are taken in turn, over and over; negative: no stop pulse.
 // Prints a JSON list, a step each: {out, err, sentNs, shots: [[index, edge ns, flight ps, period ns]], outputs: [[level, ns]],
@@ -19,8 +19,8 @@ const MS = 1e6;
 const LIMIT_MS = 30_000;
 const OUTPUT = 8;
 
-const { uf2, startNs = 0, steps } = JSON.parse(fs.readFileSync(0, 'utf8'));
-const pico = new Pico({ flash: new Flash(uf2), startNs });
+const { uf2, packetNs, startNs = 0, steps } = JSON.parse(fs.readFileSync(0, 'utf8'));
+const pico = new Pico({ flash: new Flash(uf2), packetNs, startNs });
 let received = '';
 pico.onData = (bytes) => { received += Buffer.from(bytes).toString('latin1'); };
 pico.usb.setOpen(true);
