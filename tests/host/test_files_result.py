@@ -242,6 +242,7 @@ WRONG = {
         "joint_laws.laws[0].count: expected int >= 4",
     ),
     "a law of an unknown term": (("joint_laws",), {"laws": [{"term": "magic"}]}, "laws[0].term: invalid value 'magic'"),
+    "lists in lists in lists": (("suspect",), [{"a": [[[0.1]]]}], "suspect[0][...][0][0]: expected float, got array"),
     "options that are a number": (("made_with",), 7, "made_with: expected object | null, got int"),
     "a range of one joint": (("joint_range", "lower"), [0.0], "joint_range: needs 6 numbers each"),
 }

@@ -70,8 +70,8 @@ def result_of(
         "free": names[free],
         "suggested_free": names[np.flatnonzero(estimate.suggested_free)],
         "relabellings": [
-            _entry(one, "columns", "was", "fits", "rms_before_mm", "rms_after_mm", rows=_sources(table, one.rows))
-            for one in estimate.relabellings
+            _entry(rows, "columns", "was", "fits", "rms_before_mm", "rms_after_mm", rows=_sources(table, rows.rows))
+            for rows in estimate.relabellings
         ],
         "usable": not estimate.unusable,
         "unusable_because": estimate.unusable,

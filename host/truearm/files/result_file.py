@@ -41,7 +41,9 @@ Count = Annotated[int, Meta(ge=0, le=10**12)]
 Size = Annotated[float, Meta(ge=0.0)]
 Residual = Size | None | UnsetType  # in the unit at the end of its name, absent if no residual has it
 Figures = dict[Name, Count | Size | None]  # by key; those of residuals end in a unit
-Entry = dict[Name, Any]  # statistics for people; docs/reference/result-format.md has their keys
+Scalar = str | bool | int | float | None
+# statistics for people; docs/reference/result-format.md has their keys
+Entry = dict[Name, Scalar | dict[Name, Scalar] | tuple[Scalar | tuple[float, ...] | dict[Name, Scalar], ...]]
 
 
 class Input(Struct, frozen=True):
@@ -154,7 +156,7 @@ class Result(Struct, frozen=True, kw_only=True):
     truearm_version: Name = ""
     inputs: tuple[Input, ...] = ()
     simulated: bool = False
-    findings: tuple[Entry, ...] = ()
+    findings: tuple[dict[Name, Any], ...] = ()
     robot: RobotFrames
     status: Literal["converged", "max_iterations", "stalled"]
     message: str = ""
@@ -240,7 +242,7 @@ class Result(Struct, frozen=True, kw_only=True):
     def payloads(self) -> tuple[Payload, ...]:
         """Return the different payloads of the fitted rows, empty if joint laws were not tried."""
         carried = self.joint_laws.payloads if self.joint_laws else ()
-        return tuple(Payload(one.mass_kg, tuple(map(MM.to_si, one.centre_mm))) for one in carried)
+        return tuple(Payload(payload.mass_kg, tuple(map(MM.to_si, payload.centre_mm))) for payload in carried)
 
     @property
     def document(self) -> dict[str, Any]:
@@ -310,8 +312,8 @@ def _checked(document: Any, name: str) -> Result:
     if version is None:
         raise InputError(f"{name}: has no format_version, so it is incomplete; identify again")
     if type(version) is not int or not 1 <= version <= FORMAT_VERSION:
-        found = f"has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}"
-        raise InputError(f"{name}: {found}; update truearm")
+        text = f"has format version {str(version)[:20]}, this truearm reads up to {FORMAT_VERSION}; update truearm"
+        raise InputError(f"{name}: {text}")
     if (version >= SINCE_CHECKSUM or CHECKSUM in document) and document.get(CHECKSUM) != checksum(document):
         text = "was changed or damaged: its checksum does not match; copy it again or identify again"
         raise InputError(f"{name}: {text}")
