@@ -17,7 +17,7 @@ from tests.host.controllers import ProgramFault, pose_from
 
 TOKEN = re.compile(
     r"""(?P<comment>![^\n]*|%%%[^%]*%%%|<[A-Z]{3}>)|(?P<string>"(?:[^"\n]|"")*")|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)
-        |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},;:\\.=<>?])|(?P<space>\s+)""",
+        |(?P<sign>:=|<>|<=|>=|[-+*/()\[\]{},;:\\.=<>?])|(?P<space>\s+)|(?P<other>.)""",
     re.VERBOSE,
 )
 RESERVED = {"module", "endmodule", "proc", "endproc", "var", "pers", "const", "if", "then", "endif", "while", "do", "endwhile", "for",
@@ -28,6 +28,7 @@ NO_FRAME = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
 TOOL0 = [True, NO_FRAME, [0.001]]
 WOBJ0 = [False, True, "", NO_FRAME, NO_FRAME]
 DATA = {**SPEEDS, "fine": "fine", "z10": "z10", "load0": [0.001], "wobj0": WOBJ0, "tool0": TOOL0}
+SIGNALS = ("dotruearm", "ditruearm")
 COMPONENTS = {
     "trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "q1": 0, "q2": 1, "q3": 2, "q4": 3,
     "robhold": 0, "tframe": 1, "tload": 2, "ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4,
@@ -42,22 +43,16 @@ TURNS = 10_000  # of all loops together: a program that runs longer is not a tes
 
 
 def tokens_of(text):
-    out, at = [], 0
-    while at < len(text):
-        match = TOKEN.match(text, at)
-        if match is None or len(match[0]) > {"name": 32, "string": 82}.get(match.lastgroup, 1000):
-            raise ProgramFault(f"{text[at : at + 20]!r} is not RAPID, or too long")
-        if match.lastgroup not in ("space", "comment"):
-            out.append((match.lastgroup, match[0]))
-        at = match.end()
-    return out
+    tokens = [(match.lastgroup, match[0]) for match in TOKEN.finditer(text)]
+    for kind, word in tokens:
+        if kind == "other" or len(word) > {"name": 32, "string": 82}.get(kind, 1000):
+            raise ProgramFault(f"{word!r} is not RAPID, or too long")
+    return [token for token in tokens if token[0] not in ("space", "comment")]
 
 
 def run_rapid(text, controller, choices=()):
     """Load a module and execute its main. ``choices``: the values of its inputs (DInput), one after the other."""
-    machine = Machine(tokens_of(text), controller, choices)
-    machine.module()
-    return machine
+    return Machine(tokens_of(text), controller, choices).module()
 
 
 class Cell:
@@ -94,8 +89,7 @@ class Machine:
     def __init__(self, tokens, controller, choices=()):
         self.tokens, self.at = [*tokens, ("end", "")], 0
         self.controller, self.names, self.routines = controller, set(), {}
-        self.data = {name: Cell(copy.deepcopy(value)) for name, value in DATA.items()}
-        self.components = dict(COMPONENTS)
+        self.data = {name: Cell(copy.deepcopy(value)) for name, value in [*DATA.items(), *zip(SIGNALS, SIGNALS)]}
         self.is_watched = True
         self.choices, self.turns = list(choices), TURNS
 
@@ -141,6 +135,7 @@ class Machine:
         for name, value in declarations:
             self.data[name] = Cell(value({}))
         self.enter("main", [])
+        return self
 
     def declaration(self, is_local=False):
         """Return a name and the source of its first value."""
@@ -158,17 +153,15 @@ class Machine:
         return index
 
     def routine(self):
-        kind = self.take("proc", "func", "trap")[1]
-        if kind == "func":
-            self.take()
+        kind = self.take("proc", "func")[1]
+        self.at += kind == "func"
         name, parameters, local = self.new_name(), [], []
-        if kind != "trap":
-            self.take("(")
-            while not self.taken(")"):
-                mode = self.take()[1] if self.word() in ("inout", "var", "pers") else ""
-                self.take()
-                parameters.append((self.new_name(True), mode != ""))
-                self.taken(",")
+        self.take("(")
+        while not self.taken(")"):
+            is_shared = self.taken("inout", "var", "pers")
+            self.take()
+            parameters.append((self.new_name(True), is_shared))
+            self.taken(",")
         while self.word() in ("var", "pers", "const"):
             local.append(self.declaration(True))
         ends = f"end{kind}", "error", "undo", "backward"
@@ -189,10 +182,15 @@ class Machine:
 
     def statement(self):
         word = self.word()
-        known = {"if": self.choice, "for": self.counted, "while": self.loop, "test": self.test, "return": self.returned}
-        if word in known:
-            self.take()
-            return known[word]()
+        control = {
+            "if": self.choice,
+            "for": self.counted,
+            "while": self.loop,
+            "test": self.test,
+            "return": self.returned,
+        }
+        if self.taken(*control):
+            return control[word]()
         if word in ("connect", "raise", "retry", "trynext"):  # of traps and errors, which do not occur here
             while not self.taken(";"):
                 self.take()
@@ -203,9 +201,7 @@ class Machine:
             value = self.expression()
             self.take(";")
             return lambda frame: setattr(place(frame), "value", copy.deepcopy(value(frame)))
-        kind, name = self.take()
-        if kind != "name":
-            raise ProgramFault(f"no instruction {name!r}")
+        name = self.take()[1]
         arguments = self.arguments(";")
         return lambda frame: self.call(INSTRUCTIONS, name, arguments, frame)
 
@@ -338,30 +334,19 @@ class Machine:
             raise ProgramFault(f"{name!r} is not a variable")
 
         def root(frame):
-            if name in frame:
-                return frame[name]
-            if name in self.data:
-                return self.data[name]
-            if name in ("dotruearm", "ditruearm"):
-                return Cell(name)
-            raise ProgramFault(f"{name!r} is not known here")
+            if name not in frame and name not in self.data:
+                raise ProgramFault(f"{name!r} is not known here")
+            return frame.get(name) or self.data[name]
 
         found = root
         while self.word() in ("{", ".") and self.tokens[self.at][0] == "sign":
             if self.taken("."):
-                component = self.take()[1]
-                if component not in self.components:
-                    raise ProgramFault(f"no component {component!r}")
-                found = self.part(found, lambda _, k=self.components[component]: k)
-                continue
-            self.take("{")
-            index = self.index()
-            found = self.part(found, lambda frame, index=index: int(index(frame)) - 1)
+                place = COMPONENTS[self.take(*COMPONENTS)[1]]
+                found = lambda frame, of=found, place=place: Part(of(frame), place)  # noqa: E731
+            else:
+                self.take("{")
+                found = lambda frame, of=found, index=self.index(): Part(of(frame), int(index(frame)) - 1)  # noqa: B008, E731
         return found
-
-    @staticmethod
-    def part(of, at):
-        return lambda frame: Part(of(frame), at(frame))
 
     def expression(self, level=0):
         if level == len(LEVELS):
@@ -378,27 +363,15 @@ class Machine:
             self.take()
             inner = self.unary()
             return lambda frame: inner(frame) * (-1.0 if word == "-" else 1.0)
-        if self.taken("not"):
-            inner = self.unary()
-            return lambda frame: not inner(frame)
-        if kind == "number":
+        if kind in ("number", "string") or word in ("true", "false"):
             self.take()
-            return lambda _: float(word)
-        if kind == "string":
-            self.take()
-            return lambda _: word[1:-1]
-        if kind == "sign" and self.taken("("):
-            inner = self.expression()
-            self.take(")")
-            return inner
+            value = float(word) if kind == "number" else word[1:-1] if kind == "string" else word == "true"
+            return lambda _: value
         if kind == "sign" and self.taken("["):
             values = [self.expression()]
             while self.take(",", "]")[1] == ",":
                 values.append(self.expression())
             return lambda frame: [value(frame) for value in values]
-        if kind == "name" and word in ("true", "false"):
-            self.take()
-            return lambda _: word == "true"
         if kind == "name" and self.tokens[self.at + 1][1] == "(":
             self.take()
             self.take("(")
@@ -418,20 +391,18 @@ class Machine:
 
     def use(self, tool, work=None):
         """Use a tool, and return the object frame of a work object in the base."""
-        if tool != TOOL0 and not tool[2][0] > 0.0:
-            raise ProgramFault("a tool weighs more than nothing")
-        if tool[0] is not True:
-            raise ProgramFault("a tool that the robot does not hold")
+        if tool[0] is not True or not tool[2][0] > 0.0:
+            raise ProgramFault("a tool that the robot does not hold, or that weighs nothing")
         self.controller.tcp = self.pose(tool[1])
         if work is None:
             return np.eye(4)
-        if len(work) != 5 or work[0] or not work[1] or work[2]:
+        if work[:3] != [False, True, ""]:
             raise ProgramFault("a work object that is held or moved")
         return self.pose(work[3]) @ self.pose(work[4])
 
     @staticmethod
     def jointtarget(target):
-        if len(target) != 2 or len(target[0]) != 6 or target[1] != [9e9] * 6:
+        if len(target[0]) != 6 or target[1:] != [[9e9] * 6]:
             raise ProgramFault("a jointtarget has six axes and six external ones")
         return np.deg2rad(target[0])
 
@@ -472,17 +443,14 @@ class Machine:
         self.is_watched = not off
 
     def SetDO(self, signal, level):
-        if level not in (0.0, 1.0):
+        if signal != "dotruearm" or level not in (0.0, 1.0):
             raise ProgramFault("an output is 0 or 1")
-        if signal == "dotruearm":
-            self.controller.put_out(level == 1.0)
+        self.controller.put_out(level == 1.0)
 
     def WaitTime(self, seconds, inpos=False):
         self.controller.t += seconds
 
     def WaitDI(self, signal, level, maxtime=None, timeflag=""):
-        if signal == 0.0:  # not the box's
-            return
         if signal != "ditruearm" or maxtime is None or timeflag is not False:  # a bool
             raise ProgramFault("an input that may never come is waited for with MaxTime and TimeFlag")
         self.controller.wait_for(level == 1.0, maxtime)
@@ -512,8 +480,7 @@ class Machine:
 
     def RelTool(self, target, x, y, z, rx=0.0, ry=0.0, rz=0.0):
         """Move along the axes of the tool; rotations about x, then the new y, then the new z."""
-        turn = Rotation.from_rotvec([np.deg2rad(rx), 0, 0]) * Rotation.from_rotvec([0, np.deg2rad(ry), 0])
-        turn = turn * Rotation.from_rotvec([0, 0, np.deg2rad(rz)])
+        turn = Rotation.from_euler("XYZ", [rx, ry, rz], degrees=True)
         pose = self.pose(target) @ pose_from(1e-3 * np.array([x, y, z]), turn)
         return type(target)([*self.numbers(pose), *target[2:]])
 
