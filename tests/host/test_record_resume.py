@@ -178,7 +178,6 @@ class TestParts:
             ["session", "export", str(first), "--out", str(tmp_path / "tables")],
             [
                 "session",
-                "session",
                 "add-joints",
                 str(first),
                 str(tmp_path / "j.csv"),
