@@ -512,6 +512,7 @@ INSTRUCTIONS = {
     name.lower(): getattr(Machine, name)
     for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "ConfL", "SetDO", "WaitTime", "WaitDI", "TPWrite", "Stop", "Incr", "SearchL")
 }  # fmt: skip
+INSTRUCTIONS |= {"confj": lambda machine, **_: None}
 INSTRUCTIONS |= {"triggl": linear((0, 1, 3, 4)), "arcl": linear((0, 1, 4, 5)), "spotl": linear((0, 1, 1, 4))}
 FUNCTIONS = {name.lower(): getattr(Machine, name) for name in ("CalcRobT", "Offs", "RelTool", "DInput", "Dim")}
 WRITES = ("searchl", "incr")  # arguments that they change
