@@ -5,6 +5,7 @@ whose model is true, and as it was corrected on one with the nominal model in fr
 """
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -559,3 +560,13 @@ def test_a_fault_in_writing_is_found_before_anything_is_written(tmp_path, monkey
     with pytest.raises(FindingError, match="nothing was written; this is a fault in truearm") as caught:
         corrected(tmp_path, text)
     assert caught.value.finding.code == "reread"
+
+
+@pytest.mark.parametrize(("moves", "expected"), [(0, 0), (2, 4), (3, 5)])
+def test_origins_beyond_those_that_are_tried_are_unknown(moves, expected):
+    """Moves with two targets each: of more than four origins one stands for the others, None."""
+    goal = type("Goal", (), {"argument": None})
+    targets = [SimpleNamespace(goals=[goal(), goal()]) for _ in range(moves)]
+    origins = correct_program_module._ends(targets)
+    assert len(origins) == max(1, expected)
+    assert (None in origins) == (expected != 4)
