@@ -178,7 +178,10 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
             ("export", result, "--format", "dh-hayati", "--out", tmp_path / "mine.toml"),
             "exists and is not a file that this command writes",
         ),
-        (("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"), "not strict JSON"),
+        (
+            ("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"),
+            "is a table of observations, where a result",
+        ),
     ]
     for arguments, says in cases:
         code, _, err = run(*arguments)

@@ -113,7 +113,7 @@ def everything(rng, n_lines=3):
         truth |= named(f"line.l{i}", line)
     truth |= {f"chuck.c2.{k}": v for k, v in zip("xyz", CHUCKS["c2"].xyz, strict=True)}
     truth |= {f"target.ball.{k}": v for k, v in zip("xyz", TARGETS["ball"].xyz, strict=True)}
-    truth |= {f"bar.short.{k}": v for k, v in (("zero", 0.46), ("gain", 1.0))}
+    truth |= {f"bar.short.{k}": v for k, v in (("zero", RIG.bars["short"].zero), ("gain", 1.0))}
     # A tracker with a declared pose: its turn is counted from there.
     truth |= named("tracker.u", [*other[:3], 0.0, 0.0, 0.0])
     declared = Device("u", matrix(S_X), tuple(other[:3] + 0.01), tuple(other[3:]), 0.1, 0.1, rotation_sigma=1e-4)

@@ -114,7 +114,7 @@ def said(copy):
         for name in FORMATS
     }
     commands = {
-        "noisy": ("identify", "noisy.csv", *COMMAND, "--out", "noisy.json"),
+        "noisy": ("identify", "noisy.csv", *COMMAND, "--details", "--out", "noisy.json"),
         "exact": ("identify", "exact.csv", *COMMAND, "--out", "exact.json"),
         "correct": (
             "correct",

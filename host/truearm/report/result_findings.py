@@ -16,7 +16,7 @@ from truearm.report.result_words import kind_name
 from truearm.results import DriftWith, ErrorForm, Gain, Unusable, chi2_text
 from truearm.session.dwells import DOUBTFUL, NEED_DECISION
 from truearm.text import counted, listed, one_line
-from truearm.units import DEG, MM, SUFFIXES, UNITS, from_shown
+from truearm.units import DEG, MM, MS, SUFFIXES, UNITS, from_shown
 
 Document = Mapping[str, Any]
 
@@ -516,7 +516,7 @@ def _identified(document: Document) -> Iterator[Finding]:
             yield Finding("time-offset-unidentifiable", {"name": name})
         else:
             late = "late" if value >= 0.0 else "early"
-            values = {"offset": {"ms": 1e3 * abs(value)}, "sigma": {"ms": 1e3 * sigma}, "late": late, "name": name}
+            values = {"offset": {"ms": MS.of(abs(value))}, "sigma": {"ms": MS.of(sigma)}, "late": late, "name": name}
             yield Finding("time-offset", values)
     indices = document["observability"]
     if indices is not None and None not in indices.values():

@@ -20,7 +20,7 @@ from truearm.report.page_text import size
 from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import ObservationTable, Rigs, rigs_by_name, rms
-from truearm.units import MM
+from truearm.units import MM, PPM
 from truearm.workflows.calibration import Calibration, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
 from truearm.workflows.identify import Identification
@@ -34,7 +34,7 @@ ALWAYS_EXCLUDED = (
     "The arm in motion: its controller's path errors, and vibration.",
     "The mounting of base and tool in the cell: it is measured separately.",
     "The arm's own repeatability, as far as the fitted rows do not show it (truearm characterize measures it).",
-    f"The arm's expansion at another temperature: about {1e6 * STEEL:g} µm per metre and kelvin of steel, {1e6 * ALUMINIUM:g} of aluminium.",
+    f"The arm's expansion at another temperature: about {PPM.of(STEEL):g} µm per metre and kelvin of steel, {PPM.of(ALUMINIUM):g} of aluminium.",
 )
 
 
