@@ -144,7 +144,7 @@ class TestOneMissedEnter:
         assert main(["identify", str(path), "--model", "puma560", "--out", str(path.parent / "r.json")]) in (0, 3)
         line = capsys.readouterr().out.splitlines()
         said = "".join(line[:8]).replace(" ", "")  # wrapped
-        assert f"needadecision:truearmsessionrelabel{path}" in said
+        assert f"needadecision.truearmsessionrelabel{path}" in said
         (count,) = json.loads((path.parent / "r.json").read_text())["sessions"]
         assert count["session"] == "s.mcap"
         assert count["rejected"]["contradiction"] == 29
