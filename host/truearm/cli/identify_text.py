@@ -17,8 +17,8 @@ from truearm.finding_texts import Severity
 from truearm.findings import Finding
 from truearm.report.law_words import law_steps
 from truearm.report.parameter_cells import parameter_cells
-from truearm.report.result_findings import has_little_freedom, result_findings
-from truearm.report.result_words import kind_name
+from truearm.report.result_findings import MAX_TERMS, has_little_freedom, result_findings
+from truearm.report.result_words import SMALLEST_WEIGHT, kind_name
 from truearm.results import largest_terms
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, title
@@ -27,8 +27,6 @@ Document = Mapping[str, Any]
 
 MAX_LINES = 15  # of the short form
 MAX_DIRECTIONS = 6
-MAX_TERMS = 4
-SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
 SHORT_NOTES = ("better", "held-out", "unjudged", "identified")  # notes of the short form, and those of the tool's error
 
 

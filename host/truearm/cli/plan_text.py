@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from truearm.cli.identify_text import MAX_TERMS
+from truearm.report.result_findings import MAX_TERMS
 from truearm.results import largest_terms
 from truearm.text import counted
 from truearm.types import BAR_MOUNTED

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
 from typing import Any
 
 from truearm.units import shown
@@ -13,11 +12,6 @@ from truearm.units import shown
 def number_or_null(value: Any) -> float | None:
     """Return a number for JSON, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
-
-
-def numbers_or_null(values: Iterable[Any]) -> list[float | None]:
-    """Return numbers for JSON, with None for each that is not finite."""
-    return [number_or_null(value) for value in values]
 
 
 def shown_or_null(value: Any, si: str) -> float | None:

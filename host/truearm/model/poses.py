@@ -7,7 +7,6 @@ this way.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,13 +67,6 @@ def inverted(pose: Floats) -> Floats:
     out[..., :3, 3] = -(turned @ pose[..., :3, 3:])[..., 0]
     out[..., 3, 3] = 1.0
     return out
-
-
-def for_each(function: Callable[[Floats], Floats], poses: Floats) -> Floats:
-    """Return a function of poses (n, 4, 4), computed once if they are one pose that was broadcast."""
-    if len(poses) > 1 and poses.strides[0] == 0:
-        return np.broadcast_to(function(poses[:1]), poses.shape)
-    return function(poses)
 
 
 def six_of(pose: Floats) -> Six:

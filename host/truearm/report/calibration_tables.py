@@ -17,7 +17,6 @@ from truearm.types import ObservationTable
 from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspect rows that are listed
-MAX_NAMES = 12
 
 
 def residual_table(found: Sequence[Summary]) -> str:
