@@ -157,7 +157,7 @@ def _error_table(document: Document, suffix: str) -> Table:
     held_out, held_out_before = (document[name] or {} for name in ("held_out", "held_out_before"))
     if held_out.get(f"n_{suffix}"):
         for figure, words in (("rms", "RMS"), ("mean", "mean"), ("max", "largest")):
-            numbers = (_cell(of.get(f"{figure}_{suffix}"), decimals) for of in (held_out_before, held_out))
+            numbers = (_cell(errors.get(f"{figure}_{suffix}"), decimals) for errors in (held_out_before, held_out))
             table.add_row(f"held out, {words}", *numbers, str(held_out[f"n_{suffix}"]))
     return table
 

@@ -104,7 +104,7 @@ def _unusable(because: Unusable, document: Document) -> Finding:
         case Unusable.SCALE:
             scale = document["scale"]
             ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
-            unit = [words for of, words in UNIT_RATIOS.items() if abs(ratio / of - 1.0) < SAME_RATIO]
+            unit = [units for factor, units in UNIT_RATIOS.items() if abs(ratio / factor - 1.0) < SAME_RATIO]
             return Finding("robot-scale", {**scale, "unit": unit})
         case Unusable.WORSE:
             return Finding("worse-than-nominal", _change(document["mean_change"]))
@@ -365,8 +365,8 @@ def _rows(error: Document) -> str:
     ranges = zip((first, last), (error["first_within"], error["last_within"]), strict=True)
     off = [max(row - low, high - row) for row, (low, high) in ranges]
     if max(off) > last - first:
-        every, best = f"rows {error['first_within'][0]} to {error['last_within'][1]}", f"rows {first} to {last}"
-        return f"some of {every}" + f" ({best} fit best, but others fit nearly as well)" * (best != every)
+        within, best = f"rows {error['first_within'][0]} to {error['last_within'][1]}", f"rows {first} to {last}"
+        return f"some of {within}" + f" ({best} fit best, but others fit nearly as well)" * (best != within)
     places = " to ".join(dict.fromkeys(one_line(error[name]) for name in ("from", "to")))
     begins, ends = (f"{row}±{by}" if by else str(row) for row, by in zip((first, last), off, strict=True))
     return f"rows {begins} to {ends} (in the files: {places})"
@@ -633,11 +633,11 @@ def outliers(document: Document) -> Iterator[Finding]:
         why = "they hardly change the fit" if laws else usual
         values |= {"why": why, "kept": named_rows(kept), "first": [kept[0]["source"]]}
     yield Finding("outliers", {"why": None, "kept": None, "first": None, **values})
-    every = document["with_outliers"]
-    if every is not None:
-        after = _sizes(every, "rms_after", document["residual_units"])
+    all_rows = document["with_outliers"]
+    if all_rows is not None:
+        after = _sizes(all_rows, "rms_after", document["residual_units"])
         yield Finding(
-            "all-rows-fit", {"geometry": laws, "plain": not laws, "after": after, "chi2": every["chi2_reduced"]}
+            "all-rows-fit", {"geometry": laws, "plain": not laws, "after": after, "chi2": all_rows["chi2_reduced"]}
         )
 
 
@@ -686,9 +686,11 @@ def _proposal(proposed: Document | None) -> dict[str, Any]:
     return values | {"combinations": values["combinations"] if values["combinations"] != 1 else None}
 
 
-def _sizes(of: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) -> dict[str, float]:
+def _sizes(entry: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) -> dict[str, float]:
     """Return a figure in each unit that it has."""
-    return {suffix: of[f"{name}_{suffix}"] for suffix in units if suffix and of.get(f"{name}_{suffix}") is not None}
+    return {
+        suffix: entry[f"{name}_{suffix}"] for suffix in units if suffix and entry.get(f"{name}_{suffix}") is not None
+    }
 
 
 def _size(value: float, unit: str) -> str:
