@@ -246,7 +246,9 @@ def at_places(run, world, positions):
         run.until(QUESTION)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "killed"])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.soak)], ids=["ctrl-c", "killed"]
+)
 def test_places_outlive_a_run_that_ends_early(tmp_path, number):
     """The next run of the same command continues from them, and both together give what one run does."""
     kept = tmp_path / "gauge-lvdt.places.toml"

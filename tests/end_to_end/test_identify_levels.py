@@ -52,7 +52,10 @@ def recorded(level, poses, path):
 
 @pytest.mark.parametrize(
     ("poses", "options"),
-    [(7, ["--free", "joint*.offset"]), pytest.param(45, [], marks=pytest.mark.soak)],
+    [
+        pytest.param(7, ["--free", "joint*.offset"], marks=pytest.mark.soak),
+        pytest.param(45, [], marks=pytest.mark.soak),
+    ],
     ids=["six-offsets", "all-that-a-shell-shows"],
 )
 def test_all_levels_lead_to_the_same_robot(poses, options, tmp_path):

@@ -112,10 +112,10 @@ def test_a_request_alone_is_stamped_at_its_first_byte():
     assert len(request) * BYTE_US > 600
 
 
-@pytest.mark.parametrize("ahead", [b"\0", b"\0\0", b"rubbish\0", b"rubbish", b"\0rubbish", b"\0stray\0\0"])
+@pytest.mark.parametrize("ahead", [b"\0", b"rubbish", b"\0stray\0\0"])
 def test_bytes_before_a_request_do_not_make_it_early(ahead):
     """They arrive, and while they are being read the request does."""
-    for late in range(0, 500, 60):
+    for late in range(0, 500, 120):
         at = 10_000 + late
         found = t1_of([(10_000, ahead), (at, command(32, 7))], 30_000)
         if not ahead.endswith(b"h"):  # else the request's delimiter ends the rubbish, as it should
@@ -123,7 +123,7 @@ def test_bytes_before_a_request_do_not_make_it_early(ahead):
         assert all(t1 >= at for t1 in found.values())
 
 
-@pytest.mark.parametrize("rounds", [20, pytest.param(300, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("rounds", [8, pytest.param(300, marks=pytest.mark.soak)])
 def test_requests_in_every_constellation(rounds):
     rng = np.random.default_rng(3)
     for _ in range(rounds):

@@ -235,7 +235,11 @@ def documented_figures() -> list[list[str]]:
     return [row for row in rows if row[0] in ("panda_1", "panda_3", "kuka_14")]
 
 
-@pytest.mark.parametrize("row", documented_figures(), ids=lambda row: f"{row[0]} {row[2]}")
+@pytest.mark.parametrize(
+    "row",
+    [pytest.param(row, marks=[pytest.mark.soak] * (row[0] == "panda_3")) for row in documented_figures()],
+    ids=lambda row: f"{row[0]} {row[2]}",
+)
 def test_real_data_gives_the_documented_figures(run: Run, row: list[str]) -> None:
     table, urdf, places, before, after, with_gains, with_laws = row
     arguments = ["identify", MUKCA / f"{table}.csv", "--model", MUKCA / f"{urdf}.urdf", "--tip", "ball_link"]

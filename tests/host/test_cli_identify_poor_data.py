@@ -84,6 +84,7 @@ def with_chucks(coordinates):
     return replace(RIG, chucks=points("c", coordinates))
 
 
+@pytest.mark.soak
 def test_a_contradictory_rig(identified):
     """The coordinates of two chucks are exchanged and one is off by 50 mm: no robot fits the lengths, whatever their labels."""
     (a, b, c) = (p.xyz for p in RIG.chucks.values())

@@ -64,7 +64,7 @@ def held_to(shells, runs, seed, mse_band, **how):
     assert RIG.bars == BARS
 
 
-@pytest.mark.parametrize("solver", ["lm", "recursive"])
+@pytest.mark.parametrize("solver", ["lm", pytest.param("recursive", marks=pytest.mark.soak)])
 def test_forty_runs(shells, solver):
     # Squared normalised errors of correlated parameters: at worst all 36 move together, a standard error sqrt(2/runs);
     # the 0.085 for 200 runs is 0.19 for 40.

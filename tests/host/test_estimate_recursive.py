@@ -145,7 +145,7 @@ def noisy(t, seed, fault=None, size=10.0):
 
 
 @pytest.mark.parametrize("solver", ["recursive", "cauchy", "huber"])
-@pytest.mark.parametrize("at", [0, 1, 5, 35, 36, 400, 799])
+@pytest.mark.parametrize("at", [0, 35, 400, 799])
 def test_one_fault_is_named_wherever_it_stands(shells, solver, at):
     """A fault of 10 σ among 800 rows: first, among the first that determine anything, in the middle, last."""
     how = SolverOptions("recursive") if solver == "recursive" else SolverOptions("lm", loss=solver)
@@ -176,9 +176,10 @@ def test_live_the_first_rows_look_faulty_and_in_the_end_none_is(shells):
     assert end.used.all()
 
 
-def test_no_clean_row_is_left_out(shells):
+@pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
+def test_no_clean_row_is_left_out(shells, seeds):
     """20 seeds of 800 rows: 0.016 rows beyond 1e-6 are to be expected in all of them together."""
-    for seed in range(20):
+    for seed in range(seeds):
         e = identify(
             CHAIN,
             RIG,

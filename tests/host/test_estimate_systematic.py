@@ -403,7 +403,9 @@ def test_base_and_chuck_that_only_turn_together_are_a_null_direction():
     assert not e.identifiable[e.parameter_names.index("chuck.c2.z")]
 
 
-@pytest.mark.parametrize(("mode", "decimals"), [("auto", 9), ("auto", None), ("curve", None)])
+@pytest.mark.parametrize(
+    ("mode", "decimals"), [pytest.param("auto", 9, marks=pytest.mark.soak), ("auto", None), ("curve", None)]
+)
 def test_laws_are_not_fitted_to_rounding(mode, decimals):
     """Computed lengths, or lengths to the nanometre, with a tiny declared noise: the information was not definite."""
     plan = worlds.plan()

@@ -72,7 +72,7 @@ def test_laws_are_not_tried_where_a_systematic_error_explains_the_residuals():
     assert names_of(estimate) == ["bar.b2.zero"]
 
 
-@pytest.mark.parametrize("cycles", [1, 2])
+@pytest.mark.parametrize("cycles", [pytest.param(1, marks=pytest.mark.soak), 2])
 def test_a_curve_of_the_joint_that_the_rows_are_sorted_by_is_no_step(cycles):
     """With geometry alone, joint 1 steps at certain rows, which explains all; its curve of 0.1 mrad explains more."""
     n, rng = 300, np.random.default_rng(3)

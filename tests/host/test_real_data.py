@@ -31,6 +31,7 @@ def scaled(prior, factor):
     return {name: factor * sigma for name, sigma in prior.items()} if isinstance(prior, dict) else factor * prior
 
 
+@pytest.mark.soak
 def test_prior_and_loss_by_nested_hold_out(panda):
     """Each of the three fitting places is left out in turn; the prior and loss that predict it best are then judged on the other
     three, once. 0.217 mm is what a straightforward fit reaches."""

@@ -20,7 +20,12 @@ FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
 
 @pytest.mark.parametrize(
     ("series", "kind", "largest"),
-    [("a", "position", 0.40), ("a", "pose", 0.40), ("c", "position", 0.44), ("c", "pose", 0.44)],
+    [
+        pytest.param("a", "position", 0.40, marks=pytest.mark.soak),
+        ("a", "pose", 0.40),
+        ("c", "position", 0.44),
+        pytest.param("c", "pose", 0.44, marks=pytest.mark.soak),
+    ],
 )
 def test_defaults_converge_and_predict(series, kind, largest):
     """In 20 iterations, to the held-out error that the data allow (mm); before is after base and tool are placed."""

@@ -45,6 +45,7 @@ def test_with_few_points_maximum_likelihood_predicts_better():
     held_to_figure_four(*means(8, (BEST,), 8))
 
 
+@pytest.mark.soak
 def test_with_many_points_the_two_are_nearly_identical():
     ml, ls = means(60, (LARGE,), 3, last=30)
     assert ml.mean() == pytest.approx(ls.mean(), rel=0.03)
