@@ -1,4 +1,4 @@
-"""The defaults of the options of ``identify`` and ``plan``, for the command line and the records of options in
+"""The defaults of the options of ``init``, ``identify`` and ``plan``, for the command line and the records of options in
 ``workflows``.
 
 Through those records the Python API uses them too. The users of these values check them, including names. ``--help``
@@ -8,6 +8,10 @@ reads this, so it imports nothing.
 from typing import Final
 
 SEED: Final = 0  # of identify and plan; simulated worlds (simulate, demo, reproduce) begin with 1
+
+# init: how well chucks, spheres and bars are known [m], by what measured them
+NOTHING: Final = "nothing"
+INSTRUMENTS: Final = {"tape": 1e-3, "calliper": 1e-4, "machine": 2e-5}
 
 # identify
 SOLVER: Final = "lm"

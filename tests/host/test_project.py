@@ -117,18 +117,16 @@ def test_init_takes_what_was_measured(tmp_path, run):
         1,
         "--bars-mm",
         "460,610",
-        "--known-mm",
-        "0.02",
-        "--zero-sigma-mm",
-        "0.05",
+        "--measured-with",
+        "machine",
         "--minutes",
         0,
     ]
     assert run("init", tmp_path, "--model", "puma560", *given).code == 0
     rig = read_rig(tmp_path / "rig.toml")
     assert [list(parts) for parts in (rig.chucks, rig.spheres, rig.bars)] == [["c1", "c2"], ["s1"], ["bar46", "bar61"]]
-    assert rig.bars["bar46"].zero_sigma == 5e-5
-    assert rig.chucks["c1"].sigma == 2e-5
+    parts = (*rig.chucks.values(), *rig.spheres.values())
+    assert {part.sigma for part in parts} == {bar.zero_sigma for bar in rig.bars.values()} == {2e-5}
 
 
 class Terminal(io.StringIO):
@@ -148,9 +146,7 @@ def test_init_asks_for_the_links_and_the_branch_of_a_urdf(tmp_path, run, monkeyp
 
 
 def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(
-        sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n4\n\n460,610\n0.02\n0.05\n")
-    )
+    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n4\n\n460,610\ntape\n"))
     monkeypatch.chdir(tmp_path)
     assert run("init", "--minutes", 0).code == 0
     said = read_project(tmp_path / FILE)
@@ -158,23 +154,23 @@ def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
     rig = read_rig(tmp_path / "rig.toml")
     assert (len(rig.chucks), len(rig.spheres)) == (4, 3)
     assert rig.bars["bar61"].zero == pytest.approx(0.61)
+    assert rig.bars["bar61"].zero_sigma == rig.chucks["c1"].sigma == 1e-3
 
 
 def test_init_asks_again_after_a_typing_error(tmp_path, run, monkeypatch):
     """One wrong answer to each question that can be wrong: each is named, and the answers after them hold."""
     answers = ["ur55", "puma560", "", "", "", "192.168.0.2", "rtde://192.168.0.2", "", "many", "4", "0", "3"]
-    answers += ["460;610", "460,610", "about", "0.02", "-1", "0.05"]
+    answers += ["460;610", "460,610", "ruler", "calliper"]
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
     monkeypatch.chdir(tmp_path)
     code, _, err = run("init", "--minutes", 0)
     assert code == 0, err
     for said in ("ur55", "is not the address of a robot", "--chucks many", "--spheres 0", "--bars-mm 460;610"):
         assert said in err
-    assert "--known-mm about: needs a number" in err
-    assert "--zero-sigma-mm -1: needs a number" in err
+    assert "ruler is not one of nothing, tape, calliper, machine" in err
     assert read_project(tmp_path / FILE).address == "rtde://192.168.0.2"
     rig = read_rig(tmp_path / "rig.toml")
-    assert (len(rig.chucks), len(rig.spheres), rig.bars["bar46"].zero_sigma) == (4, 3, 5e-5)
+    assert (len(rig.chucks), len(rig.spheres), rig.bars["bar46"].zero_sigma) == (4, 3, 1e-4)
 
 
 def test_the_devices_that_init_offers_are_a_valid_rig(project):
@@ -194,7 +190,7 @@ def test_the_devices_that_init_offers_are_a_valid_rig(project):
         (("--model", "ur55"), "ur5"),
         (("--model", "ur5e", "--bars-mm", "370,370"), "a length is given twice"),
         (("--model", "ur5e", "--bars-mm", "0.37"), "give lengths from 50 to 5000 mm"),
-        (("--model", "ur5e", "--known-mm", "about"), "--known-mm about: needs a number"),
+        (("--model", "ur5e", "--measured-with", "ruler"), "'ruler' is not one of nothing, tape, calliper, machine"),
         (("--model", "ur5e", "--base", "a"), "choose links of a URDF"),
     ],
 )

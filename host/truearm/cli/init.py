@@ -12,23 +12,24 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from truearm.bounds import Within
+from truearm.bounds import OneOf, Within
 from truearm.cli.command import command
 from truearm.cli.options import branch_given
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.file_names import no_such_file
 from truearm.model.builtin import builtin_names
+from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
 from truearm.units import MM
 
 T = TypeVar("T")
-UNKNOWN = "unknown"
 PARTS = Within(1, 9)  # of a kind: more than a table or a flange has room for
 LONGEST_BAR_MM, SHORTEST_BAR_MM = 5000.0, 50.0
+INSTRUMENTS_HELP = ", ".join(f"{name}: {MM.text(sigma)}" for name, sigma in INSTRUMENTS.items())
 
 
-@command()
+@command(instruments=INSTRUMENTS_HELP)
 def init(
     folder: Path = Path(),
     *,
@@ -44,8 +45,7 @@ def init(
     chucks: Annotated[int | None, PARTS] = None,
     spheres: Annotated[int | None, PARTS] = None,
     bars_mm: str | None = None,
-    known_mm: str | None = None,
-    zero_sigma_mm: Annotated[float | None, Within(0.0)] = None,
+    measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
     minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
     json: bool = False,
 ) -> None:
@@ -71,16 +71,15 @@ def init(
         Spheres (steel balls) on the robot's end. Default: 3.
     bars_mm : MM,…
         Lengths of the bars at mid-travel. Default: two that suit the arm.
-    known_mm : MM|unknown
-        Standard deviation of the positions of chucks and spheres. Default: unknown; they are estimated.
+    measured_with
+        What the positions of chucks and spheres and the lengths of the bars are measured with. {instruments}. Default:
+        nothing; only the first bar then has to be measured, by calliper.
     minutes : M
         Budget of the first plan in minutes of an operator; 0: no plan.
 
     Expert options
     --------------
     operator
-    zero_sigma_mm : MM
-        Standard deviation of the first bar's length. Default: 0.1.
     json
     """
     from truearm.cli.plan_text import visit_lines
@@ -139,16 +138,14 @@ def init(
         "Lengths of the bars at mid-travel [mm], separated by commas (Enter for two that suit the arm)",
         _lengths,
     )
-    places = ask(
-        known_mm, f"Standard deviation of the positions of chucks and spheres [mm], or {UNKNOWN}", _known, UNKNOWN
-    )
-    length = (
-        zero_sigma_mm
-        if zero_sigma_mm is not None
-        else ask(None, "Standard deviation of the first bar's length [mm]", _number_of("--zero-sigma-mm"), "0.1")
+    instrument = ask(
+        measured_with,
+        f"What chucks, spheres and bars are measured with: {NOTHING}, or {INSTRUMENTS_HELP}",
+        _instrument,
+        NOTHING,
     )
     bounds = branch_given(branch or None)
-    wanted = ProjectWanted(project, lengths, places, MM.to_si(length), n_chucks, n_spheres, minutes or None, bounds)
+    wanted = ProjectWanted(project, lengths, instrument, n_chucks, n_spheres, minutes or None, bounds)
     created = create(folder, wanted)
     if json:
         print_json({"written": [str(path) for path in created.written], "plan": created.plan})
@@ -174,10 +171,6 @@ def _number(option: str, text: str) -> float:
     if not 0.0 <= value < math.inf:
         raise InputError(f"{option} {text[:40]}: needs a number of 0 or more")
     return value
-
-
-def _number_of(option: str) -> Callable[[str], float]:
-    return lambda text: _number(option, text)
 
 
 def _count(option: str) -> Callable[[str], int]:
@@ -233,8 +226,10 @@ def _address(text: str) -> str:
     return text
 
 
-def _known(text: str) -> float | None:
-    return None if text == UNKNOWN else MM.to_si(_number("--known-mm", text))
+def _instrument(text: str) -> str:
+    if text not in (NOTHING, *INSTRUMENTS):
+        raise InputError(f"{text[:40]} is not one of {NOTHING}, {', '.join(INSTRUMENTS)}")
+    return text
 
 
 def _lengths(text: str) -> tuple[float, ...]:

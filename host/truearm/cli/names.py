@@ -30,8 +30,10 @@ EARLIER = {
     "--long-s": "--long-dwell-s",
     "--zero": "--zero-s",
     "--cell": "--cell-mm",
+    "--known-mm": "--measured-with",
 }
 REMOVED = {
+    "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",
     "--split": "moves that need different numbers of one target always get their own; leave it out",
     "--harmless": "routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis "
     "that nothing outside changes, give --unchanged NAME",

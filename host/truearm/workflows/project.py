@@ -16,6 +16,7 @@ from truearm.errors import InputError, TruearmError
 from truearm.files.disk import working_folder, write_atomic
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE
+from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.progress import step
 from truearm.text import page
 from truearm.units import MM
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from truearm.types import Rig
 
 PLAN_MINUTES = 30.0
-OTHER_BARS = 1e-3  # m, how well an estimated bar length is known: an extension rod measured by tape
 GAIN_SIGMA = 1e-3  # of a conditioner (docs/how-to/rig.md)
 RIG_HEAD = f"""\
 # The rig of {{name}}; {page("Build and measure the rig")}.
@@ -38,7 +38,7 @@ SPHERES = """
 # Spheres: steel balls on the robot's flange, in the flange frame."""
 BARS = """
 # Bars: zero is the length at mid-travel, from the centre of the ball in the chuck to the centre of the sphere; gain is its change per change of the reading; travel is the full stroke;
-# sigma is the repeatability. Measure the first bar (a calliper over both balls, minus their radii); the others are estimated."""
+# sigma is the repeatability; zero_sigma is how well zero was measured. Measure at least the first bar (a calliper over both balls, minus their radii); others can be estimated."""
 
 OTHERS = """\
 # Other devices: remove the "#" in front of what you have, and enter what you measured.
@@ -68,14 +68,13 @@ OTHERS = """\
 
 
 class ProjectWanted(NamedTuple):
-    """The user's input to ``init``, in SI units: bars [m], uncertainty of chucks and spheres [m] and of the first bar's
-    length [m].
+    """The user's input to ``init``: lengths of the bars [m]; what measured chucks, spheres and bars, one of
+    ``INSTRUMENTS`` or ``NOTHING``.
     """
 
     project: Project
     bars: tuple[float, ...] = ()
-    known: float | None = None
-    zero_sigma: float = 1e-4
+    measured_with: str = NOTHING
     chucks: int = 3
     spheres: int = 3
     minutes: float | None = PLAN_MINUTES  # of the first plan; None: no plan is made
@@ -289,17 +288,19 @@ def _move(new: Path, files: list[Path]) -> None:
 
 
 def _as_known(rig: Rig, wanted: ProjectWanted) -> Rig:
-    """Return a first rig with the available bars and the expected accuracy of its measurements; all bars but the first
-    to 1 mm.
+    """Return a first rig with the available bars and the accuracy of its measurements.
+
+    If nothing is measured, the first bar still has to be, by calliper, because lengths need a scale; the others by tape.
     """
     from truearm.plan.first_rig import bars
 
+    sigma = INSTRUMENTS.get(wanted.measured_with)
     chucks, spheres = (
-        {name: replace(point, sigma=wanted.known) for name, point in points.items()}
-        for points in (rig.chucks, rig.spheres)
+        {name: replace(point, sigma=sigma) for name, point in points.items()} for points in (rig.chucks, rig.spheres)
     )
     made = bars(*wanted.bars) if wanted.bars else rig.bars
-    sigmas = [wanted.zero_sigma] + [max(wanted.zero_sigma, OTHER_BARS)] * (len(made) - 1)
+    first, others = (INSTRUMENTS["calliper"], INSTRUMENTS["tape"]) if sigma is None else (sigma, sigma)
+    sigmas = [first] + [others] * (len(made) - 1)
     known = {
         bar.name: replace(bar, zero_sigma=sigma, gain_sigma=GAIN_SIGMA)
         for bar, sigma in zip(made.values(), sigmas, strict=True)
