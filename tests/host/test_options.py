@@ -65,11 +65,6 @@ def test_every_word_of_the_page_is_an_option():
         ("simulate --robot rtde", "--robot is now --protocol"),
         ("simulate --rig-file rig.toml", "--rig-file is now --rig"),
         ("demo --rig line", "--rig is now --experiment"),
-        (
-            "simulate --rig line",
-            "--rig takes a rig file (.toml); choose what is simulated with truearm demo --experiment",
-        ),
-        ("identify t.csv --model puma560 --rig line", "--rig takes a rig file (.toml)"),
         ("identify t.csv --save-table x.csv", "--save-table is now --table-out"),
         ("inspect s.mcap --allow-truncated", "--allow-truncated is now --allow-damaged"),
         ("demo --device x", "No such option: --device"),  # it has no box

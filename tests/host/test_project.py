@@ -17,7 +17,6 @@ from truearm.errors import InputError
 from truearm.files.disk import sha256
 from truearm.files.project_file import Project, format_project, read_project
 from truearm.files.project_folder import FILE, find_project
-from truearm.files.result_file import FORMAT
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import builtin_robot
@@ -309,34 +308,34 @@ def test_status_names_a_fit_that_converged_and_is_not_usable(project, files, run
 
 
 def test_status_lists_a_rehearsal_and_does_not_count_it(project, files, run):
-    """The README's rehearsal in a project: session, result.json at the top; then a result of the project's own rows."""
+    """The README's rehearsal in a project, its result, and a result of the project's own rows."""
     (project / "rehearsal").mkdir()
     recorded(project / "rehearsal" / "session.mcap")
-    inputs = files / "poses.csv", "--rig", files / "rig.toml"
-    assert run("identify", *inputs, "--out", "result.json").code == 0
-    own = json.loads((project / "result.json").read_text())
+    own = project / "results" / "2026-01-01.json"
+    assert run("identify", files / "poses.csv", "--rig", files / "rig.toml", "--out", own).code == 0
+    document = json.loads(own.read_text())
     of_rehearsal = {"role": "observations", "name": "session.mcap"}
     of_rehearsal["sha256"] = sha256(project / "rehearsal" / "session.mcap")
-    shutil.copy("rig.toml", "rehearsal")
-    for path in (project / "rehearsed.json", project / "results" / "2026-01-02.json"):  # made from that session
-        path.write_text(json.dumps({**own, "inputs": [*own["inputs"], of_rehearsal]}))
-    shutil.copy("result.json", "rehearsal")
+    rehearsed = {**document, "inputs": [*document["inputs"], of_rehearsal]}
+    (project / "results" / "2026-01-02.json").write_text(json.dumps(rehearsed))
     state = json.loads(run("status", "--json").out)
 
     def files_of(name):
         return sorted(os.path.relpath(entry["file"]) for entry in state[name])
 
     assert (files_of("sessions"), files_of("other_sessions")) == ([], ["rehearsal/session.mcap"])
-    assert files_of("results") == ["result.json"]
-    assert files_of("other_results") == ["rehearsal/result.json", "rehearsed.json", "results/2026-01-02.json"]
+    assert (files_of("results"), files_of("other_results")) == (
+        ["results/2026-01-01.json"],
+        ["results/2026-01-02.json"],
+    )
     assert state["next"].startswith("truearm plan")  # the rehearsal is no recording
     recorded(project / "sessions" / "2026-01-01.mcap")
     os.utime(project / "sessions" / "2026-01-01.mcap", (1e9, 1e9))
-    os.utime(project / "result.json", (1e9 - 1, 1e9 - 1))  # only what was made of the rehearsal is newer
+    os.utime(own, (1e9 - 1, 1e9 - 1))  # only what was made of the rehearsal is newer
     assert json.loads(run("status", "--json").out)["next"].startswith("truearm identify")
     said = run("status").out
     assert "not used  rehearsal/session.mcap" in said
-    assert re.search(r"rehearsed.json, .* \(of rehearsal/session.mcap\)", said)
+    assert re.search(r"results/2026-01-02.json, .* \(of rehearsal/session.mcap\)", said)
 
 
 def test_status_of_a_recording_that_was_cut_off(project, run):
@@ -353,17 +352,24 @@ def test_status_of_a_recording_that_was_cut_off(project, run):
     assert [Path(one["file"]).name for one in state["sessions"]] == ["2026-01-01-recovered.mcap"]
 
 
-@pytest.mark.parametrize(
-    ("words", "second"), [("validate", "measurements"), ("validate run.mcap", "measurements"), ("correct", "targets")]
-)
-def test_commands_with_two_files_take_none_from_the_project(project, files, run, words, second):
-    (project / "results").mkdir(exist_ok=True)
-    result = project / "results" / "2026-01-01.json"
-    assert run("identify", files / "poses.csv", "--rig", files / "rig.toml", "--out", result).code == 0
-    code, _, err = run(*words.split())
-    assert code == 2
-    assert f"name the result and the {second}" in err
-    assert f"truearm {words.split()[0]} results/2026-01-01.json FILE" in err
+def test_a_result_that_is_not_named_is_the_newest_that_was_measured(project, files, run):
+    """Before the files that are typed, of which the first may be no result; a rehearsal's is used if there is no other."""
+    shutil.copytree(files, "data")
+    measured = "data/poses.csv", "--rig", "data/rig.toml"
+    result, rehearsed = project / "results" / "2026-01-01.json", project / "results" / "2026-01-02.json"
+    assert run("identify", *measured, "--out", result).code == 0
+    simulated = {**json.loads(result.read_text()), "simulated": True}
+    rehearsed.write_text(json.dumps(simulated))
+    (project / "targets.csv").write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n600,100,300,180,0,0\n")
+    taken = f"from truearm.toml: {result.relative_to(project)} --model"
+    code, _, err = run("validate", *measured)
+    assert (code, err.startswith(taken)) == (0, True)
+    assert run("correct", "targets.csv", "--out", "corrected.csv").err.startswith(taken)
+    assert run("validate", rehearsed, *measured).err.startswith("from truearm.toml: --model")
+    assert "gone.csv: no such file" in run("correct", "gone.csv", "--out", "corrected.csv").err
+    assert "INPUT..." in run("validate", result).err
+    result.unlink()
+    assert run("validate", *measured).err.startswith(f"from truearm.toml: {rehearsed.relative_to(project)} --model")
 
 
 def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
@@ -380,8 +386,12 @@ def test_commands_take_what_they_are_not_told(project, files, run, monkeypatch):
     assert run(*measured).code == 0
     *_, result = every = sorted((project / "results").glob("*.json"))
     assert json.loads(result.read_text())["robot"]["name"] == "puma560"
-    assert run(*measured, "--out", below / "own.json").code == 0
-    assert sorted((project / "results").glob("*.json")) == every  # what is typed comes first
+    code, said, _ = run(*measured, "--out", below / "own.json")
+    assert code == 0
+    (kept,) = {*(project / "results").glob("*.json")} - {*every}  # a copy of what is typed
+    assert kept.read_bytes() == (below / "own.json").read_bytes()
+    assert f"Written: ../results/{kept.name}" in said
+    kept.unlink()
     assert run("export", "--format", "dh", "--out", below / "robot.csv").err.startswith(
         f"from truearm.toml: ../results/{result.name} --model"
     )
@@ -465,7 +475,7 @@ def test_the_newest_file_is_the_one_written_last(tmp_path):
 
 
 def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, run):
-    """For the session and the result of a rehearsal, which are in no usual folder, the whole command line is printed."""
+    """For the session of a rehearsal, which is in no usual folder, the whole command line is printed."""
     assert "the folder sessions (truearm.toml) holds no session yet; make one with truearm record" in run("inspect").err
     assert "the folder results (truearm.toml) holds no result yet; make one with truearm identify" in run("report").err
     (project / "rehearsal").mkdir()
@@ -476,11 +486,3 @@ def test_a_command_without_a_file_names_one_elsewhere_in_the_project(project, ru
     code, _, err = run("inspect")
     assert code == 2
     assert "type: truearm inspect rehearsal/session.mcap (there is also other.mcap)" in err
-    read = {"role": "observations", "name": "session.mcap", "sha256": sha256(project / "rehearsal" / "session.mcap")}
-    (project / "result.json").write_text(json.dumps({"format": FORMAT, "inputs": [read]}))
-    assert (
-        "the folder results (truearm.toml) holds no result yet; to read another one, type: truearm report result.json rehearsal/session.mcap ("
-        in run("report").err
-    )
-    assert "type: truearm report result.json rehearsal/session.mcap (" in run("report", "result.json").err
-    assert "type: truearm map --cell-mm 50 result.json (" in run("map", "--cell-mm", 50).err

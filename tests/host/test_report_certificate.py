@@ -96,6 +96,20 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
     assert f"{document['held_out']['rms_mm']:.3g} mm" in said
 
 
+def test_the_files_of_a_result_are_found_in_the_project(made, tmp_path, run, monkeypatch):
+    """By name and content: a file that was changed is none of them."""
+    without = [*made[:2], *made[3:]]
+    (tmp_path / "data").mkdir()
+    (tmp_path / "poses.csv").rename(tmp_path / "data" / "poses.csv")
+    code, _, err = run(*without)
+    assert (code, "poses.csv, which is not among the files given" in err) == (2, True)
+    (tmp_path / "truearm.toml").write_text('model = "puma560"')
+    monkeypatch.chdir(tmp_path)
+    assert run(*without).code == 0
+    (tmp_path / "data" / "poses.csv").write_text("changed")
+    assert run(*without, "--force").code == 2
+
+
 def of_page(text, label):
     """Return the value of a label on a page."""
     return html.unescape(re.search(rf"<dt>{re.escape(label)}</dt><dd>(.*?)</dd>", text).group(1))

@@ -84,7 +84,7 @@ def identify(
         Rows to leave out completely: 120:140, counted from 1 over all inputs, or a row as messages name it, such as
         'poses.csv row 100' (repeatable).
     out : FILE
-        File to write: the result (.json).
+        File to write: the result (.json). In a project, the result is kept in the folder results as well.
     report : FILE
         Write a report on the result (.html).
     details
@@ -118,7 +118,7 @@ def identify(
     table_out : FILE
         Write all observations as one table (.csv).
     """
-    from truearm.cli.identify_text import ResultFiles, show_result
+    from truearm.cli.identify_text import show_result
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.identify import IdentifyFiles, IdentifyOptions, identify_files
@@ -129,13 +129,19 @@ def identify(
         raise InputError("--seed draws a fraction to hold out, such as --hold-out 0.2; without one, leave it out")
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
-    files = IdentifyFiles(RobotChoice(model, base, tip), sources, out, table_out, report, command_line, force)
+    results = [] if out is None else [out]
+    kept = context.lookup_default("out")  # in the project
+    if out and kept and typed(context, "out") and Path(kept).resolve().parent != out.resolve().parent:
+        results.append(Path(kept))
+    files = IdentifyFiles(
+        RobotChoice(model, base, tip), sources, tuple(results), table_out, report, command_line, force
+    )
     options = fill(IdentifyOptions, locals(), **({"free": ("*",)} if all_free else {}))
     document = identify_files(files, hold_out or [], options).document
     if json:
         typer.echo(format_document(document))
     else:
-        others = [path for path in (table_out, report) if path is not None]
-        show_result(document, ResultFiles(inputs, out, others), details)
+        written = [path for path in (*results, table_out, report) if path is not None]
+        show_result(document, inputs, written, details)
     if not document["usable"]:
         raise typer.Exit(ExitCode.UNUSABLE)

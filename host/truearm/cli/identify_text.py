@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -30,31 +30,25 @@ MAX_DIRECTIONS = 6
 SHORT_NOTES = ("better", "held-out", "unjudged", "identified")  # notes of the short form, and those of the tool's error
 
 
-class ResultFiles(NamedTuple):
-    """Files of an identification: those it read, where its result was written, and the others that were written."""
-
-    inputs: Sequence[Path]
-    out: Path | None
-    others: Sequence[Path] = ()
-
-
-def show_result(document: Document, files: ResultFiles, details: bool = False) -> None:
-    """Print the findings of a result.json and the files that were written; with ``details`` all of them, and the tables."""
+def show_result(document: Document, inputs: Sequence[Path], written: Sequence[Path], details: bool = False) -> None:
+    """Print the findings of a result.json made from ``inputs`` and the files that were ``written``; with ``details`` all
+    of them, and the tables.
+    """
     # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
     width = None if sys.stdout.isatty() else 120
     console = Console(markup=False, highlight=False, emoji=False, width=width)
-    findings = result_findings(document, {path.name: str(path) for path in files.inputs})
+    findings = result_findings(document, {path.name: str(path) for path in inputs})
     texts = [(finding, finding.text(_option)) for finding in findings]
-    written = [f"Written: {one_line(str(path))}" for path in [*([files.out] if files.out else []), *files.others]]
+    files = [f"Written: {one_line(str(path))}" for path in written]
     if details:
         advice = [text for finding, text in texts if finding.severity is Severity.ADVICE]
         for text in (text for finding, text in texts if finding.severity is not Severity.ADVICE):
             console.print(text)
         for table in _tables(document):
             console.print(table)
-        lines = [*advice, *written]
+        lines = [*advice, *files]
     else:
-        lines = _short(texts, console, MAX_LINES - len(written)) + written
+        lines = _short(texts, console, MAX_LINES - len(files)) + files
     for line in lines:
         console.print(line)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from truearm.files.project_file import Project
 
 SUMMARY = 1000  # characters: a first sentence in the list of commands is wrapped, never cut
-EXPERIMENTS = ("ballbar", "line", "both")  # of truearm demo, whose option was once --rig
+RESULT_TAKEN = "truearm.result"  # in a context: the project's result, set before the files that were typed
 BOX_COMMANDS = ("test", "monitor", "gauge", "info", "flash", "reset")
 # kinds of file that a parameter takes (``files.file_kind``); targets and programs are none of them
 TAKES = {
@@ -62,10 +62,21 @@ class ProjectCommand(TyperCommand):
                 with formatter.section(heading):
                     formatter.write_dl(panels[heading])
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the command line. Of a command that takes a result and further files, the project's result may be left out."""
+        files = [one.name or "" for one in self.params if not one.opts[0].startswith("-")]
+        if files[:1] == ["result"] and len(files) == 2 and ctx.default_map:
+            words, *_ = self.make_parser(ctx).parse_args(list(args))
+            first, second = (words.get(name) for name in files)
+            kind = kind_of(Path(first)) if isinstance(first, str) else "result"
+            lacks_one = not isinstance(second, str) and not (isinstance(second, list | tuple) and second)
+            if kind != "result" and (kind or lacks_one) and (result := ctx.lookup_default("result")):
+                ctx.meta[RESULT_TAKEN] = [result]
+                args = [result, *args]
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
-        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for an experiment
-        in place of a rig file.
-        """
+        """Run the command. Raises InputError for an option that is nan or inf, which typer accepts, and for a file of another kind."""
         for one in self.params:
             given = ctx.params[one.name or ""]
             for value in given if isinstance(given, list | tuple) else (given,):
@@ -73,19 +84,15 @@ class ProjectCommand(TyperCommand):
                     raise InputError(f"{one.opts[0]} must be a finite number, is {value}")
                 if one.name in TAKES and isinstance(value, str | Path):
                     _check_kind(one.name, value, self.params)
-                if "--rig" in one.opts and str(value) in EXPERIMENTS and not Path(str(value)).exists():
-                    raise InputError(
-                        f"--rig {value}: --rig takes a rig file (.toml); choose what is simulated with truearm demo "
-                        "--experiment, or with truearm simulate --lines"
-                    )
         taken = [
             word
             for one in self.params
             if _source(ctx, one.name or "") == "DEFAULT_MAP" and ctx.params[one.name or ""] is not None
             for word in _words(one, ctx.params[one.name or ""])
         ]
-        if taken:
-            typer.echo(f"from truearm.toml: {shlex.join(taken)}", err=True)
+        before = ctx.meta.get(RESULT_TAKEN, [])
+        if before or taken:
+            typer.echo(f"from truearm.toml: {shlex.join([*before, *taken])}", err=True)
             if ctx.obj is not None:  # the command line, as results and reports quote it
                 ctx.obj.extend(taken)
         return super().invoke(ctx)
@@ -190,10 +197,10 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
         return found[-1] if found else None
 
     def newest_result() -> str | None:
-        from truearm.workflows.project import results_of
+        from truearm.workflows.project import result_in_use
 
-        found = results_of(home / project.results)
-        return shown(found[-1]) if found else None
+        result = result_in_use(home / project.results)
+        return shown(result) if result else None
 
     def new(in_folder: str, suffix: str) -> Answer:
         def made() -> str:
@@ -232,9 +239,9 @@ def _answers(project: Project, home: Path, folder: Path) -> dict[str, Any]:
             "out": new(project.sessions, ".mcap"),
         },
         "identify": {"inputs": sessions, **robot, "out": new(project.results, ".json")},
-        "report": {**result, "inputs": sessions, "out": new(project.results, ".html")},
-        "validate": robot,  # its two arguments cannot be distinguished if one is missing
-        "correct": robot,
+        "report": {**result, "out": new(project.results, ".html")},
+        "validate": result,
+        "correct": result,
         "map": result,
         "export": result,
         "inspect": {"session": newest_session},

@@ -19,7 +19,7 @@ from truearm.text import one_line
 def report(
     context: typer.Context,
     result: Path,
-    inputs: list[Path],
+    inputs: list[Path] | None = None,
     *,
     out: Path,
     model: str | None = None,
@@ -46,6 +46,12 @@ def report(
     Example:
       truearm report result.json session.mcap --serial 2019-7 --operator "A. Smith" --out report.html
 
+    Arguments
+    ---------
+    inputs : INPUT...
+        Sessions (.mcap) and tables (.csv) that the result was made from. Default: those in the folder of the result, in this
+        folder and in the project.
+
     Options
     -------
     out : FILE
@@ -65,7 +71,7 @@ def report(
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, report_files
 
-    sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
+    sources = Sources(tuple(inputs or ()), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(RobotChoice(model, base, tip), sources, command=command_line, force=force)
     report_files(ReportFiles(result, files, out, issue_of(locals())))

@@ -53,8 +53,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
         for session in state.other_sessions
     ]
     others += [
-        f"{_result(result)} (of {os.path.relpath(result.session) if result.session else 'another folder'})"
-        for result in state.other_results
+        f"{_result(result)} (of {os.path.relpath(result.session)})" for result in state.other_results if result.session
     ]
     for title, line in zip(("not used", *[""] * len(others)), others, strict=False):
         yield f"{title:<10}{line}"

@@ -176,11 +176,14 @@ class Selection:
 
 @dataclass(frozen=True)
 class IdentifyFiles:
-    """Input and output files of ``truearm identify``; ``command`` is printed on the report."""
+    """Input and output files of ``truearm identify``; ``command`` is printed on the report.
+
+    ``results``: every file to write the result to.
+    """
 
     robot: RobotChoice
     sources: Sources
-    out: Path | None = None
+    results: tuple[Path, ...] = ()
     save_table: Path | None = None
     report: Path | None = None
     command: str = ""
@@ -202,7 +205,7 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     wanted = (
-        (files.out, looks_like_result, ".json"),
+        *((path, looks_like_result, ".json") for path in files.results),
         (files.save_table, looks_like_table, ".csv"),
         (files.report, looks_like_page, ".html"),
     )
@@ -217,8 +220,8 @@ def identify_files(files: IdentifyFiles, hold_out: Sequence[str], options: Ident
     if files.report is not None:
         with step("drawing the report"):
             write_page(files.report, found, files.command, counted_dwells(recordings, counts))
-    if files.out is not None:
-        write_result(files.out, found.stored)
+    for path in files.results:
+        write_result(path, found.stored)
     return found
 
 

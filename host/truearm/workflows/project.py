@@ -136,8 +136,8 @@ class ResultState:
 class ProjectState:
     """The contents of a project's folder, and the next step.
 
-    Sessions outside the project's folder for them, results made from these, and results in folders beside the
-    project's are ``other_sessions`` and ``other_results``: the next step does not depend on a rehearsal.
+    Sessions outside the project's folder for them and results made from these are ``other_sessions`` and
+    ``other_results``: the next step does not depend on a rehearsal.
     """
 
     project: Project
@@ -160,7 +160,7 @@ def sessions_of(folder: Path) -> list[Path]:
     from truearm.workflows.recover import recovered_name
     from truearm.workflows.session_parts import first_stem
 
-    every = _by_time(folder.glob("*.mcap"))
+    every = by_time(folder.glob("*.mcap"))
     return [
         path
         for path in every
@@ -171,7 +171,7 @@ def sessions_of(folder: Path) -> list[Path]:
 
 def results_of(folder: Path) -> list[Path]:
     """Return the results of a folder, the newest last."""
-    return _by_time(folder.glob("*.json"))
+    return by_time(folder.glob("*.json"))
 
 
 def folders_of(home: Path) -> list[Path]:
@@ -190,6 +190,13 @@ def result_document(path: Path) -> dict[str, Any]:
     return document if isinstance(document, dict) and document.get("format") == FORMAT else {}
 
 
+def result_in_use(folder: Path) -> Path | None:
+    """Return the newest result of a folder that was not simulated, or else the newest; None if there is none."""
+    newest_first = results_of(folder)[::-1]
+    measured = (path for path in newest_first if not result_document(path).get("simulated"))
+    return next(measured, newest_first[0] if newest_first else None)
+
+
 def was_read(session: Path, document: Mapping[str, Any]) -> bool:
     """Return whether a result was made from this session."""
     from truearm.files.disk import sha256
@@ -198,7 +205,7 @@ def was_read(session: Path, document: Mapping[str, Any]) -> bool:
     return bool(hashes) and sha256(session) in hashes
 
 
-def _by_time(files: Iterable[Path]) -> list[Path]:
+def by_time(files: Iterable[Path]) -> list[Path]:
     """Return files by the time of their last change: names need not be dates. Files of the same time are by name."""
     return sorted(files, key=lambda path: (path.stat().st_mtime_ns, path.name))
 
@@ -329,12 +336,9 @@ def state_of(path: Path) -> ProjectState:
     """Return what a project has and its next step; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
-    own_sessions, own_results = home / project.sessions, home / project.results
-    folders = [folder for folder in folders_of(home) if folder not in (own_sessions, own_results)]
-    others = _by_time(path for folder in folders for path in sessions_of(folder))
-    read = [path for folder in folders for path in results_of(folder) if result_document(path)]
-    results = [_result(path, others) for path in _by_time({*results_of(own_results), *read})]
-    of_project = [result.session is None and result.path.parent in (home, own_results) for result in results]
+    own_sessions = home / project.sessions
+    others = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
+    results = [_result(path, others) for path in results_of(home / project.results)]
     state = ProjectState(
         project,
         home,
@@ -342,9 +346,9 @@ def state_of(path: Path) -> ProjectState:
         plan,
         _poses(plan),
         sessions=tuple(_session(path, project) for path in sessions_of(own_sessions)),
-        results=tuple(result for result, own in zip(results, of_project, strict=True) if own),
+        results=tuple(result for result in results if result.session is None),
         other_sessions=tuple(_session(path, project) for path in others),
-        other_results=tuple(result for result, own in zip(results, of_project, strict=True) if not own),
+        other_results=tuple(result for result in results if result.session is not None),
         next=NextStep.DESCRIBE,
     )
     return replace(state, next=_next(state))

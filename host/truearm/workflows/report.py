@@ -11,6 +11,7 @@ import numpy as np
 
 from truearm.errors import Argument, InputError
 from truearm.files.disk import sha256, write_atomic
+from truearm.files.project_folder import find_project
 from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import load_robot
 from truearm.progress import step
@@ -22,6 +23,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.certificates import Issue, calibration_certificate, validation_certificate
 from truearm.workflows.identify import Identification, IdentifyFiles, IdentifyOptions, identified, selected
 from truearm.workflows.inputs import check_files, hashed_inputs, read_sources
+from truearm.workflows.project import folders_of
 from truearm.workflows.recordings import counted_dwells, recording_of
 from truearm.workflows.session_parts import with_parts
 from truearm.workflows.validate import Validation, measured_files, validated
@@ -43,17 +45,21 @@ class ReportFiles:
 def report_files(files: ReportFiles) -> Identification:
     """Repeat the fit as recorded in the result, check that the outcome is the same, and write the page.
 
-    Of the given sessions and tables, only those used for the result are read. Raises InputError if the result does not
-    record how it was made, or if the files are not the original ones or give another result.
+    Of the given sessions and tables, only those used for the result are read; without any, they are looked for near the
+    result and in the project. Raises InputError if the result does not record how it was made, or if the files are not
+    the original ones or give another result.
     """
     stored = read_result(files.result)
     options, hold_out = _options(files.result, stored.made_with)
     recordings: list[Recording] = []
     given = files.made_from.sources
-    measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
+    measured = {entry.sha256: entry.name for entry in stored.inputs if entry.role == "observations"}
+    nearby = (folder / name for folder in _folders(files.result) for name in measured.values())
+    named = list(given.inputs) or [path for path in nearby if path.is_file()]
+    by_hash = {sha256(path): path for path in with_parts(named)}
     sources = replace(
         given,
-        inputs=tuple(path for path in with_parts(list(given.inputs)) if sha256(path) in measured) or given.inputs,
+        inputs=tuple(by_hash[key] for key in measured if key in by_hash) or given.inputs,
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     choice = files.made_from.robot
@@ -71,6 +77,12 @@ def report_files(files: ReportFiles) -> Identification:
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
     return found
+
+
+def _folders(result: Path) -> list[Path]:
+    """Return the folders in which to look for the files of a result."""
+    file = find_project(Path.cwd())
+    return [result.parent, Path.cwd(), *([] if file is None else folders_of(file.parent))]
 
 
 @step("validating")
