@@ -649,7 +649,7 @@ def error_map(
     joints: tuple[int, int] = (2, 3),
     *,
     at: Joints | None = None,
-    elbow_up: bool = True,
+    elbow_up: bool | None = None,
     cell: Annotated[float, CELL] = 0.025,
     own_frames: bool = False,
 ) -> ErrorMap:
@@ -662,9 +662,10 @@ def error_map(
     joints : pair of int
         The two joints that span the section, counted from 1. Their axes must be parallel.
     at : sequence of float, optional
-        Joint readings (j,) [rad, m] at which the other joints are held. Default: 0.
-    elbow_up : bool
-        Use the elbow-up configuration of the arm rather than elbow-down.
+        Joint readings (j,) [rad, m] at which the other joints are held. Default: the middle of the fitted readings; the map
+        then ends where these end.
+    elbow_up : bool, optional
+        Use the elbow-up configuration of the arm rather than elbow-down. Default: the configuration at ``at``.
     cell : float
         Size of a cell [m].
     own_frames : bool
@@ -673,7 +674,8 @@ def error_map(
     Returns
     -------
     ErrorMap
-        ``error`` and ``sigma`` [m] of each cell; NaN where the arm cannot reach.
+        ``error`` and ``sigma`` [m] of each cell; NaN where the arm cannot reach. ``sigma`` is relative to base and tool if
+        the observations do not determine their poses.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 import csv
 import json
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import correct_bench
 import numpy as np
@@ -17,7 +18,9 @@ from truearm.errors import RobotError
 from truearm.files.result_file import read_result
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
-from truearm.workflows.map import Mapped
+from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration
+from truearm.workflows.map import Mapped, Section, mapped
+from truearm.workflows.undetermined import unseen_within
 
 P = len(CHAIN.parameters)
 NONE = np.zeros((P, 0))
@@ -36,7 +39,8 @@ def result(tmp_path_factory, estimate):
 def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     """(31) at the joints of every row, the end in its cell, in the plane, elbow up."""
     out, picture = tmp_path / "map.csv", tmp_path / "map.svg"
-    code, said, err = run("map", result, "--out", out, "--picture-out", picture, "--cell-mm", 40, "--task", "300x200")
+    section = ["map", result, "--at", "0,0,0,0,0,0", "--cell-mm", 40, "--task", "300x200"]
+    code, said, err = run(*section, "--out", out, "--picture-out", picture)
     assert code == 0, err
     rows = list(csv.DictReader(out.open()))
     assert len(rows) > 300
@@ -58,7 +62,7 @@ def test_cells_hold_what_the_formula_says(result, tmp_path, run):
     squares = [e for e in root.iter("{http://www.w3.org/2000/svg}rect") if e.get("style")]
     assert len(squares) == len(rows) + 60  # and the scale
     assert "Best place for a task of 300x200 mm: x " in said
-    code, said, err = run("map", result, "--cell-mm", 40, "--task", "300x200", "--json")
+    code, said, err = run(*section, "--json")
     assert code == 0, err
     document = json.loads(said)
     errors = np.array([float(row["error_mm"]) for row in rows])
@@ -103,6 +107,36 @@ def test_unseen_directions_leave_no_uncertainty_to_tell():
     assert np.isfinite(found.error).any()
     said = lines(Mapped(found, None), 0.2, None)
     assert any(line.startswith("Error with calibration: unknown in ") for line in said)
+
+
+def test_a_map_ends_where_the_measured_readings_end(result, tmp_path, run):
+    """Without --at, the other joints are in the middle of the readings, and the elbow is as there."""
+    assert run("map", result, "--cell-mm", 40, "--out", tmp_path / "map.csv").code == 0
+    rows = list(csv.DictReader((tmp_path / "map.csv").open()))
+    q = np.radians([[float(row[f"q{i}_deg"]) for i in range(1, 7)] for row in rows])
+    seen = read_result(result).joint_range
+    lower, upper = np.array(seen.lower), np.array(seen.upper)
+    others = [0, 3, 4, 5]
+    np.testing.assert_allclose(q[:, others], np.tile(0.5 * (lower + upper)[others], (len(q), 1)), atol=1e-6)
+    assert len(rows) > 100
+    assert (np.abs(q - 0.5 * (lower + upper)) <= 0.5 * (upper - lower) + NEAR_OBSERVED + 1e-6).all()
+    assert {row["covered"] for row in rows} == {"1"}
+
+
+@pytest.mark.parametrize(("name", "relative"), [("link1.x", ("base",)), ("link7.x", ("tool",)), ("link4.x", ())])
+def test_a_direction_that_only_places_base_or_tool_leaves_relative_errors(result, name, relative):
+    """Their standard deviation is known, that of any other direction is not."""
+    calibration = read_calibration(result)
+    names = np.array(CHAIN.parameter_names)
+    seen, unseen = replace(calibration, unseen=np.zeros((P, 0))), (names == name)[:, None].astype(float)
+    assert unseen.any()
+    section = Section(cell=0.2)
+    left_out, within = replace(seen, unseen=unseen), mapped(seen, section)
+    assert unseen_within(left_out)[1] == relative
+    sigma = mapped(left_out, section).sigma
+    assert np.isnan(sigma).all() if not relative else np.array_equal(sigma, within.sigma, equal_nan=True)
+    said = lines(Mapped(within, None, relative), 0.2, None)[0]
+    assert ("relative to" in said) == bool(relative)
 
 
 def test_the_best_region_is_found_by_hand_too():
@@ -154,7 +188,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
     cases = [
         (("map", result, "--vary", "2"), "--vary 2: needs two joints, such as 2,3"),
         (("map", result, "--vary", "2,9"), "must be two joints between 1 and 6"),
-        (("map", result, "--vary", "1,2"), "do not turn about parallel axes"),
+        (("map", result, "--vary", "1,2"), "do not turn about parallel axes; choose two that do with --vary"),
         (("map", result, "--at", "1,2"), "needs 6 numbers"),
         (("map", result, "--task", "0x10"), "needs width and height"),
         (("map", result, "--task", "ax10"), "needs width and height"),

@@ -430,7 +430,9 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
     sentence = "The sag of the joints holds for the payload of the calibration, 4 kg."
     assert again.doubt_of_payload == sentence
-    assert sentence in map_lines(Mapped(mapped(again, Section(cell=0.2)), None, again.doubt_of_payload), 0.2, None)
+    assert sentence in map_lines(
+        Mapped(mapped(again, Section(cell=0.2)), None, payload=again.doubt_of_payload), 0.2, None
+    )
     assert validated(again, rig, replace(table, more={})).document["payload"] == [sentence]
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
     light = validated(again, rig, replace(table, more={**table.more, "payload": masses}))

@@ -52,7 +52,12 @@ TASKS: dict[str, tuple[Any, ...]] = {
     "Box": (box,),
 }
 UNLISTED = (reproduce,)
-ARGUMENTS = {"robot": "model", "bars": "bar", "as_json": "json"}  # names in errors, where an option has another one
+ARGUMENTS = {
+    "robot": "model",
+    "bars": "bar",
+    "as_json": "json",
+    "joints": "vary",
+}  # names in errors, where an option has another one
 COMMANDS = {
     getattr(command, "__name__", None) or command.info.name: (command, task)
     for task, commands in {**TASKS, "": UNLISTED}.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, assert_never
+from typing import Annotated
 
 from truearm.bounds import CELL
 from truearm.cli.command import command
@@ -34,7 +34,7 @@ def map_(
     tip: str | None = None,
     vary: str = "2,3",
     at: str | None = None,
-    elbow: Elbow = Elbow.up,
+    elbow: Elbow | None = None,
     cell_mm: Annotated[float, CELL, MM] = 25.0,
     task: str | None = None,
     within: str | None = None,
@@ -58,7 +58,8 @@ def map_(
     vary : I,J
         The two joints that span the section; their axes must be parallel.
     at : Q1,Q2,...
-        Values of all joints [deg, mm]; those of --vary do not matter. Default: 0.
+        Values of all joints [deg, mm]; those of --vary do not matter. Default: the middle of the measured readings, and the
+        map ends where these end.
     cell_mm : MM
         Size of a cell.
     task : WxH
@@ -69,7 +70,7 @@ def map_(
     Expert options
     --------------
     elbow
-        Configuration of the elbow.
+        Configuration of the elbow. Default: as measured.
     """
     from truearm.cli.map_text import document, lines
     from truearm.files.robot_file import RobotChoice
@@ -84,7 +85,7 @@ def map_(
     files = MapFiles(result, RobotChoice(model, base, tip), out, picture_out, force)
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     stand = joints_of("--at", shown, calibration.joint_units)
-    section = Section(varied, stand, _is_up(elbow), MM.to_si(cell_mm), own_frames)
+    section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
     written = [str(path) for path in (out, picture_out) if path is not None]
     origin = [Finding("simulated").text()] if calibration.simulated else []
@@ -97,16 +98,6 @@ def map_(
         ],
         json,
     )
-
-
-def _is_up(elbow: Elbow) -> bool:
-    match elbow:
-        case Elbow.up:
-            return True
-        case Elbow.down:
-            return False
-        case _:
-            assert_never(elbow)
 
 
 def _joints_of(text: str) -> tuple[int, int]:

@@ -19,15 +19,13 @@ def lines(mapped: Mapped, cell: float, task: str | None, within: bool = False) -
     found = mapped.map
     error = MM.of(found.error[~np.isnan(found.error)])
     rms = Figures.of(error).rms
-    text = [
-        f"{counted(error.size, 'cell')} of {MM.text(cell)}: error without calibration {error.min():.3f} to {error.max():.3f} mm, "
-        f"RMS {rms:.3f} mm."
-    ]
     sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
-    if sigma.size:
-        text.append(
-            f"Error with calibration, from the parameters' covariance: {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation)."
-        )
+    frames = f", relative to {' and '.join(mapped.relative_to)}" if mapped.relative_to else ""
+    after = f"; with it {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation{frames})" if sigma.size else ""
+    text = [
+        f"{counted(error.size, 'cell')} of {MM.text(cell)}: error without calibration {error.min():.3f} to "
+        f"{error.max():.3f} mm, RMS {rms:.3f} mm{after}."
+    ]
     if sigma.size < error.size:
         which = "all" if not sigma.size else f"{error.size - sigma.size} of {error.size}"
         text += [f"Error with calibration: unknown in {which} cells.", *mapped.undetermined]
@@ -38,7 +36,7 @@ def lines(mapped: Mapped, cell: float, task: str | None, within: bool = False) -
         )
         if mapped.outside:
             text.append(
-                f"Outside in every cell: {' and '.join(mapped.outside)}. Give other readings with --at, or the other --elbow."
+                f"Outside in every cell: {' and '.join(mapped.outside)}. Give other readings with --at, or the other --elbow, or neither."
             )
     if mapped.payload:
         text.append(mapped.payload)

@@ -8,7 +8,8 @@ the middle is out of reach, one that brings it into the cell, if one is known. E
 the sign of the plane's Jacobian ∂(u, v)/∂(q_a, q_b): between them the arm is stretched.
 
 The map's own uncertainty: with the covariance P of the parameters, the identified end has the mean square error tr(J P
-Jᵀ). Where a null direction of the observations would move the end, no meaningful figure exists, and none is given.
+Jᵀ). Where a null direction of the observations would move the end, no meaningful figure exists, and none is given, except
+for directions that only place base or tool: without them, the figures are relative to both.
 """
 
 from __future__ import annotations
@@ -94,17 +95,20 @@ def error_map(
     cell: float,
     covariance: Floats,
     unseen: Floats,
-    elbow_up: bool = True,
+    elbow_up: bool | None = None,
 ) -> ErrorMap:
     """Return the map over the section that two joints (indices) span while the others stay at q (j,).
 
-    cell : m. covariance : (p, p). unseen : (p, d) null directions, each with a largest weight of 1.
+    cell : m. covariance : (p, p). unseen : (p, d) null directions, each with a largest weight of 1. elbow_up : None for
+    the configuration at q; up if the arm is stretched there.
 
     Raises RobotError unless the two joints turn about parallel axes and the end lies off them.
     """
     axes = _plane(pair, q, joints)
     samples = _samples(pair, q, joints)
-    side = _elbow(pair, samples, joints, axes, elbow_up)
+    here = float(_plane_determinant(pair, q[None], joints, axes)[0])
+    as_here = elbow_up is None and abs(here) > STRETCHED
+    side = float(np.sign(here)) if as_here else _elbow(pair, samples, joints, axes, elbow_up is not False)
     samples = samples[side * _plane_determinant(pair, samples, joints, axes) > STRETCHED]
     flat = believed(pair, samples)[:, :3, 3] @ axes.T
     low = np.floor(flat.min(axis=0) / cell) * cell

@@ -26,7 +26,7 @@ from truearm.workflows.calibration import (
     check_names,
     chosen_mountings,
 )
-from truearm.workflows.undetermined import undetermined, unseen_by_use
+from truearm.workflows.undetermined import undetermined, unseen_within
 
 MARK = "u_mm,v_mm"
 SOME = 12  # cells at which the reason for an unknown error is sought
@@ -35,14 +35,14 @@ SOME = 12  # cells at which the reason for an unknown error is sought
 class Section(NamedTuple):
     """The section of the workspace to map.
 
-    ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for 0.
-    ``elbow_up``: which of the arm's two configurations. ``cell`` [m]: size of a cell. ``own_frames``: leave out how
-    base and tool were mounted.
+    ``joints``: the two that span it, counted from 1. ``at``: position of the joints (j,) [rad, m]; None for the middle
+    of the fitted readings, and then only cells within these. ``elbow_up``: which of the arm's two configurations; None
+    for the one at that position. ``cell`` [m]: size of a cell. ``own_frames``: leave out how base and tool were mounted.
     """
 
     joints: tuple[int, int] = (2, 3)
     at: tuple[float, ...] | None = None
-    elbow_up: bool = True
+    elbow_up: bool | None = None
     cell: float = 0.025
     own_frames: bool = False
 
@@ -67,13 +67,15 @@ class MapFiles(NamedTuple):
 class Mapped(NamedTuple):
     """A map, and the best region for the task; None if there is no task, or no place for it.
 
-    ``payload`` is a sentence about the payload that the map holds for; "" if the result has no sag. ``undetermined`` are
-    sentences about why the error with calibration is unknown in some cells. ``outside`` names the joints whose readings
-    are outside the fitted ones in every reachable cell.
+    ``relative_to``: "base", "tool", of which the observations do not determine the pose. ``payload`` is a sentence about
+    the payload that the map holds for; "" if the result has no sag. ``undetermined`` are sentences about why the error
+    with calibration is unknown in some cells. ``outside`` names the joints whose readings are outside the fitted ones in
+    every reachable cell.
     """
 
     map: ErrorMap
     region: BestRectangle | None
+    relative_to: tuple[str, ...] = ()
     payload: str = ""
     undetermined: tuple[str, ...] = ()
     outside: tuple[str, ...] = ()
@@ -106,7 +108,10 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
         write_atomic(files.picture, _picture(found, region, calibration))
     unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
     why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
-    return Mapped(found, region, calibration.doubt_of_payload, tuple(why), _outside_everywhere(calibration, found))
+    relative_to = unseen_within(calibration)[1]
+    return Mapped(
+        found, region, relative_to, calibration.doubt_of_payload, tuple(why), _outside_everywhere(calibration, found)
+    )
 
 
 def _outside_everywhere(calibration: Calibration, found: ErrorMap) -> tuple[str, ...]:
@@ -123,8 +128,12 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     pair = ModelPair(
         chain, calibration.nominal, calibration.identified, chosen_mountings(calibration, section.own_frames)
     )
-    q = check_joints("at", section.at, calibration.chain)
-    q = np.zeros(len(chain.joints)) if q is None else q
+    q, seen = check_joints("at", section.at, calibration.chain), calibration.stored.joint_range
+    if q is None:
+        q = np.zeros(len(chain.joints)) if seen is None else 0.5 * (np.array(seen.lower) + np.array(seen.upper))
+        q[min(section.joints) : max(section.joints) - 1] = (
+            0.0  # between the two: elsewhere their axes may not be parallel
+        )
     a, b = section.joints
     if min(a, b) < 1 or max(a, b) > q.size or a == b:
         raise InputError(Argument("joints"), f" {a},{b}: must be two joints between 1 and {q.size}")
@@ -132,10 +141,26 @@ def mapped(calibration: Calibration, section: Section) -> ErrorMap:
     for i, joint in enumerate(chain.joints):
         if section.at and i not in varied and not joint.lower <= q[i] <= joint.upper:
             raise InputError(Argument("at"), f": joint {i + 1} would be outside its limits; give a reading within them")
-    unseen = unseen_by_use(calibration, section.own_frames)
+    unseen = unseen_within(calibration)[0]
     found = error_map(pair, q, varied, section.cell, calibration.covariance, unseen, section.elbow_up)
     outside = calibration.outside(found.q.reshape(-1, q.size))
-    return found if outside is None else replace(found, outside=np.any(outside, axis=1).reshape(*found.error.shape))
+    if outside is None:
+        return found
+    found = replace(found, outside=np.any(outside, axis=1).reshape(*found.error.shape))
+    return _within_readings(found) if section.at is None else found
+
+
+def _within_readings(found: ErrorMap) -> ErrorMap:
+    """Return the part of a map whose cells are within the fitted readings; all of it if none is."""
+    covered = ~np.isnan(found.error) & ~np.asarray(found.outside)
+    if not covered.any():
+        return found
+    rows, columns = (slice(used[0], used[-1] + 1) for used in map(np.flatnonzero, (covered.any(1), covered.any(0))))
+    only = covered[rows, columns]
+    cells = {name: getattr(found, name)[rows, columns] for name in ("q", "point", "error", "sigma", "outside")}
+    for values in (cells[name] for name in ("q", "point", "error", "sigma")):
+        values[~only] = np.nan
+    return replace(found, u=found.u[columns], v=found.v[rows], **cells)
 
 
 def _looks_like_picture(head: bytes) -> bool:
@@ -181,4 +206,4 @@ def axis(direction: Floats) -> str:
     for i, name in enumerate("xyz"):
         if abs(direction[i]) > 1.0 - 1e-6:
             return ("-" if direction[i] < 0.0 else "") + name
-    return "along (" + ", ".join(f"{value:.2f}" for value in direction) + ")"
+    return "along (" + ", ".join(f"{round(value, 2) + 0.0:.2f}" for value in direction) + ")"

@@ -70,11 +70,14 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     return said
 
 
-def unseen_by_use(calibration: Calibration, own_frames: bool) -> Floats:
-    """Return the directions (p, d) that the observations did not determine, with ``own_frames`` without the base's pose."""
-    unseen = calibration.unseen
-    base = mounting(calibration.chain, calibration.nominal).base
-    return unseen[:, (unseen[~base] != 0.0).any(axis=0)] if own_frames else unseen
+def unseen_within(calibration: Calibration) -> tuple[Floats, tuple[str, ...]]:
+    """Return the directions (p, d) that the observations did not determine, without those that only place base or tool,
+    and which of the two they place: errors are then relative to it.
+    """
+    unseen, places = calibration.unseen, mounting(calibration.chain, calibration.nominal)
+    within = (unseen[~places.either] != 0.0).any(axis=0)
+    placed = (unseen[:, ~within] != 0.0).any(axis=1)
+    return unseen[:, within], tuple(name for name in ("base", "tool") if placed[getattr(places, name)].any())
 
 
 def _held(what: str, names: Sequence[str], directions: Sequence[NullDirection], effect: str) -> str:
