@@ -362,6 +362,20 @@ def test_the_unexplained_error_is_part_of_what_is_expected(bench, tmp_path, caps
     np.testing.assert_allclose(more, np.hypot(plain, 2.0 * 0.4 * np.sqrt(np.pi / 2)))
 
 
+def test_what_only_places_base_and_tool_leaves_the_expected_error_relative_to_them(bench, tmp_path, capsys):
+    """For two targets too; what moves the end otherwise leaves nothing to expect."""
+    document = json.loads((bench[0] / "result.json").read_text())
+    q = correct_bench.good_poses(2)
+    (tmp_path / "t.csv").write_text(table(correct_bench.nominal_poses(q), q))
+    for number, (names, frames) in enumerate(((("link1.x", "link7.z"), ["base", "tool"]), (("link3.x",), []))):
+        document["null_space"] = [{"names": [name], "weights": [1.0]} for name in names]
+        out = tmp_path / f"{number}.csv"
+        _, said, _ = run(capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", out, "--json")
+        found = json.loads(said)
+        assert found["expected_relative_to"] == frames
+        assert all((target["expected_mm"] is None) == (not frames) for target in found["targets"])
+
+
 def test_a_page_is_whole_and_holds_strangers_names(bench, tmp_path, capsys):
     folder, _ = bench
     q = correct_bench.good_poses(6)

@@ -25,6 +25,7 @@ from truearm.text import counted, listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
+from truearm.workflows.undetermined import unseen_within
 
 STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
@@ -93,7 +94,7 @@ class Findings:
     """What is expected of n corrected targets.
 
     ``shift`` (n, 2) [m, rad]: how far the command moved. ``expected`` (n, 2) [m, rad]: the expanded uncertainty of the tool (k = 2) from
-    covariance and unexplained error, NaN if unknown. ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
+    covariance and unexplained error, NaN if unknown; relative to the frames ``relative_to`` ("base", "tool"). ``limits`` (n, j) [rad, m] and ``singular_value`` (n,) are
     margins. ``outside`` (n, j): joints outside the fitted readings (``Calibration.outside``); None if the result does
     not contain their range.
     """
@@ -103,7 +104,7 @@ class Findings:
     shift: Floats
     expected: Floats
     unexplained: tuple[float, float]
-    relative: bool
+    relative_to: tuple[str, ...]
     limits: Floats
     singular_value: Floats
     outside: NDArray[np.bool_] | None
@@ -113,7 +114,7 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
     """Evaluate a correction by the calibration on which it is based; the mountings of ``pair`` were removed."""
     q, chain = targets.correction.q, calibration.chain
     unexplained = unexplained_error(calibration.document)
-    expected, relative = _expected_errors(calibration, pair, q, targets.tools)
+    expected, relative_to = _expected_errors(calibration, pair, q, targets.tools)
     difference = apart(targets.told, targets.asked)
     difference[np.isnan(targets.correction.before[:, 1]), 3:] = np.nan  # for positions alone the orientation is free
     return Findings(
@@ -122,23 +123,28 @@ def findings(calibration: Calibration, pair: ModelPair, targets: CorrectedTarget
         shift=np.stack([np.linalg.norm(part, axis=1) for part in (difference[:, :3], difference[:, 3:])], axis=1),
         expected=expected,
         unexplained=unexplained,
-        relative=relative,
+        relative_to=relative_to,
         limits=limit_margins(chain, q),
         singular_value=singular_value(chain, calibration.nominal, q),
         outside=calibration.outside(q),
     )
 
 
-def _expected_errors(calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats) -> tuple[Floats, bool]:
-    """Return ``expected`` and ``relative`` of ``Findings`` for tools (n, 4, 4) at joint readings (n, j)."""
+def _expected_errors(
+    calibration: Calibration, pair: ModelPair, q: Floats, tools: Floats
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return ``expected`` and ``relative_to`` of ``Findings`` for tools (n, 4, 4) at joint readings (n, j)."""
     points = (inverted(pair.mountings.tool) @ tools)[:, :3, 3]
     own = not np.allclose(pair.mountings.base, np.eye(4), rtol=0.0, atol=1e-12)
-    known = ParametersKnown(calibration.chain, calibration.identified, calibration.covariance, calibration.unseen)
+    unseen, relative_to = unseen_within(calibration)
+    known = ParametersKnown(calibration.chain, calibration.identified, calibration.covariance, unseen)
     sigmas = end_sigmas(known, q, points, any_base=own)
     if sigmas is None:
-        return np.full((len(q), 2), np.nan), False
+        return np.full((len(q), 2), np.nan), relative_to
+    if sigmas.relative and "base" not in relative_to:
+        relative_to = ("base", *relative_to)
     both = np.stack([sigmas.position, sigmas.rotation], axis=1)
-    return COVERAGE * np.hypot(both, unexplained_error(calibration.document)), sigmas.relative
+    return COVERAGE * np.hypot(both, unexplained_error(calibration.document)), relative_to
 
 
 def comparison(calibration: Calibration, pair: ModelPair, others: OtherConfigurations) -> tuple[str, dict[str, Any]]:
@@ -236,7 +242,7 @@ def document_of(
         "coverage_factor": COVERAGE,
         "unexplained_mm": float(MM.of(found.unexplained[0])),
         "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
-        "expected_relative": found.relative,
+        "expected_relative_to": found.relative_to,
         "error_point": found.targets.error_point(calibration.chain.end_frame),
         "warnings": list(said),
         "notes": list(notes),

@@ -28,13 +28,14 @@ def page_of(
     given, written, result = map(one_line, names)
     of_position = MM.text(found.unexplained[0], ".3f")
     of_rotation = MRAD.text(found.unexplained[1], ".3f") if found.unexplained[1] else "no orientation was measured"
-    relative = " A common shift and rotation of all targets is not included, because the calibration does not determine the pose of the base."
+    frames = " and ".join(found.relative_to)
+    relative = f", relative to {frames}, whose pose the calibration does not determine" * bool(frames)
     facts = (
         ("targets", counted(len(of.places), "target")),
         ("robot", f"{calibration.chain.name}, {calibration.chain.end_frame} in {calibration.chain.base_frame}"),
         ("calibration", result),
         ("unexplained by the calibration", f"{of_position}, {of_rotation} (standard deviation)"),
-        ("expected error", f"k = 2, covariance and unexplained part.{relative * found.relative}"),
+        ("expected error", f"k = 2, covariance and unexplained part{relative}"),
     )
     return CorrectionPage(
         title=f"{given} corrected",
