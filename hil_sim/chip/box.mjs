@@ -10,11 +10,12 @@
 //           "Q" quit
 //   box     "?" query    stream:u8  n:u16  index:u64  t_ns:u64  period_ns:u64; the parent answers at once with n
 //                        values of signals.mjs
+//           "T" sent     n:u32, then bytes that the box sent, at the end of a transfer; only if the grant asks for it
 //           "D" answer   flags:u8  cause:u8  now_ns:u64  n_tx:u32  n_edges:u16, then tx bytes, edges of the box's own
 //                        output (level:u8, t_ns:u64)
 //
 // All numbers little endian; times are the box's device time since power-on. Flags of a grant: 1 the host's port is
-// closed, 2 the processor stands still. Flags of an answer: 1 a source is sampling, 2 the chip was reset, 4 it went to the USB boot loader, 8 the power
+// closed, 2 the processor stands still, 4 what the box sends is handed over at once. Flags of an answer: 1 a source is sampling, 2 the chip was reset, 4 it went to the USB boot loader, 8 the power
 // was cut: after 2, 4 and 8 the process answers nothing more but quit. `tx_room` is what the host reads in this grant, in whole
 // packets. A grant ends at `until_ns` or, at most an instruction (some tens of ns) later.
 import fs from 'node:fs';
@@ -32,6 +33,8 @@ const EDGE_OUT = 9;
 const QUERY = 28;
 const CLOSED = 1;
 const STALLED = 2;
+const PROMPT = 4;
+const PACKET = 64; // a shorter one ends a transfer on USB
 const SAMPLING = 1;
 const ENDED = { reset: 2, bootloader: 4, power: 8 };
 const LINES = [6, 7]; // pins of the trigger inputs
@@ -65,6 +68,15 @@ function query(stream, index, tNs, periodNs, n) {
   return read(n * BYTES[stream]);
 }
 
+/** Give the parent what the box sent. */
+function handOver(sent) {
+  const tx = Buffer.concat(sent.splice(0));
+  const head = Buffer.alloc(5);
+  head.write('T');
+  head.writeUInt32LE(tx.length, 1);
+  write(Buffer.concat([head, tx]));
+}
+
 /** The 12-bit reading of the chip's own temperature sensor: 27 °C at 0.706 V, −1.721 mV/°C, of 3.3 V. */
 function temperatureReading(mdegc) {
   return Math.round(((0.706 - 0.001721 * (mdegc / 1000 - 27)) / 3.3) * 4096);
@@ -89,6 +101,7 @@ function grant(box) {
   pico.chip.adc.channelValues[4] = temperatureReading(head.readInt32LE(17));
   signals.horizonNs = untilNs;
   scheduleEdges(pico, edges);
+  box.prompt = (head.readUInt8(0) & PROMPT) !== 0;
   pico.usb.setOpen(!(head.readUInt8(0) & CLOSED));
   pico.usb.setRoom(head.readUInt32LE(5));
   if (head.readUInt8(0) & STALLED) pico.stall(untilNs);
@@ -123,7 +136,10 @@ function main() {
   const pico = new Pico({ flash: new Flash(uf2, store), packetNs, cause, uid, seed, startNs });
   const symbols = path.join(path.dirname(uf2), 'symbols.json');
   const box = { pico, signals, symbols, sent: [], outputs: [], parts: attachParts(pico, signals) };
-  pico.onData = (bytes) => box.sent.push(Buffer.from(bytes));
+  pico.onData = (bytes) => {
+    box.sent.push(Buffer.from(bytes));
+    if (box.prompt && bytes.length < PACKET) handOver(box.sent);
+  };
   pico.watchPin(OUTPUT, (level, tNs) => {
     const edge = Buffer.alloc(EDGE_OUT);
     edge.writeUInt8(level ? 1 : 0);

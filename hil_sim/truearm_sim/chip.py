@@ -40,7 +40,7 @@ EDGE_IN = struct.Struct("<BBQ")
 ANSWER = struct.Struct("<BBQIH")
 EDGE_OUT = struct.Struct("<BQ")
 QUERY = struct.Struct("<BHQQQ")
-CLOSED, STALLED = 1, 2  # flags of a grant
+CLOSED, STALLED, PROMPT = 1, 2, 4  # flags of a grant
 SAMPLING, RESET, BOOT_LOADER, POWER_CUT = 1, 2, 4, 8  # flags of an answer
 ANY_ROOM = 0xFFFF  # free space reported by a link that is never full; USB then accepts everything
 # After a request whoever grants time looks often for its answer, which comes at the end of a grant.
@@ -89,8 +89,9 @@ class ChipBox:
     boot_ns = 0
     link_ns = USB_PACKET_NS
 
-    def __init__(self, boot: Boot, *, image: Path | None = None, start_us: int = 0) -> None:
-        """``start_us``: hardware timer value at power-on, for tests of its wrap-around; device times count from there.
+    def __init__(self, boot: Boot, *, prompt: bool = False, image: Path | None = None, start_us: int = 0) -> None:
+        """``prompt``: each of its transfers is an answer, during the grant. ``start_us``: hardware timer value at power-on,
+        for tests of its wrap-around; device times count from there.
 
         Raises NodeError if the emulator or the image is missing.
         """
@@ -110,6 +111,8 @@ class ChipBox:
         self._signals = boot.signals
         self.host_gone = False
         self._told: tuple[tuple[bytes, int], ...] = ()
+        self._prompt = prompt
+        self._latest = Answer(b"", False, 0, "", RX_MAX)
         self._output = False
         self._answered_us = 0  # when the latest request has its answer
         self._first_ns: list[int | None] = [None, None]
@@ -132,7 +135,7 @@ class ChipBox:
         self._warm(device_us)
         head = GRANT.pack(
             b"G",
-            (CLOSED if self.host_gone else 0) | (STALLED if flags & STALL else 0),
+            (CLOSED if self.host_gone else 0) | (STALLED if flags & STALL else 0) | (PROMPT if self._prompt else 0),
             len(rx),
             len(edges),
             0xFFFFFFFF if tx_room == ANY_ROOM else tx_room,
@@ -140,13 +143,17 @@ class ChipBox:
             temperature_mdegc,
         )
         self._write(head + rx + b"".join(EDGE_IN.pack(edge.line, edge.rising, edge.t_ns) for edge in edges))
-        while (kind := self._read(1)) == b"?":
-            self._answer_query()
-        if kind != b"D":
-            raise BoxDied(f"the chip emulator wrote {kind!r}")
+        while (kind := self._read(1)) != b"D":
+            if kind == b"?":
+                self._answer_query()
+            elif kind == b"T":
+                yield self._latest._replace(tx=self._read(int.from_bytes(self._read(4), "little")), toggles=())
+            else:
+                raise BoxDied(f"the chip emulator wrote {kind!r}")
         if rx:
             self._answered_us = device_us + ANSWERED_US
-        yield self._answer(LOOK_US if device_us < self._answered_us else LATER_US)
+        self._latest = self._answer(LOOK_US if device_us < self._answered_us else LATER_US)
+        yield self._latest
 
     def control(self, message: dict[str, Any]) -> None:
         """Send a message to the emulator or one of its parts (box.mjs), mostly to cause faults."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from truearm.record.joint_lines import END
 from truearm.record.links import HostClock
@@ -20,6 +21,23 @@ from .world import World
 TICK_S = 0.002
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How time passes: the pause between steps [s], and how far the lab's time may lag behind the wall clock [ns].
+
+    ``longest_lag_ns``: for a box that may be slower than the wall clock. Its steps are short. If they lag behind by more, the
+    lab's time is delayed, for box and robot alike, and ``delayed`` is called the first time.
+    """
+
+    pause_s: float = TICK_S
+    longest_lag_ns: int | None = None
+    delayed: Callable[[], None] = lambda: None
+
+
+# An emulated chip takes most of the wall clock's time: a pause before a request would delay the answer. Its first steps are slow.
+EMULATED = Pace(50e-6, 100_000_000)
+
+
 def serve(
     world: World,
     box: SimulatedBox,
@@ -29,33 +47,41 @@ def serve(
     stop: Callable[[], bool] = lambda: False,
     started: Callable[[], None] = lambda: None,
     ended: Callable[[], None] = lambda: None,
-    longest_step_ns: int | None = None,
+    pace: Pace = Pace(),
 ) -> None:
     """Run until the robot's program has ended and the box's client has disconnected, or until ``stop()``.
 
     ``started`` is called when time starts, ``ended`` when the robot's program has ended. Then a robot that sends lines
-    reports this and closes its stream; a controller continues to send its position. ``longest_step_ns``: for a box that
-    may be slower than the wall clock. The lab's time advances by at most this much at once and falls behind, for box
-    and robot alike. Without it a late box would get longer and longer steps.
+    reports this and closes its stream; a controller continues to send its position.
     """
     clock = HostClock()  # the recorder's clock: a slew of the wall clock would look like a drift of the box
     start_ns: int | None = None
-    sent_until_ns = 0
-    running = True
+    sent_until_ns = received_ns = 0
+    received = b""
+    running, punctual = True, True
     while not stop():
         box_there, robot_there = box_port.connected(), robot_port.connected()
         if start_ns is None:
             if not (box_there or robot_there):
                 time.sleep(0.02)
                 continue
+            for tx in box.advance(0, b"", 0):  # its process starts
+                box_port.send(tx)
             start_ns = clock.now_ns()
             started()
-        received = box_port.receive()  # before the clock is read: nothing reaches the box earlier than it was sent
+        if not received:
+            received, received_ns = box_port.receive(), clock.now_ns()
         t_ns = clock.now_ns() - start_ns
-        if longest_step_ns is not None and t_ns > sent_until_ns + longest_step_ns:
-            start_ns += t_ns - sent_until_ns - longest_step_ns
-            t_ns = sent_until_ns + longest_step_ns
-        for tx in box.advance(t_ns, received, box_port.room()):
+        if pace.longest_lag_ns is not None:
+            late_ns = max(0, t_ns - sent_until_ns - pace.longest_lag_ns)
+            start_ns += late_ns
+            t_ns = min(t_ns - late_ns, sent_until_ns + int(1e9 * TICK_S))
+            if late_ns and punctual:
+                punctual = False
+                pace.delayed()
+        # nothing reaches the box earlier than it was sent
+        rx, received = (received, b"") if start_ns + t_ns >= received_ns else (b"", received)
+        for tx in box.advance(t_ns, rx, box_port.room()):
             box_port.send(tx)
         _report(world, box, robot_port, sent_until_ns, t_ns)
         sent_until_ns = t_ns
@@ -68,7 +94,7 @@ def serve(
                 robot_port.drop()
             if not box_port.connected():
                 return
-        box_port.wait(TICK_S)
+        box_port.wait(pace.pause_s)
 
 
 def _report(world: World, box: SimulatedBox, robot_port: Port | RtdeServer, since_ns: int, until_ns: int) -> None:

@@ -32,23 +32,25 @@ class Counting:
 class Chip:
     """A box that was switched on, with short calls to talk to it. Its flash is a folder and allows restarts."""
 
-    def __init__(self, folder, cause=POWER, config=None, start_us=0, signals=None):
+    def __init__(self, folder, cause=POWER, config=None, start_us=0, signals=None, prompt=False):
         boot = Boot(folder, BoxSetup(config=config), 0x12345678, cause, signals or Counting())
-        self.hardware = ChipBox(boot, start_us=start_us)
+        self.hardware = ChipBox(boot, start_us=start_us, prompt=prompt)
         self.now_us = start_us
         self.end = ""
         self.req_id = 0
         self.rest = b""  # of an incomplete frame
         self.toggles = 0  # of the trigger output
+        self.transfers = []  # what it sent latest, as it was handed over
 
     def give(self, us, rx=b"", edges=(), room=ANY_ROOM, flags=0):
         """Write `rx` now and let the box run; return the bytes it sent. `end` is how it ended, if it did."""
-        (written,) = self.hardware.advance(self.now_us, rx, edges, room, 0, 24_500)
+        answers = list(self.hardware.advance(self.now_us, rx, edges, room, 0, 24_500))
         self.now_us += us
-        (answer,) = self.hardware.advance(self.now_us, b"", (), room, flags, 24_500)
-        self.end, self.sampling = answer.end, answer.sampling
-        self.toggles += len(written.toggles) + len(answer.toggles)
-        return written.tx + answer.tx
+        answers += self.hardware.advance(self.now_us, b"", (), room, flags, 24_500)
+        self.end, self.sampling = answers[-1].end, answers[-1].sampling
+        self.toggles += sum(len(answer.toggles) for answer in answers)
+        self.transfers = [answer.tx for answer in answers if answer.tx]
+        return b"".join(self.transfers)
 
     def hear(self, us, **grant):
         """Let it run; return the complete frames received."""

@@ -67,8 +67,11 @@ def test_exchanges_bound_the_clock_while_both_sources_stream(power_on):
 
 
 def test_no_request_is_stamped_before_it_came(power_on):
-    """In pieces, behind other requests in one packet, behind rubbish, and while the box sends: t1 is never too early."""
-    chip = power_on()
+    """In pieces, behind other requests in one packet, behind rubbish, and while the box sends: t1 is never too early.
+
+    Each frame is handed over when it is sent, not at the end of a long grant.
+    """
+    chip = power_on(prompt=True)
     chip.boot()
     chip.ask(START)
     rng = np.random.default_rng(2)
@@ -83,6 +86,9 @@ def test_no_request_is_stamped_before_it_came(power_on):
         pieces = [(request[:cut], int(rng.integers(0, 400))), (request[cut:], LOOK_US)]
         t0, t1, t2, t3 = exchange(chip, 300 + k, pieces)
         assert t0 <= t1 <= t2 <= t3
+    chip.hear(100 * MS)
+    assert len(chip.transfers) > 5
+    assert all(transfer.endswith(b"\0") for transfer in chip.transfers)
 
 
 def test_a_stock_micropython_stamps_in_python(power_on, tmp_path):

@@ -13,12 +13,12 @@ from tests.end_to_end.conftest import interpreter
 from truearm.cli.main import main
 from truearm_sim.ports import Port, Terminal
 from truearm_sim.sensors import SOUND, VOLTS_PER_COUNT
-from truearm_sim.serve import serve
+from truearm_sim.serve import Pace, serve
 from truearm_sim.simbox import SimulatedBox
 from truearm_sim.world import Setup, World, standard_plan
 
 MAG_PERIOD_NS = 983_040  # as for the converter
-LONGEST_STEP_NS = 4_000_000  # in 2 ms of wall-clock time plus the time for the step: slow computers are not rushed
+LONGEST_LAG_NS = 4_000_000  # in 2 ms of wall-clock time plus the time for the step: slow computers are not rushed
 NOISE_V = 5e-6
 NOISE_PS = 1800.0
 NOISE = np.random.default_rng(4).standard_normal((65_536, 4))
@@ -129,7 +129,7 @@ def served(world=None, *, pty=False, drive=None, clock=None, **options):
     shown = box if drive is None else BootDrive(box, drive)
     port, robot = (Terminal() if pty else Port.listen("127.0.0.1", 0)), Port.listen("127.0.0.1", 0)
     stop = threading.Event()
-    how = {"stop": stop.is_set, "longest_step_ns": None if clock is None else LONGEST_STEP_NS}
+    how = {"stop": stop.is_set, "pace": Pace() if clock is None else Pace(longest_lag_ns=LONGEST_LAG_NS)}
     timed = shown if clock is None else TellsTime(shown, clock)
     thread = threading.Thread(target=serve, args=(world, timed, port, robot), kwargs=how, daemon=True)
     thread.start()

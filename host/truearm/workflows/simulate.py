@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,11 @@ from truearm.workflows.simulated_robot import (
     write_truth,
 )
 
-CHIP_STEP_NS = 20_000_000  # an emulated chip may be slower than real time
+CHIP_STEP_NS = 20_000_000
+DELAYED = (
+    "the emulated chip is slower than real time on this computer, so the simulated time falls behind: this recording is no "
+    "measure of the box's clock. For that, simulate in virtual time (option fast)"
+)
 RTDE_JOINTS = 6
 SESSION = "session.mcap"
 MARK = ".truearm-simulated"  # in a folder that simulate created and may overwrite
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
     from truearm_sim.hardware import PowerOn
     from truearm_sim.micropython import Interpreter
     from truearm_sim.ports import Port, Terminal
+    from truearm_sim.serve import Pace
     from truearm_sim.simbox import Fault, SimulatedBox
     from truearm_sim.world import World
 
@@ -57,10 +62,11 @@ class Level(StrEnum):
 
 
 class Hardware(NamedTuple):
-    """What runs as the box, and the longest step of its time [ns] (None: any)."""
+    """What runs as the box; the longest step of its time [ns] (None: any) in virtual time, its pace in real time."""
 
     power_on: PowerOn
     longest_step_ns: int | None
+    pace: Pace
 
 
 PUMA = RobotChoice("puma560")
@@ -130,7 +136,7 @@ def simulate_box_and_robot(options: SimulateOptions, say: Say) -> None:
             robot_end,
             started=lambda: say("connected: time starts"),
             ended=lambda: say(f"the robot's program has ended{goes_on}"),
-            longest_step_ns=of_box.longest_step_ns,
+            pace=of_box.pace,
         )
     finally:
         box.close()
@@ -145,7 +151,7 @@ def simulate_fast(options: SimulateOptions, say: Say) -> None:
             Argument("fast"), " opens no ports; leave out ", Argument("protocol"), " and ", Argument("pty")
         )
     _, _, rate = _spoken(options.protocol)
-    world, of_box, box = _lab(options, rate, say)
+    world, of_box, box = _lab(options, rate, say, fast=True)
     started = time.perf_counter()
     try:
         record_virtually(
@@ -194,7 +200,7 @@ def simulate_stage(options: SimulateOptions, say: Say, typed: Callable[[], list[
     say(f"Gauge a sensor with\n\n  truearm box gauge lvdt --box {device}\n")
     say(f"and set the reference here: type a position from {span}; q ends.")
     try:
-        serve(stage, box, box_port, unused, stop=set_by_hand, longest_step_ns=of_box.longest_step_ns)
+        serve(stage, box, box_port, unused, stop=set_by_hand, pace=of_box.pace)
     finally:
         box.close()
         box_port.close()
@@ -224,7 +230,9 @@ def _spoken(protocol: str) -> tuple[str, int, float]:
     return PROTOCOLS[protocol]
 
 
-def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardware, SimulatedBox]:
+def _lab(
+    options: SimulateOptions, rate: float, say: Say, *, fast: bool = False
+) -> tuple[World, Hardware, SimulatedBox]:
     """Return the world, the hardware behind its box, and the box; writes plan, rig and truth. Raises InputError."""
     from truearm.files.disk import check_writable, own_folder
     from truearm.files.plan_file import write_plan
@@ -261,7 +269,7 @@ def _lab(options: SimulateOptions, rate: float, say: Say) -> tuple[World, Hardwa
             thermal=thermal,
         ),
     )
-    of_box = hardware(options.level, say)
+    of_box = hardware(options.level, say, fast=fast)
     own_folder(folder, MARK)
     write_plan(folder / "plan.csv", plan)
     write_rig(folder / "rig.toml", world.rig)
@@ -321,10 +329,11 @@ def _drawn(options: SimulateOptions, robot: Robot, rig: Rig) -> Plan:
     return standard_plan(options.poses, options.seed, rig, robot)
 
 
-def hardware(level: str, say: Say) -> Hardware:
+def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
     """Return what runs as the box, and report it. Raises InputError, and LinkError if the emulator is missing."""
     from truearm_sim import micropython, node
     from truearm_sim.chip import ChipBox
+    from truearm_sim.serve import EMULATED, Pace
     from truearm_sim.vmbox import VmBox
 
     if level not in tuple(Level):
@@ -333,11 +342,13 @@ def hardware(level: str, say: Say) -> Hardware:
         case Level.VM:
             interpreter = find_interpreter()
             say(f"firmware: {interpreter or 'CPython; no MicroPython was found (' + micropython.BY_HAND + ')'}")
-            return Hardware(partial(VmBox, interpreter), None)
+            return Hardware(partial(VmBox, interpreter), None, Pace())
         case Level.CHIP:
             node.ready()
             say(f"firmware: {node.image()} in an emulated RP2040")
-            return Hardware(ChipBox, CHIP_STEP_NS)
+            return Hardware(
+                partial(ChipBox, prompt=not fast), CHIP_STEP_NS, replace(EMULATED, delayed=lambda: say(DELAYED))
+            )
         case _:
             assert_never(wanted)
 
