@@ -2,6 +2,7 @@
 
 import socket
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -101,7 +102,8 @@ def answers(monkeypatch, slow):
     delays = []
     world = SimpleNamespace(robot_end_ns=1 << 62, robot_states=lambda since, until, level: [])
     box.output_at, robot = None, SimpleNamespace(connected=lambda: False, report=lambda states: None)
-    serve(world, box, box, robot, stop=lambda: len(box.late_ns) == 100, delayed=lambda: delays.append(1), pace=EMULATED)
+    pace = replace(EMULATED, delayed=lambda: delays.append(1))
+    serve(world, box, box, robot, stop=lambda: len(box.late_ns) == 100, pace=pace)
     return [1e-6 * late for late in box.late_ns], len(delays)
 
 
