@@ -41,7 +41,7 @@ def counts(language: ProgramLanguage, files: list[Source]) -> Counter[str]:
     """Return the number of moves that are corrected ("") and refused, by codes."""
     codes: Counter[str] = Counter()
     for program in read_programs(language, files, GIVEN):
-        goals = [goal for move in program.moves for goal in move.goals if not goal.target.literal.form.is_joints]
+        goals = [goal for move in program.moves for goal in move.goals if not goal.is_joints]
         census = Census(program, True)
         census.settle({g: erroneous(g, pose) for g, pose in zip(goals, target_poses(goals), strict=True)})
         codes.update("" if move.reason is None else move.reason.code for move in program.moves)

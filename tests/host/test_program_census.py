@@ -394,11 +394,11 @@ def settled(programs):
     censuses, wanted, joints = [Census(program, True) for program in programs], {}, {}
     for program in programs:
         goals = [goal for move in program.moves if move.reason is None for goal in move.goals]
-        posed = [goal for goal in goals if not goal.target.literal.form.is_joints]
+        posed = [goal for goal in goals if not goal.is_joints]
         for goal, pose in zip(posed, target_poses(posed), strict=True):
             wanted[goal] = inverted(goal.frame) @ error(goal.frame @ pose @ inverted(goal.tool)) @ goal.tool
         for goal in goals:
-            if goal.target.literal.form.is_joints:
+            if goal.is_joints:
                 q = readings_of(goal.target.literal)
                 joints[goal] = Joints(q, q + 1e-3)
     for census in censuses:

@@ -19,10 +19,11 @@ from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs.census import Census
 from truearm.correct.programs.corrected_text import CONFIGURED, Joints, changed_files, changes_of, marks_of
+from truearm.correct.programs.data import Place
 from truearm.correct.programs.languages import ProgramLanguage, read_programs
 from truearm.correct.programs.order import preceding
 from truearm.correct.programs.poses import readings_of
-from truearm.correct.programs.program import Goal, Move, Place, Program, Surroundings
+from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.reasons import reason_text, remedy_of
 from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
@@ -188,8 +189,8 @@ def correct_program(
     frames = _controller_frames(language, names, options, how.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
     censuses = [Census(program, joints_change) for program in programs]
-    visits = [visit for visit in _visits(programs) if joints_change or not _is_joints(visit.goal)]
-    solution = _solution(sorted(visits, key=lambda visit: _is_joints(visit.goal)), how, frames)
+    visits = [visit for visit in _visits(programs) if joints_change or not visit.goal.is_joints]
+    solution = _solution(sorted(visits, key=lambda visit: visit.goal.is_joints), how, frames)
     _settle(censuses, solution, how)
     refused = _refused(programs)
     places = _corrected_rows(censuses, solution)
@@ -234,7 +235,9 @@ def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, optio
             f"{title}: its targets have {N_JOINTS} coordinates, which do not determine the {n_joints} joints of the robot; "
             "correct a table of targets with joints (q1_deg, q2_deg, …)",
         )
-    moves = [(program, move) for program in programs for move in program.moves if any(map(_is_joints, move.goals))]
+    moves = [
+        (program, move) for program in programs for move in program.moves if any(goal.is_joints for goal in move.goals)
+    ]
     lines = list(dict.fromkeys(program.where(move.place) for program, move in moves))
     if lines and options.joint_moves is None:
         raise FindingError(
@@ -280,7 +283,7 @@ def _visits(programs: Sequence[Program]) -> Iterator[Visit]:
         for move in program.moves:
             origins: list[Goal | None] = list(_ends(before.get(move, ())))
             for goal in move.goals:
-                is_fixed = goal.near or goal.quarters or _is_joints(goal)
+                is_fixed = goal.near or goal.quarters or goal.is_joints
                 yield from (Visit(number, move, goal, origin) for origin in (origins[:1] if is_fixed else origins))
                 if goal.argument is not None:
                     origins = [goal]  # the end of a circle follows the point on it
@@ -298,13 +301,9 @@ def _ends(moves: Iterable[Move | None]) -> list[Goal | None]:
     return [*known[:MOST_ORIGINS], *[None] * (len(known) < len(ends) or not 0 < len(known) <= MOST_ORIGINS)]
 
 
-def _is_joints(goal: Goal) -> bool:
-    return goal.target.literal.form.is_joints
-
-
 def _near(goal: Goal | None) -> Sequence[float] | Floats:
     """Return joint readings (6,) [rad] at or near a goal, NaN if the program gives none."""
-    if goal is not None and _is_joints(goal):
+    if goal is not None and goal.is_joints:
         return readings_of(goal.target.literal)
     return (goal and goal.near) or (np.nan,) * N_JOINTS
 
@@ -319,7 +318,7 @@ def _solution(visits: Sequence[Visit], how: HowCorrected, frames: ControllerFram
     rows: dict[Goal, int] = {}
     for row, goal in enumerate(goals):
         rows.setdefault(goal, row)
-    n = sum(not _is_joints(goal) for goal in goals)
+    n = sum(not goal.is_joints for goal in goals)
     near = _rows_of([_near(goal) for goal in goals], N_JOINTS)
     base, tools = np.tile(np.eye(4), (2, len(goals), 1, 1))
     base[:n] = frames.base.pose @ _rows_of([goal.frame for goal in goals[:n]], 4, 4)
@@ -360,7 +359,7 @@ def _settle(censuses: Sequence[Census], solution: Solution, how: HowCorrected) -
 def _finding(row: int, visit: Visit, language: str, solution: Solution, has_home: bool) -> Finding | None:
     """Return why a goal cannot be corrected: it has no correction, or another one than on its first visit."""
     first, problem = solution.rows[visit.goal], solution.correction.problem[row]
-    if _is_joints(visit.goal) and not visit.goal.target.literal.spans:
+    if visit.goal.is_joints and not visit.goal.target.literal.spans:
         return Finding("joints")
     if not solution.determined[row] and not has_home:
         return Finding("configuration")
@@ -429,7 +428,7 @@ def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solu
             continue
         if origin is not None and origin in solution.rows:
             starts.append(solution.correction.q[solution.rows[origin]])
-        elif origin is not None and _is_joints(origin):
+        elif origin is not None and origin.is_joints:
             starts.append(readings_of(origin.target.literal))
         else:
             unchecked += 1
@@ -467,7 +466,7 @@ def _notes(
     if absent and not options.strict:
         yield f"None of the files defines {listed(absent)}: taken not to displace the program and not to change its data."
     moves = [move for program in programs for move in program.moves if move.reason is None]
-    n_kept = sum(_is_joints(goal) for move in moves for goal in move.goals)
+    n_kept = sum(goal.is_joints for move in moves for goal in move.goals)
     if n_kept and options.joint_moves is not JointMoves.CORRECT:
         yield f"{counted(n_kept, 'move')} to joint values kept as {'it is' if n_kept == 1 else 'they are'}."
     if texts := [program.where(place) for program in programs for place in program.texts]:

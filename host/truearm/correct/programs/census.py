@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from truearm.correct.programs.program import Datum, Goal, Move, Place, Program
+from truearm.correct.programs.data import Datum, Place
+from truearm.correct.programs.program import Goal, Move, Program
 from truearm.findings import Finding
 from truearm.model.poses import apart, inverted
 from truearm.types import Floats
@@ -126,7 +127,7 @@ class Census:
 
     def uses(self, move: Move) -> list[tuple[Datum, Place]]:
         """Return the uses of names by which a move reaches numbers that change."""
-        goals = (goal for goal in move.goals if self.joints_change or not goal.target.literal.form.is_joints)
+        goals = (goal for goal in move.goals if self.joints_change or not goal.is_joints)
         return [use for goal in goals for use in goal.target.uses]
 
     def _shares(self, move: Move) -> bool:

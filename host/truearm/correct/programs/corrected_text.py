@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.correct.programs.census import Census
+from truearm.correct.programs.data import Form, Literal
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
-from truearm.correct.programs.program import Form, Goal, Literal, Move, Program
+from truearm.correct.programs.program import Goal, Move, Program
 from truearm.correct.programs.reasons import reason_text
 from truearm.types import Floats
 
@@ -46,7 +47,7 @@ def changes_of(
     for move in census.program.moves:
         for goal in move.goals if move.reason is None else ():
             own_move = move if move in census.own else None
-            if goal.target.literal.form.is_joints and correct_joints:
+            if goal.is_joints and correct_joints:
                 due.append((goal, None, own_move))
             elif own_move is not None and goal in wanted:
                 due.append((goal, wanted[goal], own_move))

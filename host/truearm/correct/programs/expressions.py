@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from truearm.correct.programs.program import Uncertain
+from truearm.correct.programs.reading import Uncertain
 from truearm.correct.programs.tokens import Tokens, separated
 
 

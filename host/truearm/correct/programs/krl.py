@@ -10,32 +10,17 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 
+from truearm.correct.programs.data import Change, Datum, Form, Literal, Place, Uses
+from truearm.correct.programs.order import closure
 from truearm.correct.programs.poses import check_reach, matrix_of_angles
-from truearm.correct.programs.program import (
-    IDENTITY,
-    MOST_TARGETS,
-    Change,
-    Datum,
-    Form,
-    Goal,
-    Literal,
-    Memo,
-    Move,
-    Place,
-    Program,
-    Step,
-    Surroundings,
-    Target,
-    Uncertain,
-    Uses,
-    certain,
-)
+from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
+from truearm.correct.programs.reading import Reading, Uncertain
 from truearm.correct.programs.tokens import (
-    DEEPEST,
     KRL,
     Source,
     Tokens,
@@ -67,7 +52,9 @@ FDAT = {"tool": "tool_no", "base": "base_no", "ipo_mode": "ipo_frame"}
 PARAMETERS = words("#frames #ptp_params #cp_params")  # of BAS, which sets the frames of FDAT_ACT by them
 FRAMELESS = words("#acc_cp #acc_ptp #acc_glue #vel_cp #vel_ptp #cp_dat #ptp_dat #out_sync #out_async #group")
 ROOTS = words("$robroot $world")  # of all frames
-CORRECTIONS = words("tool_corr_on tool_corr_w_on base_corr_on m_bas_cor_on")  # switches of offsets that BAS adds
+CORRECTION = re.compile(
+    r"\b(tool_corr_on|tool_corr_w_on|base_corr_on|m_bas_cor_on) = (?!false)"
+)  # an offset that BAS adds
 PLAIN = re.compile(r"(?:[-+] )?[\d.]+(?:[eE][-+]?\d+)?")  # a number with its sign
 STEPS = {
     **dict.fromkeys(words("def deffct"), Step.ROUTINE),
@@ -131,24 +118,19 @@ def _indexed(tokens: Tokens, index: int) -> tuple[str, int]:
 
 
 @dataclass(eq=False)
-class _Reader:
+class _Reader(Reading):
     """Data of all files, by module, "" for those that all see; an array is one datum.
 
-    ``values``: what is assigned to each datum, by the index of an array's element. ``displaced``: why no tool and base
-    are certain. ``is_stationary``: some moves are those of a work object to a tool that stands still.
+    ``values``: what is assigned to each datum, by the index of an array's element. ``is_stationary``: some moves are those of a work object to a tool that stands still.
     """
 
-    program: Program
-    surroundings: Surroundings
     lines: list[Line] = field(default_factory=list)
     modules: dict[str, dict[str, Datum]] = field(default_factory=lambda: defaultdict(dict))
     values: dict[tuple[Datum, str], list[tuple[Tokens, Line]]] = field(default_factory=lambda: defaultdict(list))
     parameters: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     routines: set[str] = field(default_factory=set)
-    displaced: Uncertain | None = None
     is_stationary: bool = False
     literals: dict[Place, Literal] = field(default_factory=dict)
-    memo: Memo = field(default_factory=Memo)
 
     def read(self) -> None:
         """Read the lines of all files, then their data, then the uses of these."""
@@ -167,10 +149,7 @@ class _Reader:
         if not home.uses:  # only the controller reads it, to say whether the robot is where the program calls home
             values = [(line.file, token.start) for value, line in self.values[home, ""] for token in value[:1]]
             self.program.harmless |= {Place(*place) for place in values}
-        displacing = _displacing(self.lines, self.routines)
-        if displacing is not None:
-            where = self.program.where(Place(displacing.file, displacing.tokens[0].start))
-            self.displaced = Uncertain("displaced", name=displacing.texts[0].upper(), where=where)
+        self.note_displacement()
 
     def declare(self, line: Line) -> None:
         """Note the data and parameters that a line declares."""
@@ -231,7 +210,25 @@ class _Reader:
                     changes = datum.changes if caller in self.routines else datum.outside
                     changes.append(Change(place, "argument", caller))
 
-    def targets(self, tokens: Tokens, line: Line, depth: int = 0) -> list[tuple[Tokens, int, Uses]]:
+    def note_displacement(self) -> None:
+        """Note a line that moves all frames, or sets some in a routine that an interrupt or trigger may run at any time."""
+        calls: dict[str, set[str]] = defaultdict(set)
+        interrupting: set[str] = set()
+        for line in self.lines:
+            calls[line.routine] |= self.routines.intersection(line.texts)
+            if line.word in ("interrupt", "trigger") and "do" in line.texts:
+                interrupting |= self.routines.intersection(line.texts[line.texts.index("do") :])
+        interrupting = closure(interrupting, calls.__getitem__)
+        for line in self.lines:
+            is_root = line.texts[0] in ROOTS and line.assigned
+            if (
+                is_root
+                or CORRECTION.search(" ".join(line.texts))
+                or (line.routine in interrupting and line.sets_frames)
+            ):
+                self.displace("displaced", line.texts[0].upper(), Place(line.file, line.tokens[0].start))
+
+    def targets(self, tokens: Tokens, line: Line) -> list[tuple[Tokens, int, Uses]]:
         """Return each {…} that tokens may stand for, with its file and the names on the way. Raises Uncertain."""
         if is_bracketed(tokens, 0, "{"):
             return [(tokens, line.file, ())]
@@ -243,24 +240,17 @@ class _Reader:
             code = "parameter" if datum is not None else "run-time" if name[0] == "$" else "undeclared"
             raise Uncertain(code, name=name.upper(), kind="parameter")
         use = datum, Place(line.file, tokens[0].start)
-        targets = self.memo.get((datum, number), lambda: self.targets_of(datum, number, depth))
+        targets = self.once((datum, number), lambda: self.targets_of(datum, number))
         return [(target, file, (use, *uses)) for target, file, uses in targets]
 
-    def targets_of(self, datum: Datum, number: str, depth: int) -> list[tuple[Tokens, int, Uses]]:
+    def targets_of(self, datum: Datum, number: str) -> list[tuple[Tokens, int, Uses]]:
         """Return ``targets`` of a datum, or of an element. Raises Uncertain."""
-        certain(self.program, datum, self.surroundings)
+        self.check(datum)
         values = self.values[datum, number]
         if not values:
             name = f"{datum.name}[{number}]" if number else datum.name
             raise Uncertain("undeclared" if datum.name in SYSTEM else "no-value", name=name.upper())
-        if depth > DEEPEST:
-            raise Uncertain("deep")
-        targets: list[tuple[Tokens, int, Uses]] = []
-        for tokens, line in values:
-            targets += self.targets(tokens, line, depth + 1)
-            if len(targets) > MOST_TARGETS:
-                raise Uncertain("many", most=MOST_TARGETS)
-        return targets
+        return self.all_values(values, self.targets)
 
     def components(self, tokens: Tokens, line: Line) -> dict[str, Tokens]:
         """Return the components of {X 1, Y 2, …}, or of what a name certainly stands for. Raises Uncertain."""
@@ -326,30 +316,6 @@ def _number(tokens: Tokens) -> float:
     return number
 
 
-def _displacing(lines: Sequence[Line], routines: set[str]) -> Line | None:
-    """Return a line that moves all frames, or sets some in a routine that an interrupt or trigger may run at any time."""
-    calls: dict[str, set[str]] = defaultdict(set)
-    reached: set[str] = set()
-    for line in lines:
-        calls[line.routine] |= routines.intersection(line.texts)
-        if line.word in ("interrupt", "trigger") and "do" in line.texts:
-            reached |= routines.intersection(line.texts[line.texts.index("do") :])
-        is_offset = any(
-            text in CORRECTIONS
-            and is_word(line.tokens, index + 1, "=")
-            and not is_word(line.tokens, index + 2, "false")
-            for index, text in enumerate(line.texts)
-        )
-        if is_offset or (line.texts[0] in ROOTS and line.assigned):
-            return line
-    waiting = list(reached)
-    while waiting:
-        called = calls[waiting.pop()] - reached
-        reached |= called
-        waiting += called
-    return next((line for line in lines if line.routine in reached and line.sets_frames), None)
-
-
 # moves
 
 
@@ -361,7 +327,9 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
     for line in reader.lines:
         if line.word in MOVES | RELATIVE and line.assigned != 1:
             if not HERE.issuperset(line.texts[1:2]):
-                _add_move(reader, line, active)
+                place, end = Place(line.file, line.tokens[0].start), line.tokens[-1].end
+                move = Move(line.word, place, end, line.word in ("lin", "slin"))
+                reader.add_move(move, partial(_goals, reader, line, active))
             continue
         is_call = is_word(line.tokens, 1, "(") or not reader.routines.isdisjoint(line.texts)
         is_label = is_word(line.tokens, 1, ":")
@@ -373,49 +341,43 @@ def read_krl(files: Sequence[Source], surroundings: Surroundings) -> Program:
     return reader.program
 
 
+Settings = dict[str, Callable[[], Floats]]
+
+
 @dataclass(eq=False)
 class _ActiveFrames:
-    """The tool, base and mode that were set last, and those of FDAT_ACT; why some are not known."""
+    """The tool, base and mode that were set last (``settings``), and those of FDAT_ACT, each evaluated by a move."""
 
     reader: _Reader
-    frames: dict[str, Floats] = field(default_factory=dict)
-    described: dict[str, Floats] = field(default_factory=dict)
-    outside: dict[str, Floats] = field(default_factory=dict)  # of a spline block
-    reason: Uncertain = field(default_factory=lambda: Uncertain("frames"))
+    settings: Settings = field(default_factory=dict)
+    described: Settings = field(default_factory=dict)
+    outside: Settings = field(default_factory=dict)  # of a spline block
 
     def forget(self) -> None:
         """Forget all, at a branch, loop or call."""
-        self.frames, self.described = {}, {}
+        self.settings, self.described = {}, {}
         if not self.reader.is_stationary:
-            self.frames["ipo_mode"] = IDENTITY
+            self.settings["ipo_mode"] = lambda: IDENTITY
 
     def note(self, line: Line) -> None:
         """Note $TOOL=…, BAS(#TOOL,n), FDAT_ACT=…, BAS(#PTP_PARAMS,n), SPLINE and what else sets frames."""
         texts, tokens = line.texts, line.tokens
         command = "".join(texts[2:3]) if texts[:2] == ["bas", "("] else ""
-        try:
-            if texts[0] in ACTIVE:
-                self.frames.pop(texts[0][1:], None)
-                self.frames[texts[0][1:]] = self.setting(tokens, line)
-            elif command in ("#tool", "#base"):
-                self.frames.pop(command[1:], None)
-                self.frames[command[1:]] = self.numbered(command[1:], tokens[4:-1], line)
-            elif texts[0] == "fdat_act":
-                self.described = {}
-                if line.assigned == 1:
-                    data = self.reader.components(tokens[2:], line)
-                    self.described = {name: self.numbered(name, data.get(key, ()), line) for name, key in FDAT.items()}
-            elif command in PARAMETERS:
-                self.frames = dict(self.described)
-            elif texts[0] == "spline":
-                self.outside, self.frames = self.frames, {}
-                self.frames = self.within(line, self.outside)
-            elif texts[0] == "endspline":
-                self.frames = self.outside
-            elif line.sets_frames or not ACTIVE.isdisjoint(texts):
-                self.forget()
-        except Uncertain as uncertain:
-            self.reason = uncertain
+        if texts[0] in ACTIVE:
+            self.settings[texts[0][1:]] = partial(self.setting, tokens, line)
+        elif command in ("#tool", "#base"):
+            self.settings[command[1:]] = partial(self.numbered, command[1:], tokens[4:-1], line)
+        elif texts[0] == "fdat_act":
+            is_whole = line.assigned == 1
+            self.described = {name: partial(self.component, name, tokens[2:], line) for name in FDAT if is_whole}
+        elif command in PARAMETERS:
+            self.settings = dict(self.described)
+        elif texts[0] == "spline":
+            self.outside, self.settings = self.settings, self.within(line)
+        elif texts[0] == "endspline":
+            self.settings = self.outside
+        elif line.sets_frames or not ACTIVE.isdisjoint(texts):
+            self.forget()
 
     def setting(self, tokens: Tokens, line: Line) -> Floats:
         """Return what $TOOL=…, $BASE=… or $IPO_MODE=… sets. Raises Uncertain."""
@@ -425,58 +387,54 @@ class _ActiveFrames:
         if value[0].text in ("stool", "stool2", "sbase", "sipo_mode"):
             value = value[2 : closing(value, 1)]
             if value and value[0].kind == "word":
-                component = value[-1].text if len(value) > 1 else FDAT[name]
-                value = self.reader.components(value[:1], line).get(component, ())
-            return self.numbered(name, value, line)
-        return self.numbered(name, value, line) if name == "ipo_mode" else self.reader.frame(value, name, line)
+                return self.component(name, value[:1], line, value[-1].text if len(value) > 1 else "")
+        elif name != "ipo_mode":
+            return self.reader.frame(value, name, line)
+        return self.numbered(name, value, line)
+
+    def component(self, name: str, tokens: Tokens, line: Line, key: str = "") -> Floats:
+        """Return the tool, base or mode of an FDAT. Raises Uncertain."""
+        return self.numbered(name, self.reader.components(tokens, line).get(key or FDAT[name], ()), line)
 
     def numbered(self, name: str, tokens: Tokens, line: Line) -> Floats:
         """Return the tool or base of a number; for the mode, whether the robot holds the tool. Raises Uncertain."""
         text = "".join(token.text for token in tokens)
         if name != "ipo_mode":
             data = f"{name}_data[{text}]"
-            frame: Floats = self.reader.memo.get(data, lambda: self.reader.frame(tokens_of(KRL, data), name, line))
+            frame: Floats = self.reader.once(data, lambda: self.reader.frame(tokens_of(KRL, data), name, line))
             return frame
         if text not in ("#base", ""):
             raise Uncertain("fixed-tool")
         return IDENTITY
 
-    def within(self, line: Line, frames: Mapping[str, Floats]) -> dict[str, Floats]:
-        """Return frames with those that the WITH of a line sets. Raises Uncertain."""
-        settings = line.tokens[line.texts.index("with") + 1 :] if "with" in line.texts else ()
-        parts = [setting for setting in separated(settings, ",") if setting and setting[0].text in ACTIVE]
-        return {**frames, **{setting[0].text[1:]: self.setting(setting, line) for setting in parts}}
+    def within(self, line: Line) -> Settings:
+        """Return the settings for a line with those of its WITH."""
+        clauses = line.tokens[line.texts.index("with") + 1 :] if "with" in line.texts else ()
+        active = [clause for clause in separated(clauses, ",") if clause and clause[0].text in ACTIVE]
+        return {**self.settings, **{clause[0].text[1:]: partial(self.setting, clause, line) for clause in active}}
 
     def tool_and_base(self, line: Line) -> tuple[Floats, Floats]:
         """Return both for a move. Raises Uncertain."""
-        if self.reader.displaced is not None:
-            raise self.reader.displaced.again()
-        frames = self.within(line, self.frames)
+        self.reader.check_displacement()
+        frames = {name: setting() for name, setting in self.within(line).items()}
         if len(frames) < len(FDAT):
-            raise self.reason.again()
+            raise Uncertain("frames")
         return frames["tool"], frames["base"]
 
 
-def _add_move(reader: _Reader, line: Line, active: _ActiveFrames) -> None:
-    """Add a move with its goals."""
-    tokens, program = line.tokens, reader.program
-    move = Move(line.word, Place(line.file, tokens[0].start), tokens[-1].end, line.word in ("lin", "slin"))
-    program.moves.append(move)
-    program.steps.append(move)
-    end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(tokens))
-    try:
-        if line.word in RELATIVE:
-            raise Uncertain("relative")
-        arguments = list(separated(tokens[1:end], ","))[: 1 + ("circ" in line.word)]
-        targets = [target for argument in arguments for target in reader.targets(argument, line)]
-        literals = [reader.literal(target, file) for target, file, _ in targets]
-        if all(literal.form.is_joints for literal in literals):
-            tool = base = IDENTITY
-        else:
-            tool, base = active.tool_and_base(line)
-        for literal, (_, _, uses) in zip(literals, targets, strict=True):
-            turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
-            move.goals.append(Goal(Target(literal, uses=uses), tool, base, turns=turns))
-        program.count(move)
-    except Uncertain as uncertain:
-        move.refuse(uncertain)
+def _goals(reader: _Reader, line: Line, active: _ActiveFrames) -> list[Goal]:
+    """Return the goals of a move. Raises Uncertain."""
+    if line.word in RELATIVE:
+        raise Uncertain("relative")
+    end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(line.texts))
+    arguments = list(separated(line.tokens[1:end], ","))[: 1 + ("circ" in line.word)]
+    targets = [target for argument in arguments for target in reader.targets(argument, line)]
+    literals = [reader.literal(target, file) for target, file, _ in targets]
+    tool = base = IDENTITY
+    if not all(literal.form.is_joints for literal in literals):
+        tool, base = active.tool_and_base(line)
+    goals = []
+    for literal, (_, _, uses) in zip(literals, targets, strict=True):
+        turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
+        goals.append(Goal(Target(literal, uses=uses), tool, base, turns=turns))
+    return goals

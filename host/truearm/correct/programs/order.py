@@ -5,13 +5,24 @@ This answers two questions: from which targets the robot comes to a target, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar, assert_never
 
 from truearm.correct.programs.program import Step
 
 T = TypeVar("T")
+
+
+def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]:
+    """Return the nodes that ``following`` leads to, with those at the start."""
+    reached = set(start)
+    waiting = list(reached)
+    while waiting:
+        new = set(following(waiting.pop())) - reached
+        reached |= new
+        waiting += new
+    return reached
 
 
 @dataclass(eq=False)

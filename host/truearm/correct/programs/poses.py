@@ -9,7 +9,8 @@ from typing import assert_never
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from truearm.correct.programs.program import Form, Literal, Uncertain
+from truearm.correct.programs.data import Form, Literal
+from truearm.correct.programs.reading import Uncertain
 from truearm.model.poses import pose_of
 from truearm.types import Floats
 from truearm.units import DEG, MM, UNITS

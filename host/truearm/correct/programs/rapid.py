@@ -8,27 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from truearm.correct.programs.data import Change, Datum, Form, Literal, Place
 from truearm.correct.programs.expressions import sum_or_product
 from truearm.correct.programs.poses import check_reach, matrix_of_angles, matrix_of_quaternion
-from truearm.correct.programs.program import (
-    IDENTITY,
-    MOST_TARGETS,
-    Change,
-    Datum,
-    Form,
-    Goal,
-    Literal,
-    Move,
-    Place,
-    Program,
-    Step,
-    Surroundings,
-    Target,
-    Uncertain,
-)
-from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, certain, find, read_names
+from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
+from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, find, read_names
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
-from truearm.correct.programs.tokens import DEEPEST, NUMBER, Source, Tokens, is_bracketed, is_word, separated
+from truearm.correct.programs.reading import Uncertain
+from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.types import Floats
 
 SIZES = {Form.ROBTARGET.value: (3, 4, 4, 6), Form.DEGREES.value: (6, 6)}  # components of robtarget and jointtarget
@@ -71,10 +58,10 @@ def _share_persistents(tasks: Sequence[Task]) -> None:
 # values
 
 
-def value_of(task: Task, tokens: Tokens, scope: Scope, depth: int = 0) -> Value:
+def value_of(task: Task, tokens: Tokens, scope: Scope) -> Value:
     """Return the value of an expression of constants. Raises Uncertain."""
-    if not tokens or depth > DEEPEST:
-        raise Uncertain("deep" if tokens else "arguments")
+    if not tokens:
+        raise Uncertain("arguments")
     first = tokens[0]
     is_single = len(tokens) == 1
     if is_single and first.kind == "number":
@@ -84,14 +71,18 @@ def value_of(task: Task, tokens: Tokens, scope: Scope, depth: int = 0) -> Value:
     if is_single and (first.kind == "text" or first.text in ("true", "false")):
         return first.text if first.kind == "text" else first.text == "true"
     if is_bracketed(tokens, 0, "["):
-        return tuple(value_of(task, item, scope, depth + 1) for item in separated(tokens[1:-1], ","))
+        return tuple(value_of(task, item, scope) for item in separated(tokens[1:-1], ","))
     if is_bracketed(tokens, 0, "("):
-        return value_of(task, tokens[1:-1], scope, depth + 1)
-    total = sum_or_product(tokens, lambda operand: value_of(task, operand, scope, depth + 1))
+        return value_of(task, tokens[1:-1], scope)
+    total = sum_or_product(tokens, lambda operand: value_of(task, operand, scope))
     if total is not None:
         return total
-    datum, element = _datum_of(task, tokens, scope, depth)
-    value = task.memo.get(datum, lambda: _only_value(task, datum, depth + 1))
+    datum, element = _datum_of(task, tokens, scope)
+    value, *others = task.once(
+        datum, lambda: set(task.all_values(datum.values, lambda tokens, scope: [value_of(task, tokens, scope)]))
+    )
+    if others:
+        raise Uncertain("several", name=datum.name)
     if element is None:
         return value
     if not isinstance(value, tuple) or not 1 <= element <= len(value):
@@ -99,28 +90,20 @@ def value_of(task: Task, tokens: Tokens, scope: Scope, depth: int = 0) -> Value:
     return value[element - 1]
 
 
-def _only_value(task: Task, datum: Datum, depth: int) -> Value:
-    """Return the only value of a datum."""
-    values = {value_of(task, tokens, scope, depth) for tokens, scope in datum.values}
-    if len(values) > 1:
-        raise Uncertain("several", name=datum.name)
-    return values.pop()
-
-
-def _datum_of(task: Task, tokens: Tokens, scope: Scope, depth: int) -> tuple[Datum, int | None]:
+def _datum_of(task: Task, tokens: Tokens, scope: Scope) -> tuple[Datum, int | None]:
     """Return a certain datum and the element: its number, 0 if only the run knows it, None for the whole datum."""
     if tokens[0].kind != "word" or (len(tokens) > 1 and not is_bracketed(tokens, 1, "{")):
         raise Uncertain("run-time")
     datum = find(task, tokens[0].text, scope)
     if datum is None:
         raise Uncertain("undeclared", name=tokens[0].text)
-    certain(task, datum)
+    task.check(datum)
     if not datum.values:
         raise Uncertain("no-value", name=datum.name)
     if len(tokens) == 1:
         return datum, None
     try:
-        index = value_of(task, tokens[2:-1], scope, depth + 1)
+        index = value_of(task, tokens[2:-1], scope)
     except Uncertain:
         return datum, 0
     return datum, int(index) if isinstance(index, float) else 0
@@ -129,15 +112,13 @@ def _datum_of(task: Task, tokens: Tokens, scope: Scope, depth: int) -> tuple[Dat
 # targets, tools and work objects
 
 
-def targets_of(
-    task: Task, tokens: Tokens, scope: Scope, form: Form, element: int | None = None, depth: int = 0
-) -> list[Target]:
+def targets_of(task: Task, tokens: Tokens, scope: Scope, form: Form, element: int | None = None) -> list[Target]:
     """Return where an argument, or an element of an array, may go. Raises Uncertain.
 
     ``element``: its number, 0 for any element, None if the argument is no array.
     """
-    if not tokens or depth > DEEPEST:
-        raise Uncertain("deep" if tokens else "arguments")
+    if not tokens:
+        raise Uncertain("arguments")
     name = tokens[0].text
     if is_bracketed(tokens, 0, "["):
         if element is None:
@@ -145,29 +126,20 @@ def targets_of(
         items = list(separated(tokens[1:-1], ","))[max(element - 1, 0) : element or None]
         if not items:
             raise Uncertain("element", name=name)
-        return _several(task, [(item, scope) for item in items], form, None, depth)
+        return task.all_values([(item, scope) for item in items], lambda item, _: targets_of(task, item, scope, form))
     if name in ("offs", "reltool") and is_bracketed(tokens, 1, "(") and name not in task.routines:
-        return _displaced(task, tokens, scope, form, depth)
-    datum, index = _datum_of(task, tokens, scope, depth)
+        return _displaced(task, tokens, scope, form)
+    datum, index = _datum_of(task, tokens, scope)
     index = element if index is None else index
     use = datum, Place(scope.file, tokens[0].start)
-    targets = task.memo.get((datum, form, index), lambda: _several(task, datum.values, form, index, depth))
+    targets = task.once(
+        (datum, form, index),
+        lambda: task.all_values(datum.values, lambda tokens, scope: targets_of(task, tokens, scope, form, index)),
+    )
     return [Target(target.literal, target.left, target.right, (use, *target.uses)) for target in targets]
 
 
-def _several(
-    task: Task, values: Sequence[tuple[Tokens, Scope]], form: Form, element: int | None, depth: int
-) -> list[Target]:
-    """Return the targets of several values."""
-    targets: list[Target] = []
-    for tokens, scope in values:
-        targets += targets_of(task, tokens, scope, form, element, depth + 1)
-        if len(targets) > MOST_TARGETS:
-            raise Uncertain("many", most=MOST_TARGETS)
-    return targets
-
-
-def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form, depth: int) -> list[Target]:
+def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Target]:
     """Return the targets of Offs or RelTool with constant offsets."""
     positional, optional = arguments_of(tokens[2:-1])
     if len(positional) != 4:
@@ -182,7 +154,7 @@ def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form, depth: int)
     for axis, angle in zip(axes, angles, strict=True):
         a, b, c = (angle * (axis == name) for name in ("rz", "ry", "rx"))
         step = step @ matrix_of_angles(0.0, 0.0, 0.0, a, b, c)
-    targets = targets_of(task, positional[0], scope, form, depth=depth + 1)
+    targets = targets_of(task, positional[0], scope, form)
     if tokens[0].text == "offs":
         return [Target(t.literal, step @ t.left, t.right, t.uses) for t in targets]
     return [Target(t.literal, t.left, t.right @ step, t.uses) for t in targets]
@@ -216,7 +188,7 @@ def _frame_of(task: Task, tokens: Tokens, scope: Scope, subject: str) -> Floats:
         return IDENTITY
     try:
         if datum is not None and datum.kind == "external":
-            certain(task, datum)
+            task.check(datum)
             return task.surroundings.frames[name]
         value: Any = value_of(task, tokens, scope)
         if _shape(value) != (TOOL if is_tool else WORK_OBJECT):
@@ -247,20 +219,14 @@ def _add_steps(task: Task, statement: Statement) -> None:
         program.steps += [Step.CALL] * task.is_foreign(name, scope)
         return
     move = Move(name, Place(scope.file, tokens[0].start), tokens[-1].end, name in STRAIGHT)
-    program.moves.append(move)
-    program.steps.append(move)
-    try:
-        if name in AIMLESS:
-            raise Uncertain("aimless")
-        move.goals = _goals(task, statement)
-        program.count(move)
-    except Uncertain as uncertain:
-        move.refuse(uncertain)
+    task.add_move(move, lambda: _goals(task, statement))
 
 
 def _goals(task: Task, statement: Statement) -> list[Goal]:
     """Return the goals of a move. Raises Uncertain."""
     tokens, scope = statement.tokens, statement.scope
+    if tokens[0].text in AIMLESS:
+        raise Uncertain("aimless")
     positional, optional = arguments_of(tokens[1:])
     instruction = MOVES[tokens[0].text]
     if len(positional) <= max(*instruction.targets, instruction.tool):
@@ -270,8 +236,7 @@ def _goals(task: Task, statement: Statement) -> list[Goal]:
     form = Form.DEGREES if "absj" in tokens[0].text else Form.ROBTARGET
     tool = work_object = IDENTITY
     if form is Form.ROBTARGET:
-        if task.displaced is not None:
-            raise task.displaced.again()
+        task.check_displacement()
         tool = _frame_of(task, positional[instruction.tool], scope, "tool")
         if "wobj" in optional:
             work_object = _frame_of(task, optional["wobj"], scope, "work object")

@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from truearm.correct.programs.program import Change, Datum, Memo, Place, Program, Step, Surroundings, Uncertain
-from truearm.correct.programs.program import certain as certain_in_program
+from truearm.correct.programs.data import Change, Datum, Place
+from truearm.correct.programs.program import Program, Step, Surroundings
 from truearm.correct.programs.rapid_words import BY_NAME, DISPLACING, LANGUAGE, LOADING, READERS, SEARCHES
+from truearm.correct.programs.reading import Reading, Uncertain
 from truearm.correct.programs.tokens import RAPID, Source, Tokens, closing, is_word, separated, tokens_of, words
 
 ROUTINE_ENDS = words("endproc endfunc endtrap endmodule endrecord")
@@ -49,29 +50,31 @@ class Statement(NamedTuple):
 
 
 @dataclass(eq=False)
-class Task:
+class Task(Reading):
     """The modules of a task.
 
     ``modules``: the data of each. ``shared``: those that all modules see. ``outline``: the statements with the
-    structure around them. ``displaced``: why no pose of the task is certain. ``by_name``: why no variable is.
+    structure around them. ``by_name``: why no variable is certain.
     ``is_unwatched``: ConfL or ConfJ is off somewhere. ``persistents``: data that all tasks of a controller share.
     """
 
-    program: Program
-    surroundings: Surroundings
     modules: list[dict[str, Datum]] = field(default_factory=list)
     shared: dict[str, list[Datum]] = field(default_factory=lambda: defaultdict(list))
     routines: dict[str, list[Parameters]] = field(default_factory=lambda: defaultdict(list))
     outline: list[Step | Statement] = field(default_factory=list)
-    displaced: Uncertain | None = None
     by_name: Uncertain | None = None
     is_unwatched: bool = False
-    memo: Memo = field(default_factory=Memo)
     persistents: list[Datum] = field(default_factory=list)
 
     def is_foreign(self, name: str, scope: Scope) -> bool:
         """Return whether a name is neither a word of the language nor in the files."""
         return name not in LANGUAGE and name not in self.routines and find(self, name, scope) is None
+
+    def check(self, datum: Datum) -> None:
+        """Raise Uncertain if a datum may have values that are not assigned to it as a whole."""
+        super().check(datum)
+        if self.by_name is not None and datum.kind != "const":
+            raise self.by_name.again()
 
 
 def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
@@ -95,7 +98,7 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
             if statement.is_instruction:
                 _note_instruction(task, statement)
     if surroundings.strict and task.program.absent:
-        task.displaced = task.displaced or Uncertain("absent-routine", name=next(iter(task.program.absent)))
+        task.displace("absent-routine", next(iter(task.program.absent)), Place(0, 0))
     return task
 
 
@@ -245,13 +248,6 @@ def find(task: Task, name: str, scope: Scope) -> Datum | None:
     return data[0] if data else None
 
 
-def certain(task: Task, datum: Datum) -> None:
-    """Raise Uncertain if a datum may have values that are not assigned to it as a whole."""
-    certain_in_program(task.program, datum, task.surroundings)
-    if task.by_name is not None and datum.kind != "const":
-        raise task.by_name.again()
-
-
 def arguments_of(tokens: Tokens) -> tuple[list[Tokens], dict[str, Tokens]]:
     """Return the arguments in their order, and the optional ones (``\\Name:=value``, ``\\Name``) by name."""
     positional: list[Tokens] = []
@@ -298,13 +294,13 @@ def _note_instruction(task: Task, statement: Statement) -> None:
     elif name in LOADING:
         task.program.absent[name] = None
     _note_call(task, scope, name, tokens[1:])
-    where, texts = task.program.where(place), {token.text for token in tokens}
+    texts = {token.text for token in tokens}
     if name in DISPLACING:
-        task.displaced = task.displaced or Uncertain("displaced", name=name, where=where)
+        task.displace("displaced", name, place)
     if name == "singarea" and "lockaxis4" in texts:
-        task.displaced = task.displaced or Uncertain("locked-axis")
+        task.displace("locked-axis", name, place)
     if name in BY_NAME:
-        task.by_name = Uncertain("by-name", name=name, where=where)
+        task.by_name = Uncertain("by-name", name=name, where=task.program.where(place))
     task.is_unwatched |= name in ("confl", "confj") and "off" in texts
 
 

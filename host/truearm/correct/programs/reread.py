@@ -41,7 +41,7 @@ def difference(
         if old.name != new.name or forms[0] != forms[1] or uncertain != (new.reason is not None):
             return f"{before.where(old.place)}: the corrected move has other targets"
         pairs += [(old, first, second) for first, second in zip(old.goals, new.goals, strict=True)]
-    posed = [pair for pair in pairs if not pair[1].target.literal.form.is_joints]
+    posed = [pair for pair in pairs if not pair[1].is_joints]
     due, actual = target_poses([goal for _, goal, _ in posed]), target_poses([goal for _, _, goal in posed])
     for row, (move, goal, _) in enumerate(posed):
         if move.reason is None:
@@ -52,7 +52,7 @@ def difference(
         if not distance <= CLOSE or not same:
             return f"{before.where(move.place)}: the corrected move misses its target by {distance:.3g} m or rad"
     for move, goal, again in pairs:
-        if goal.target.literal.form.is_joints:
+        if goal.is_joints:
             changed = joints_change and move.reason is None
             readings = joints[goal].after if changed else readings_of(goal.target.literal)
             if not np.abs(readings_of(again.target.literal) - readings).max() <= CLOSE:

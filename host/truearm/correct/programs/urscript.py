@@ -5,31 +5,20 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
 from truearm.correct.programs.expressions import sum_or_product
+from truearm.correct.programs.order import closure
 from truearm.correct.programs.poses import check_reach
-from truearm.correct.programs.program import (
-    IDENTITY,
-    MOST_TARGETS,
-    Datum,
-    Form,
-    Goal,
-    Literal,
-    Memo,
-    Move,
-    Place,
-    Program,
-    Surroundings,
-    Target,
-    Uncertain,
-    Uses,
-)
+from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
+from truearm.correct.programs.reading import MOST_TARGETS, Uncertain
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
-from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, certain, find, read_names
-from truearm.correct.programs.urscript_order import LastCalls, closure
+from truearm.correct.programs.urscript_names import Call, Entry, Routine, Script, Statement, find, read_names
+from truearm.correct.programs.urscript_order import LastCalls
 from truearm.correct.programs.urscript_words import AIMLESS, MOVES, SOLVER, STRAIGHT
 from truearm.model.poses import frame_of
 from truearm.types import Floats
@@ -75,18 +64,11 @@ class _Reader:
     script: Script
     tools: LastCalls
     literals: dict[Place, Literal] = field(default_factory=dict)
-    memo: Memo = field(default_factory=Memo)
 
     def through(self, datum: Datum, evaluate: Callable[[Tokens, Any], list[T]], kind: str) -> list[T]:
         """Return all that a name may stand for, as something of a kind."""
-        certain(self.script, datum)
-
-        def results() -> list[T]:
-            values = [value for tokens, statement in datum.values for value in evaluate(tokens, statement)]
-            check_number(values)
-            return values
-
-        return self.memo.get((datum, kind), results)
+        self.script.check(datum)
+        return self.script.once((datum, kind), lambda: self.script.all_values(datum.values, evaluate))
 
     def number(self, tokens: Tokens, statement: Statement) -> float:
         """Return the value of a constant expression. Raises Uncertain."""
@@ -170,7 +152,8 @@ class _Reader:
             step[:3, 3], turn[:3, :3] = offset[:3, 3], offset[:3, :3]
             return [Value((Factor(step), *value.factors, Factor(turn))) for value in first]
         second = self.values(call.argument(1, "p_from_to"), call.statement)
-        check_number(range(len(first) * len(second)))
+        if len(first) * len(second) > MOST_TARGETS:
+            raise Uncertain("many", most=MOST_TARGETS)
         return [Value(a.factors + b.factors) for a in first for b in second]
 
     def solved(self, call: Call) -> list[Value]:
@@ -197,7 +180,7 @@ class _Reader:
     def tool(self, call: Call) -> Floats:
         """Return the tool (4, 4) in force at a call. Raises Uncertain."""
         setters = self.tools.before(call)
-        return self.memo.get(setters, lambda: only(list(map(self.set_tool, setters)), Uncertain("several-tools")))
+        return self.script.once(setters, lambda: only(list(map(self.set_tool, setters)), Uncertain("several-tools")))
 
     def set_tool(self, setter: Entry | None) -> Floats:
         """Return the tool that a set_tcp sets, or that of the beginning."""
@@ -205,7 +188,7 @@ class _Reader:
             raise Uncertain("several-tools")
         if isinstance(setter, Call):
             try:
-                return self.memo.get(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
+                return self.script.once(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
             except Uncertain as uncertain:
                 raise uncertain.about("tool") from None
         if self.script.surroundings.tool is None:
@@ -216,8 +199,7 @@ class _Reader:
         """Return the goals of a move. Raises Uncertain."""
         if call.name in AIMLESS:
             raise Uncertain("aimless")
-        if self.script.displaced is not None:
-            raise self.script.displaced.again()
+        self.script.check_displacement()
         goals: list[Goal] = []
         for number, names in enumerate(MOVES[call.name]):
             argument = call.argument(number, *names)
@@ -235,12 +217,6 @@ class _Reader:
 def is_list(tokens: Tokens) -> bool:
     """Return whether tokens are a list in square brackets."""
     return is_bracketed(tokens, 0, "[") or (len(tokens) == 1 and tokens[0].kind == "row")
-
-
-def check_number(alternatives: Sequence[object]) -> None:
-    """Raise Uncertain for too many alternatives of one argument."""
-    if len(alternatives) > MOST_TARGETS:
-        raise Uncertain("many", most=MOST_TARGETS)
 
 
 def only(poses: Sequence[Floats], otherwise: Uncertain) -> Floats:
@@ -278,14 +254,7 @@ def read_urscript(files: Sequence[Source], surroundings: Surroundings) -> Progra
     for call in script.placed_calls.values():
         if call.name in MOVES.keys() | AIMLESS and call.statement.routine in reached:
             moves[call] = move = Move(call.name, call.place, call.tokens[-1].end, call.name in STRAIGHT)
-            try:
-                move.goals += reader.goals(call)
-                program.count(move)
-            except Uncertain as uncertain:
-                move.refuse(uncertain)
-            except RecursionError:
-                move.refuse(Uncertain("deep"))
-    program.moves += moves.values()
+            script.add_move(move, partial(reader.goals, call))
     last = LastCalls(script, frozenset(MOVES.keys() | AIMLESS | program.absent.keys()), MOST_ORIGINS)
     for call, move in moves.items():
         program.origins[move] = frozenset(moves.get(origin) for origin in last.before(call))  # type: ignore[arg-type]

@@ -13,8 +13,9 @@ from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
-from truearm.correct.programs.program import Change, Datum, Place, Program, Step, Surroundings, Uncertain
-from truearm.correct.programs.program import certain as certain_in_program
+from truearm.correct.programs.data import Change, Datum, Place
+from truearm.correct.programs.program import Program, Step, Surroundings
+from truearm.correct.programs.reading import Reading, Uncertain
 from truearm.correct.programs.tokens import DEPTH, Source, Token, Tokens, closing, is_word, separated, words
 from truearm.correct.programs.urscript_words import EFFECTS, MOVE_TEXT, is_in_language
 
@@ -85,18 +86,21 @@ Entry = Border | Call
 
 
 @dataclass(eq=False)
-class Script:
-    """Files that run together. ``routines``: by name, the files as "". ``displaced``: why no pose is certain."""
+class Script(Reading):
+    """Files that run together. ``routines``: by name, the files as ""."""
 
-    program: Program
-    surroundings: Surroundings
     names: dict[str, Datum] = field(default_factory=dict)
     routines: dict[str, list[Routine]] = field(default_factory=lambda: defaultdict(list))
     statements: list[Statement] = field(default_factory=list)
     steps: list[Step | Entry] = field(default_factory=list)
     placed_calls: dict[Place, Call] = field(default_factory=dict)
     calls: dict[str, list[Call]] = field(default_factory=lambda: defaultdict(list))
-    displaced: Uncertain | None = None
+
+    def check(self, datum: Datum) -> None:
+        """Raise Uncertain if a name may have values that are not assigned to it as a whole."""
+        super().check(datum)
+        if datum.name in self.routines:
+            raise Uncertain("redeclared", name=datum.name, where="a function")
 
     def call(self, tokens: Tokens, statement: Statement) -> Call | None:
         """Return the call of a function of the language that tokens are, None if they are something else."""
@@ -117,10 +121,10 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
     script.program.absent.update(dict.fromkeys(absent))
     for name, calls in script.calls.items():
         if name in TRACKING:
-            script.displaced = Uncertain("displaced", name=name, where=script.program.where(calls[0].place))
+            script.displace("displaced", name, calls[0].place)
     for name in script.routines:
         if name in EFFECTS:
-            script.displaced = Uncertain("redefined", name=name)
+            script.displace("redefined", name, Place(0, 0))
     return script
 
 
@@ -233,13 +237,6 @@ def find(script: Script, name: str, statement: Statement) -> Datum | None:
             return routine.names[name]
         routine = routine.outer
     return script.names.get(name)
-
-
-def certain(script: Script, datum: Datum) -> None:
-    """Raise Uncertain if a name may have values that are not assigned to it as a whole."""
-    certain_in_program(script.program, datum, script.surroundings)
-    if datum.name in script.routines:
-        raise Uncertain("redeclared", name=datum.name, where="a function")
 
 
 def _note_assignment(script: Script, statement: Statement) -> None:

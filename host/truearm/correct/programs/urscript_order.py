@@ -6,25 +6,11 @@ The tool in force at a move is that of the last set_tcp, and the arm's configura
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
-from truearm.correct.programs.order import preceding
+from truearm.correct.programs.order import closure, preceding
 from truearm.correct.programs.urscript_names import Border, Call, Entry, Script
-
-T = TypeVar("T")
-
-
-def closure(start: Iterable[T], following: Callable[[T], Iterable[T]]) -> set[T]:
-    """Return the nodes that ``following`` leads to, with those at the start."""
-    reached = set(start)
-    waiting = list(reached)
-    while waiting:
-        new = set(following(waiting.pop())) - reached
-        reached |= new
-        waiting += new
-    return reached
 
 
 @dataclass(eq=False)

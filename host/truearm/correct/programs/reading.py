@@ -1,0 +1,104 @@
+"""What the readers of all languages share: reasons, values that are computed once, and moves with their goals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from truearm.correct.programs.data import Datum, Place
+from truearm.correct.programs.program import Goal, Move, Program, Surroundings
+from truearm.correct.programs.tokens import Tokens
+from truearm.findings import Finding
+
+MOST_TARGETS = 1_000  # of one argument, such as the elements of a list
+MOST_GOALS = 100_000  # of all moves
+T = TypeVar("T")
+
+
+class Uncertain(Exception):
+    """Why something has no certain value, by a code of ``reasons.py`` with the values of its text."""
+
+    def __init__(self, code: str, **values: object) -> None:
+        super().__init__(code)
+        self.finding = Finding(code, values)
+
+    def again(self) -> Uncertain:
+        """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
+        return Uncertain(self.finding.code, **self.finding.values)
+
+    def about(self, subject: str) -> Uncertain:
+        """Return the same reason as one about a tool, work object or offset."""
+        return Uncertain(self.finding.code, **{**self.finding.values, "subject": subject})
+
+
+@dataclass(eq=False)
+class Reading:
+    """A program while it is read. ``results``: values and failures of names, each computed once.
+
+    ``displaced``: why no pose of the program is certain.
+    """
+
+    program: Program
+    surroundings: Surroundings
+    displaced: Uncertain | None = None
+    results: dict[object, Any] = field(default_factory=dict)
+    n_goals: int = 0
+
+    def once(self, key: object, compute: Callable[[], T]) -> T:
+        """Return the value of a key, computed if it is not known yet. Raises Uncertain."""
+        if key not in self.results:
+            self.results[key] = Uncertain("deep")  # while it is computed: a name that leads to itself
+            try:
+                self.results[key] = compute()
+            except Uncertain as uncertain:
+                self.results[key] = uncertain.again()
+        result = self.results[key]
+        if isinstance(result, Uncertain):
+            raise result.again()
+        value: T = result
+        return value
+
+    def all_values(self, values: Iterable[tuple[Tokens, Any]], evaluate: Callable[[Tokens, Any], list[T]]) -> list[T]:
+        """Return what values, each with its scope, stand for. Raises Uncertain."""
+        alternatives: list[T] = []
+        for tokens, scope in values:
+            alternatives += evaluate(tokens, scope)
+            if len(alternatives) > MOST_TARGETS:
+                raise Uncertain("many", most=MOST_TARGETS)
+        return alternatives
+
+    def check(self, datum: Datum) -> None:
+        """Raise Uncertain if a datum may have other values than those that are assigned to it as a whole."""
+        if datum.kind in ("parameter", "counter"):
+            raise Uncertain("parameter", name=datum.name, kind=datum.kind)
+        is_trusted = datum.name.lower() in self.surroundings.unchanged
+        for place, code, function in [*datum.changes, *([] if is_trusted else datum.outside)]:
+            where = self.program.where(place)
+            raise Uncertain(code, name=datum.name, where=where, function=function, outside=not datum.changes)
+        is_visible = datum.kind != "const" and not datum.local
+        if self.surroundings.strict and self.program.absent and is_visible and not is_trusted:
+            raise Uncertain("absent-routine", name=next(iter(self.program.absent)))
+
+    def check_displacement(self) -> None:
+        """Raise Uncertain if no pose is certain."""
+        if self.displaced is not None:
+            raise self.displaced.again()
+
+    def displace(self, code: str, name: str, place: Place) -> None:
+        """Note why no pose is certain."""
+        self.displaced = self.displaced or Uncertain(code, name=name, where=self.program.where(place))
+
+    def add_move(self, move: Move, goals: Callable[[], list[Goal]]) -> None:
+        """Add a move with its goals, or with the reason why they are not certain."""
+        self.program.moves.append(move)
+        self.program.steps.append(move)
+        try:
+            move.goals = goals()
+            self.n_goals += len(move.goals)
+            if self.n_goals > MOST_GOALS:
+                raise Uncertain("many", most=MOST_GOALS)
+        except Uncertain as uncertain:
+            move.goals, move.reason = [], uncertain.finding
+        except RecursionError:
+            move.goals, move.reason = [], Finding("deep")
