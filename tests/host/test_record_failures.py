@@ -196,7 +196,7 @@ class TestTheRobotIsNone:
         [
             (None, 0.0, "no joint reading from the robot within 0.5 s"),
             (b"", 0.0, "the robot closed its stream without a joint reading"),
-            (b"hello there\n", 0.01, "no joint reading from the robot within 0.5 s"),
+            (b"hello there\n", 0.01, "no joint reading from the robot within 0.5 s; it sent 'hello there"),
             (b'{"t": 1, "q": [NaN, 1]}\n', 0.01, "no joint reading from the robot within 0.5 s"),
             (b"[" * 5000 + b"\n", 0.01, "no joint reading from the robot within 0.5 s"),
             (b'{"t": ' + b"9" * 6000 + b', "q": [1]}\n', 0.01, "no joint reading from the robot within 0.5 s"),

@@ -13,7 +13,7 @@ from record_files import events, topics
 from record_real import box_on_a_socket
 
 from truearm.cli.main import main
-from truearm.errors import InputError, LinkClosed, LinkError, TableError
+from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.links import HostClock
 from truearm.record.robots.joint_columns import read_columns
@@ -330,19 +330,25 @@ class TestUdp:
         assert [parse_reading(line).t for _, line in arrivals] == list(range(400))
 
     def test_the_robot_is_who_sends_readings(self, free):
-        """A stranger whose datagrams were no readings once was the robot: the real one was locked out as long as it sent."""
+        """A stranger whose datagrams were no readings once was the robot: the real one was locked out as long as it sent.
+        One that looked like a wrong header ended the recording; only the robot's own does.
+        """
         clock = SetClock()
         link = open_source(f"lines+udp://127.0.0.1:{free}", clock)
         with sender("127.0.0.1") as stranger, sender("127.0.0.2") as robot:
-            stranger.sendto(b"who is there", ("127.0.0.1", free))
+            for line in (b"t_s,time_of_day", b'{"names": {"colour": "c"}}', b"who is there"):
+                stranger.sendto(line, ("127.0.0.1", free))
             robot.sendto(b"t_s,q1_rad", ("127.0.0.1", free))
-            arrivals = arrivals_of(link, 2)
+            arrivals = arrivals_of(link, 4)[2:]
             for k in range(5):
                 stranger.sendto(b"who is there", ("127.0.0.1", free))
                 robot.sendto(b"%d,0.5" % k, ("127.0.0.1", free))
             arrivals += arrivals_of(link, 6)
             while link.backlog.foreign < 4:
                 assert not link.read(0.01)
+            robot.sendto(b"t_s,q1_inch", ("127.0.0.1", free))
+            with pytest.raises(ProtocolError, match="q1_inch"):
+                arrivals_of(link, 2)
         link.close()
         assert [line for _, line in arrivals[:3]] == [b"who is there\n", b"t_s,q1_rad\n", b"who is there\n"]
         assert [parse_reading(line).t for _, line in arrivals[3:]] == [0.0, 1.0, 2.0, 3.0, 4.0]

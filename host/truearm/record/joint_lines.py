@@ -72,6 +72,7 @@ class RobotIntake:
         self.lost_ns: int | None = None
         self.lost: LinkError | None = None
         self.heard_ns: int | None = None
+        self.unread = b""  # the first line that is not a reading
         self._link = link
         self._writer = writer
         self._clock = clock
@@ -223,6 +224,7 @@ class RobotIntake:
         """Store what is not a reading. Of an endless stream of it, only the beginning is stored: it would fill the disk."""
         before, self._rubbish = self._rubbish, self._rubbish + len(data)
         self._counters.robot_console_bytes += len(data)
+        self.unread = self.unread or data
         if self._rubbish <= MAX_RUBBISH:
             self._writer.add("/robot/console", t_host_ns, data)
             return

@@ -22,6 +22,7 @@ from truearm.record.operator import Operator
 from truearm.record.requests import Requests
 from truearm.record.session_writer import SessionWriter
 from truearm.record.status import Counters, RecordSummary, Status
+from truearm.schema import quoted
 from truearm.session.box_ident import Ident
 from truearm_wire.messages import CONFIGURE, IDENTIFY, START, STOP, SYNC_REQUEST
 
@@ -270,7 +271,10 @@ class _Recorder:
             raise _Ended(reason, f"{robot.lost}; it did not come back within {self._patience_ns / SECOND:g} s")
         waited_ns = 0 if self._started_ns is None else self._clock.now_ns() - self._started_ns
         if waited_ns >= ROBOT_NS and not self._counters.robot_lines and robot.lost_ns is None:
-            raise _Ended("no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s; {EXPECTED}")
+            sent = f"; it sent {quoted(robot.unread.decode(errors='replace'))}" if robot.unread else ""
+            raise _Ended(
+                "no readings", f"no joint reading from the robot within {ROBOT_NS / SECOND:g} s{sent}; {EXPECTED}"
+            )
 
     def _reconnect(self, error: LinkError) -> None:
         now_ns = self._clock.now_ns()

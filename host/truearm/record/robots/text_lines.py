@@ -235,7 +235,7 @@ class DatagramLines(LinesLink):
     The robot is the address that sent the first reading, from any port: a restarted program gets another one. What other
     addresses send is counted and dropped. After ``SILENCE_S`` without a reading, another address that sends one takes
     over: LinkError is raised, and a link opened after it begins anew. While there is no robot, whatever is no reading
-    is passed on.
+    is passed on, a header that is not understood too: anybody can send one.
     """
 
     _robot: str | None = None
@@ -253,7 +253,10 @@ class DatagramLines(LinesLink):
         if is_foreign and t_host_ns - self._reading_ns < SILENCE_S * 1e9:
             self._foreign += 1
             return []
+        end = self._end
         lines = super()._lines(t_host_ns, data)
+        if self._robot != data.sender:
+            self._end = end
         if any(map(parse_reading, lines)):
             if is_foreign:
                 raise LinkError(
