@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from truearm.correct.correction import Correction as Correction
     from truearm.correct.error_map import ErrorMap as ErrorMap
     from truearm.errors import InputError as InputError
+    from truearm.errors import MissingFileError as MissingFileError
     from truearm.errors import PlanError as PlanError
     from truearm.errors import ProblemError as ProblemError
     from truearm.errors import RigError as RigError
@@ -76,6 +77,7 @@ _MODULES = {
     "Identification": "workflows.identify",
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",
+    "MissingFileError": "errors",
     "ObservationTable": "types",
     "ParameterEstimate": "workflows.calibration",
     "PlanError": "errors",

@@ -24,7 +24,7 @@ from truearm.correct.methods import Method
 from truearm.display import Displayed
 from truearm.errors import Argument, InputError, SessionError, TableError
 from truearm.export.formats import FORMATS
-from truearm.file_names import no_such_file
+from truearm.file_names import missing_file
 from truearm.files import observation_table, result_file, rig_file, robot_file
 from truearm.files.disk import write_atomic
 from truearm.model.builtin import builtin_names
@@ -290,7 +290,7 @@ def read_session(
     """
     file = Path(path)
     if not file.exists():
-        raise SessionError(no_such_file(file))
+        raise missing_file(file)
     if not is_session(file):
         raise SessionError(f"{file}: is not a session (.mcap); use read_table for tables")
     lost: list[str] = []

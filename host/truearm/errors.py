@@ -3,15 +3,17 @@
 ::
 
     TruearmError
-    ├── InputError            what the user gave is wrong: one clear line, exit code 2
-    │   ├── TableError        a table of observations (CSV)
-    │   ├── RigError          a rig file (TOML)
-    │   ├── RobotError        a robot file (TOML or URDF)
-    │   ├── PlanError         a plan of poses (CSV)
-    │   ├── TargetError       a table of targets (CSV), or a target that cannot be corrected
-    │   ├── SessionError      a session file (MCAP)
-    │   ├── ConfigError       a box's configuration (TOML)
-    │   └── ImageError        an image for the box's chip (UF2)
+    ├── InputError            what the user gave is wrong: one clear line, exit code 2; a ValueError too
+    │   ├── MissingFileError  a file that does not exist; a FileNotFoundError too
+    │   └── FileError         the content of a file
+    │       ├── TableError    a table of observations (CSV)
+    │       ├── RigError      a rig file (TOML)
+    │       ├── RobotError    a robot file (TOML or URDF)
+    │       ├── PlanError     a plan of poses (CSV)
+    │       ├── TargetError   a table of targets (CSV), or a target that cannot be corrected
+    │       ├── SessionError  a session file (MCAP)
+    │       ├── ConfigError   a box's configuration (TOML)
+    │       └── ImageError    an image for the box's chip (UF2)
     ├── WriteError            a file cannot be written any more (a full disk)
     ├── ProblemError          the observations and the robot do not define a solvable problem
     ├── IncompleteError       a recording ended before everything requested arrived; the received data are kept
@@ -22,46 +24,94 @@
 
 Data conditions (rank, convergence, gaps, losses) are fields of results, never exceptions.
 
-A text that names an argument of the caller contains it as a separate ``Argument``. Python shows the argument's name, the
-command line shows the option instead.
+Every error is a finding: it has a code and values. A cause on which a user acts in a way of its own has an entry in
+``truearm.finding_texts``, and is raised by its code: ``TableError("no-rows", place=name)``. All other errors have a
+text, "PLACE: REASON", and the code of their class. A text that names an argument of the caller contains it as a separate
+``Argument``. Python shows the argument's name, the command line shows the option instead.
 """
 
 from __future__ import annotations
 
+import errno
+import re
 from collections.abc import Callable
+from typing import Any, Self
 
 from truearm.exit_codes import ExitCode
+from truearm.finding_texts import ERRORS
+from truearm.findings import Argument as Argument
+from truearm.findings import Finding
 
-
-class Argument(str):
-    """The name of an argument, in the text of an error."""
-
-    __slots__ = ()
+_JSON = (str, int, float, list, tuple, dict, type(None))
+_PLACE = re.compile(r"(?:([^;]*?): )?(.*)", re.DOTALL)  # "PLACE: REASON", the place without a remedy
 
 
 class TruearmError(Exception):
     """Base class of all truearm errors; the text is one line that states what is wrong and what to do.
 
-    The text consists of its ``args`` one after the other. An argument of a wrong type raises TypeError instead.
+    ``finding`` has the error's code and values. An argument of a wrong type raises TypeError instead.
 
     Examples
     --------
     >>> import truearm
-    >>> issubclass(truearm.InputError, truearm.TruearmError)
-    True
+    >>> try:
+    ...     truearm.read_rig("missing.toml")
+    ... except truearm.TruearmError as error:
+    ...     print(error.finding.code, error.finding.values["place"])
+    missing-file missing.toml
     """
 
     exit_code = ExitCode.FAILED
+    default_code = "failed"  # of an error that is raised with a text
+
+    def __init__(self, *text: object, **values: Any) -> None:
+        """Take a code and its values, or a text in pieces."""
+        super().__init__(*text)
+        self.values = {name: value if isinstance(value, _JSON) else str(value) for name, value in values.items()}
 
     def __str__(self) -> str:
         return self.text(str)
 
-    def text(self, name: Callable[[Argument], str]) -> str:
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
+    def text(self, name: Callable[[str], str]) -> str:
         """Return the text with every argument as ``name`` shows it."""
-        return "".join(name(part) if isinstance(part, Argument) else str(part) for part in self.args)
+        if self._has_entry:
+            return self.finding.text(name)
+        return "".join(
+            piece.text(name)
+            if isinstance(piece, TruearmError)
+            else name(piece)
+            if isinstance(piece, Argument)
+            else str(piece)
+            for piece in self.args
+        )
+
+    @property
+    def finding(self) -> Finding:
+        """The code and its values; an error with a text has values ``place`` and ``reason``."""
+        if self._has_entry:
+            return Finding(self.args[0], self.values)
+        text, argument = str(self), next(iter(self.args), "")
+        if isinstance(argument, Argument):
+            return Finding("invalid-argument", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
+        place, reason = _PLACE.fullmatch(text).groups("")  # type: ignore[union-attr]  # any text matches
+        return Finding(self.default_code, {"place": place, "reason": reason, **self.values})
+
+    @property
+    def _has_entry(self) -> bool:
+        return type(next(iter(self.args), None)) is str and self.args[0] in ERRORS  # an argument may have its name
+
+    def within(self, place: object) -> Self:
+        """Return the error with the file, or whatever else encloses its place, in front."""
+        if not self._has_entry:
+            return type(self)(f"{place}: ", *self.args)
+        places = [str(name) for name in (place, self.values.get("place")) if name]
+        return type(self)(*self.args, **{**self.values, "place": ": ".join(places)})
 
 
-class InputError(TruearmError):
+class InputError(TruearmError, ValueError):
     """An argument, an option or a file is invalid.
 
     Examples
@@ -75,9 +125,39 @@ class InputError(TruearmError):
     """
 
     exit_code = ExitCode.INPUT
+    default_code = "invalid-input"
 
 
-class TableError(InputError):
+class MissingFileError(InputError, FileNotFoundError):
+    """A file does not exist; ``finding.values["place"]`` is its name.
+
+    Examples
+    --------
+    >>> import truearm
+    >>> issubclass(truearm.MissingFileError, FileNotFoundError)
+    True
+    """
+
+    def __init__(self, *text: object, **values: Any) -> None:
+        super().__init__(*text, **values)
+        self.errno, self.filename = errno.ENOENT, self.values.get("place")
+
+
+class FindingError(InputError):
+    """An input is refused because of a finding."""
+
+    def __init__(self, finding: Finding, *text: str) -> None:
+        super().__init__(*text, **finding.values)
+        self.default_code = finding.code
+
+
+class FileError(InputError):
+    """The content of a file is wrong; the text begins with the file, the row and the column."""
+
+    default_code = "malformed-file"
+
+
+class TableError(FileError):
     """A table of observations is wrong; the text names file, row and column.
 
     Examples
@@ -88,7 +168,7 @@ class TableError(InputError):
     """
 
 
-class RigError(InputError):
+class RigError(FileError):
     """A rig file is wrong.
 
     Examples
@@ -99,7 +179,7 @@ class RigError(InputError):
     """
 
 
-class RobotError(InputError):
+class RobotError(FileError):
     """A robot description (TOML or URDF) is wrong or not supported.
 
     Examples
@@ -110,7 +190,7 @@ class RobotError(InputError):
     """
 
 
-class PlanError(InputError):
+class PlanError(FileError):
     """A plan of poses is wrong, or none can be made for the robot, with the options, or from the poses within reach.
 
     Examples
@@ -121,7 +201,7 @@ class PlanError(InputError):
     """
 
 
-class TargetError(InputError):
+class TargetError(FileError):
     """A table of targets is wrong, or a target cannot be corrected; the text names file and row.
 
     Examples
@@ -132,7 +212,7 @@ class TargetError(InputError):
     """
 
 
-class SessionError(InputError):
+class SessionError(FileError):
     """A session file cannot be read.
 
     Examples
@@ -143,16 +223,18 @@ class SessionError(InputError):
     """
 
 
-class ConfigError(InputError):
+class ConfigError(FileError):
     """A configuration of a box is wrong."""
 
 
-class ImageError(InputError):
+class ImageError(FileError):
     """An image for the box's chip is damaged, or for another chip."""
 
 
 class WriteError(TruearmError):
     """A file cannot be written any more; ``strerror`` is the system's reason."""
+
+    default_code = "cannot-write"
 
     def __init__(self, text: str, strerror: str = "") -> None:
         super().__init__(text)
@@ -170,24 +252,32 @@ class ProblemError(TruearmError):
     """
 
     exit_code = ExitCode.INPUT
+    default_code = "unsolvable"
 
 
 class IncompleteError(TruearmError):
     """A recording ended before everything requested arrived."""
 
     exit_code = ExitCode.INCOMPLETE
+    default_code = "incomplete"
 
 
 class LinkError(TruearmError):
     """The box or the robot stopped answering."""
 
+    default_code = "link-lost"
+
 
 class LinkClosed(LinkError):
     """The other side ended the stream normally, without a reason."""
 
+    default_code = "link-closed"
+
 
 class RefusedError(LinkError):
     """The box refuses a command; ``code`` is defined in protocol/SPEC.md §4."""
+
+    default_code = "refused-by-box"
 
     def __init__(self, code: int, *text: str) -> None:
         super().__init__(*text)
@@ -196,3 +286,5 @@ class RefusedError(LinkError):
 
 class ProtocolError(LinkError):
     """The box uses a protocol that this version of truearm does not support."""
+
+    default_code = "other-protocol"

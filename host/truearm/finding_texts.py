@@ -11,8 +11,12 @@ from typing import NamedTuple
 
 
 class Severity(StrEnum):
-    """How much a finding matters: nothing is done because of it, the user must look at it, remark, or what to do next."""
+    """How much a finding matters.
 
+    The command ends because of it, the result must not be used, the user must look at it, a remark, what to do next.
+    """
+
+    ERROR = "error"
     REFUSAL = "refusal"
     WARNING = "warning"
     NOTE = "note"
@@ -27,7 +31,7 @@ class Statement(NamedTuple):
     remedy: str = ""
 
 
-REFUSAL, WARNING, NOTE, ADVICE = Severity
+ERROR, REFUSAL, WARNING, NOTE, ADVICE = Severity
 
 MORE_POSES = "Measure more poses, in more of the workspace"
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
@@ -329,4 +333,33 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
 }
 
-STATEMENTS: Mapping[str, Statement] = {**IDENTIFICATION}
+# Errors: sentence and remedy; the first ones are the codes of errors that have a text.
+REASON = "[{place}: ]{reason}"
+ERRORS: Mapping[str, tuple[str, str]] = {
+    "failed": (REASON, ""),
+    "invalid-input": (REASON, ""),
+    "invalid-argument": (REASON, ""),
+    "malformed-file": (REASON, ""),
+    "cannot-write": (REASON, ""),
+    "unsolvable": (REASON, ""),
+    "incomplete": (REASON, ""),
+    "link-lost": (REASON, ""),
+    "link-closed": (REASON, ""),
+    "refused-by-box": (REASON, ""),
+    "other-protocol": (REASON, ""),
+    "usage": ("{reason} (see {command} {@help})", ""),
+    # files
+    "missing-file": (
+        "{place}: no such file[, because the folder {folder} does not exist]",
+        "[did you mean {meant}?||check its name and folder]",
+    ),
+    "not-a-file": ("{place}: is not a regular file", "give the name of a file"),
+    "unreadable-file": ("{place}: cannot be read: {reason}", ""),
+    "not-text": ("{place}: is not UTF-8 text[ (at byte {byte})]", "save it as UTF-8"),
+    "too-large": ("[{place}: ]has more than {most}, the maximum", "check that it is the right file, or split it"),
+}
+
+STATEMENTS: Mapping[str, Statement] = {
+    **IDENTIFICATION,
+    **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
+}

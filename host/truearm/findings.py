@@ -13,13 +13,18 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any
 
-from truearm.errors import InputError
 from truearm.finding_texts import STATEMENTS, Severity
 from truearm.text import counted, listed, one_line
 from truearm.units import SUFFIXES, UNITS
 
 _OPTIONAL = re.compile(r"\[([^\[\]]*)\]")
 _ABSENT: tuple[Any, ...] = (None, "", (), [], {}, False)
+
+
+class Argument(str):
+    """The name of an argument in an error: Python shows it, the command line shows the option instead."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,9 @@ class Finding:
 
     def text(self, argument: Callable[[str], str] = str) -> str:
         """Return the sentence and the remedy; ``argument`` is the format of arguments of truearm."""
-        statement = STATEMENTS[self.code]
-        return " ".join(worded(text, self.values, argument) for text in statement[1:] if text)
+        severity, *templates = STATEMENTS[self.code]
+        texts = (worded(template, self.values, argument) for template in templates)
+        return ("; " if severity is Severity.ERROR else " ").join(filter(None, texts))
 
     def entry(self) -> dict[str, Any]:
         """Return the finding as JSON."""
@@ -52,13 +58,14 @@ def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], s
     ``{name}``: a text, a list of texts, or a quantity. ``{n:#row}``: "1 row", "2 rows"; ``{n:#entry|entries}``.
     ``{n:?is|are}``: the first for one. ``{@loss}``: the argument of this name; ``{rows:@leave_out}``: it, before each
     text of a list. ``[…]`` is left out if one of its values is
-    absent or false; ``{name:!}`` prints nothing, so that only its presence matters.
+    absent or false, or replaced by ``B`` in ``[A||B]``; ``{name:!}`` prints nothing, so that only its presence matters.
     """
     words = _Words(argument)
 
     def present(optional: re.Match[str]) -> str:
         names = [name for _, name, _, _ in words.parse(optional[1]) if name and not name.startswith("@")]
-        return "" if any(values.get(name) in _ABSENT for name in names) else optional[1]
+        text, _, otherwise = optional[1].partition("||")
+        return otherwise if any(values.get(name) in _ABSENT for name in names) else text
 
     return words.vformat(_OPTIONAL.sub(present, template), (), values)
 
@@ -78,6 +85,8 @@ class _Words(Formatter):
         count = len(value) if isinstance(value, list | tuple) else value
         if kind == "!":
             return ""
+        if isinstance(value, Argument):
+            return self._argument(value)
         if kind == "#":
             return counted(count, choice[0], choice[2])
         if kind == "?":
@@ -99,11 +108,3 @@ def _quantity(number: float | None, suffix: str, spec: str) -> str:
     if number is None:
         return "-"
     return f"{number:{spec or f'.{UNITS[unit.si].decimals - 1}f'}} {unit.symbol}".rstrip()
-
-
-class FindingError(InputError):
-    """An input is refused because of a finding."""
-
-    def __init__(self, finding: Finding, *text: str) -> None:
-        super().__init__(*text)
-        self.finding = finding

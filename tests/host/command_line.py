@@ -5,11 +5,17 @@ import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
+from truearm.findings import Finding
 
-class Outcome(NamedTuple):
+
+class _Output(NamedTuple):
     code: int
     out: str
     err: str
+
+
+class Outcome(_Output):
+    finding: Finding | None = None  # with which the command ended
 
 
 Run = Callable[..., Outcome]  # the fixture `run`: the real main() with arguments

@@ -17,17 +17,21 @@ from record_box import Lab
 from truearm.cli import main as cli
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.findings import Finding
 from truearm.types import ObservationTable, Rig
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
+def run(capsys: pytest.CaptureFixture[str], complaints: list[Finding]) -> Run:
     """Return the real main() with arguments; it returns the exit code and the output."""
 
     def call(*arguments: object) -> Outcome:
+        complaints.clear()
         code = cli.main([str(a) for a in arguments])
         captured = capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
+        outcome = Outcome(code, captured.out, captured.err)
+        outcome.finding = complaints[-1] if complaints else None
+        return outcome
 
     return call
 

@@ -358,7 +358,7 @@ BAD_PROGRAMS = {
     "b.mod": (b"MODULE m\nPROC main()", "nothing to correct"),
     "d.script": (b"movel(p[nan,0,0,0,0,0])", "line 1: movel(p[nan,0,0,0,0,0]): it is computed at run time"),
     "e.script": (b"[" * 100_000, "nothing to correct"),
-    "f.mod": (b" " * (64 * 2**20 + 1), "larger than 64 MiB"),
+    "f.mod": (b" " * (64 * 2**20 + 1), "64 MiB"),
     "g.script": (b"", "nothing to correct"),
     "h.script": (b"movej([0,0,0,0,0,0])", "to keep or to correct these, give --joint-moves keep or correct"),
 }

@@ -148,7 +148,7 @@ HOSTILE = {
         "no joint moves",
     ),
     "other": ('<robot name="x"><link name="a"/></robot>', "no link 'chuck_fixture'"),
-    "huge": (" " * 8_000_001, "larger than"),
+    "huge": (" " * 8_000_001, "MiB"),
     "text": ("hello", "not valid XML"),
 }
 

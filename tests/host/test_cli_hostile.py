@@ -141,7 +141,7 @@ URDFS = {
     "bomb": (BOMB, "document type"),
     "a stranger's file": (STRANGERS, "document type"),
     "deep": ("<a>" * 100_000, "not valid XML"),
-    "huge": (" " * 8_400_000, "larger than"),
+    "huge": (" " * 8_400_000, "MiB"),
     "loop": (URDF.replace('<child link="sphere_fixture"/>', '<child link="chuck_fixture"/>'), "URDF: "),
     "two parents": (URDF.replace('<child link="sphere_fixture"/>', '<child link="m"/>'), "must form a tree"),
     "missing link": (URDF.replace('<link name="m"/>', ""), "does not exist"),

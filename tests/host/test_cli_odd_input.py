@@ -45,7 +45,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 LONG = "a" * 300  # a name that no file system takes
 
 CASES = {
-    "a link in a circle as input": (("identify", "circle", "t.csv", "--model", "puma560"), "no such file"),
+    "a link in a circle as input": (("identify", "circle", "t.csv", "--model", "puma560"), "cannot be read: Too many"),
     "a link in a circle as output": ((*IDENTIFY, "--out", "circle"), "a symbolic link loop"),
     "a link in a circle as page": ((*IDENTIFY, "--report", "circle"), "a symbolic link loop"),
     "too long a name as input": (("identify", LONG, "--model", "puma560"), "cannot be read: File name too long"),
@@ -54,7 +54,7 @@ CASES = {
     "too long a name of a session": (("inspect", f"{LONG}.mcap"), "cannot be read: File name too long"),
     "standard input": (("identify", "-", "--model", "puma560"), "standard input is not read"),
     "standard output": ((*IDENTIFY, "--out", "-"), "--json prints the result"),
-    "an empty name": (("identify", "", "--model", "puma560"), "is a directory"),
+    "an empty name": (("identify", "", "--model", "puma560"), "not a regular file"),
     "an empty name as output": ((*IDENTIFY, "--report", ""), "is a directory"),
     "a result named as a table": ((*IDENTIFY, "--out", "r.csv"), "r.csv: would be written as .json; give a name that"),
     "a report named as PDF": ((*IDENTIFY, "--report", "r.pdf"), "would be written as .html"),
@@ -77,7 +77,7 @@ CASES = {
     "a robot with a NUL": (("identify", "t.csv", "--model", "a\0b"), "is neither a built-in robot"),
     "a table as robot": (("identify", "t.csv", "--model", "t.csv"), "t.csv: is a table of observations, where a robot"),
     "an empty rig name": ((*IDENTIFY, "--rig", "=x"), "no such file"),
-    "a file of no name": ((*IDENTIFY, "--rig", "a="), "is a directory"),
+    "a file of no name": ((*IDENTIFY, "--rig", "a="), "not a regular file"),
     "nothing between commas": ((*IDENTIFY, "--also-free", ","), "matches no parameter"),
     "an open bracket": ((*IDENTIFY, "--free", "["), "matches no parameter"),
     "a fraction of nothing": ((*IDENTIFY, "--hold-out", "1e-300"), "is less than one row of 4"),

@@ -1,6 +1,7 @@
 """Findings: templates, the catalogue, and that every reader of a result has the same list."""
 
 import ast
+import errno
 import json
 import re
 from pathlib import Path
@@ -9,7 +10,8 @@ import pytest
 from tests.host.findings_bench import stated
 
 import truearm.finding_texts
-from truearm.finding_texts import STATEMENTS, Severity
+from truearm.errors import Argument, InputError, ProblemError, RobotError, TableError
+from truearm.finding_texts import ERRORS, IDENTIFICATION, STATEMENTS, Severity
 from truearm.findings import Finding, worded
 
 HOST = Path(truearm.finding_texts.__file__).parent
@@ -46,7 +48,7 @@ def test_every_code_of_a_result_has_an_entry_and_every_entry_a_code():
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
-    assert set(STATEMENTS) <= strings
+    assert set(IDENTIFICATION) <= strings
     first = {code for text in texts for code in re.findall(r'Finding\(\s*"([a-z-]+)"', text)}
     assert first <= set(STATEMENTS)
 
@@ -83,3 +85,53 @@ def test_the_short_form_begins_with_the_verdict_and_fits_fifteen_lines(run, good
 def test_an_unknown_code_is_no_finding():
     with pytest.raises(KeyError):
         Finding("no such code").text()
+
+
+def test_an_error_has_the_code_and_the_values_of_its_cause():
+    error = TableError("a.csv row 3 column q1_rad: 'x' is not a number; write digits: -1.5")
+    reason = "'x' is not a number; write digits: -1.5"
+    assert error.finding == Finding("malformed-file", {"place": "a.csv row 3 column q1_rad", "reason": reason})
+    error = InputError(Argument("rate"), " 7 Hz is too much; give ", Argument("force"))
+    assert error.finding == Finding("invalid-argument", {"place": "rate", "reason": "7 Hz is too much; give force"})
+    assert error.text("--{}".format) == "--rate 7 Hz is too much; give --force"
+    assert ProblemError("no rows").finding == Finding("unsolvable", {"place": "", "reason": "no rows"})
+
+
+def test_an_error_keeps_its_code_within_a_file():
+    error = TableError("too-large", most=3).within("a.csv")
+    assert error.finding == Finding("too-large", {"place": "a.csv", "most": 3})
+    assert str(error.within("b.zip")).startswith("b.zip: a.csv: ")
+    assert RobotError("no ", Argument("tip")).within("a.urdf").text("--{}".format) == "a.urdf: no --tip"
+
+
+def test_a_missing_file_is_a_file_not_found_and_every_input_error_a_value_error(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught:
+        truearm.read_rig(tmp_path / "rig.toml")
+    assert (caught.value.filename, caught.value.errno) == (str(tmp_path / "rig.toml"), errno.ENOENT)
+    assert issubclass(truearm.InputError, ValueError)
+
+
+def test_a_command_gives_its_error_as_json(run, tmp_path):
+    outcome = run("inspect", tmp_path / "gone.mcap", "--json")
+    error = json.loads(outcome.out)["error"]
+    assert (outcome.code, error["code"], error["values"]["place"]) == (2, "missing-file", str(tmp_path / "gone.mcap"))
+    assert outcome.err == f"truearm: {error['text']}\n"
+    assert json.loads(run("inspect", "--json", "--no-such-option").out)["error"]["code"] == "usage"
+
+
+def test_every_code_that_is_raised_has_an_entry_with_its_values_and_every_entry_is_raised():
+    raised = set(ERRORS) & {"usage"}
+    for path in HOST.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "default_code":
+                raised.add(node.value.value)
+            code = node.args[0] if isinstance(node, ast.Call) and node.args else None
+            name = ast.unparse(node.func) if code else ""
+            if not isinstance(code, ast.Constant) or not re.search(r"(Error|^error|^LinkClosed)$", name):
+                continue
+            if re.fullmatch(r"[a-z]+(-[a-z]+)*", str(code.value)):
+                raised.add(code.value)
+                required = re.sub(r"\[[^\]]*\]", "", "".join(ERRORS[code.value]))
+                names = set(re.findall(r"\{(\w+)", required))
+                assert names <= {keyword.arg for keyword in node.keywords}, (path, code.value)
+    assert raised - {"invalid-argument"} == set(ERRORS) - {"invalid-argument"}

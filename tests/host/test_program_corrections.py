@@ -22,7 +22,7 @@ from truearm.correct.correction import MARGIN, MOST_TURN
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
-from truearm.findings import FindingError
+from truearm.errors import FindingError
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module

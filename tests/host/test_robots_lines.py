@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 import pytest
 from record_files import events, topics
 from record_real import box_on_a_socket
+from tests.refusals import refused
 
 from truearm.cli.main import main
 from truearm.errors import InputError, LinkClosed, LinkError, ProtocolError, TableError
@@ -504,11 +505,11 @@ class TestTable:
         assert "\n" not in str(failure.value)
 
     def test_other_files(self, tmp_path):
-        with pytest.raises(TableError, match="not UTF-8"):
+        with refused("not-text"):
             list(readings(self.table(tmp_path, "t_s,q1_rad,x_é\n", "latin-1"), NO_OPTIONS))
-        with pytest.raises(TableError, match="no such file"):
+        with refused("missing-file"):
             list(readings(tmp_path / "none.csv", NO_OPTIONS))
-        with pytest.raises(TableError, match="is not a regular file"):
+        with refused("not-a-file"):
             list(readings(tmp_path, NO_OPTIONS))
 
 

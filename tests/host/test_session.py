@@ -17,6 +17,7 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from record_box import MS, SECOND, Lab
+from tests.refusals import refused
 
 from truearm.errors import InputError, SessionError, TruearmError
 from truearm.record.recover import recover
@@ -256,16 +257,16 @@ class TestStrangers:
             open_session(tmp_path / "s.mcap")
 
     @pytest.mark.parametrize(
-        ("content", "says"), [(b"", "not an MCAP"), (b"kind,q1_rad\n", "not an MCAP"), (None, "no such file")]
+        ("content", "code"), [(b"", "malformed-file"), (b"kind,q1_rad\n", "malformed-file"), (None, "missing-file")]
     )
-    def test_no_session(self, tmp_path, content, says):
+    def test_no_session(self, tmp_path, content, code):
         if content is not None:
             (tmp_path / "s.mcap").write_bytes(content)
-        with pytest.raises(SessionError, match=says):
+        with refused(code, place=tmp_path / "s.mcap"):
             open_session(tmp_path / "s.mcap")
 
     def test_a_folder(self, tmp_path):
-        with pytest.raises(SessionError, match="not a regular file"):
+        with refused("not-a-file", place=tmp_path):
             open_session(tmp_path)
 
     @pytest.mark.parametrize("claim", ["small", "honest"])

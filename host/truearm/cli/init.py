@@ -17,7 +17,7 @@ from truearm.cli.command import command
 from truearm.cli.options import branch_given
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
-from truearm.file_names import no_such_file
+from truearm.file_names import missing_file
 from truearm.model.builtin import builtin_names
 from truearm.option_defaults import INSTRUMENTS, NOTHING
 from truearm.record.robots.sources import check_address
@@ -189,7 +189,7 @@ def _model(text: str) -> str:
     if not is_urdf(text):
         load_robot(text)
     elif not Path(text).is_file():
-        raise InputError(no_such_file(Path(text)))
+        raise missing_file(Path(text))
     return text
 
 

@@ -29,6 +29,7 @@ from truearm.cli.inspect import inspect
 from truearm.cli.map import map_
 from truearm.cli.missing_file import missing_file
 from truearm.cli.names import option_for
+from truearm.cli.output import print_json
 from truearm.cli.plan import app as plan
 from truearm.cli.progress_line import shown_progress
 from truearm.cli.project import CommandGroup, ProjectCommand, defaults
@@ -41,6 +42,7 @@ from truearm.cli.status import status
 from truearm.cli.validate import validate
 from truearm.errors import TruearmError
 from truearm.exit_codes import ExitCode, table
+from truearm.findings import Finding
 from truearm.text import one_line
 
 # What ``truearm --help`` lists for each task; a typer app is a group of commands.
@@ -148,11 +150,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(arguments)
     except TruearmError as exc:
-        _complain(exc.text(_option_of(arguments)))
+        _complain(exc.text(_option_of(arguments)), exc.finding, arguments)
         return exc.exit_code
     except _UsageError as exc:
         message = _renamed(exc) or _missing(exc, arguments) or _plain(exc.format_message())
-        _complain(f"{message} (see {exc.ctx.command_path if exc.ctx else _command_of(arguments)} --help)")
+        command = exc.ctx.command_path if exc.ctx else _command_of(arguments)
+        finding = Finding("usage", {"reason": message, "command": command})
+        _complain(finding.text("--{}".format), finding, arguments)
         return ExitCode.INPUT
     except (KeyboardInterrupt, typer.Abort):
         _complain("interrupted")
@@ -233,5 +237,8 @@ def _run(arguments: list[str]) -> int:
     return ExitCode.DONE
 
 
-def _complain(message: str) -> None:
+def _complain(message: str, finding: Finding | None = None, arguments: Sequence[str] = ()) -> None:
+    """Print an error on standard error; with --json also as JSON on standard output."""
     print("truearm: " + one_line(message), file=sys.stderr)
+    if finding and "--json" in arguments:
+        print_json({"error": {"code": finding.code, "text": one_line(message), "values": finding.values}})

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from truearm.errors import Argument, InputError, TruearmError, WriteError
-from truearm.file_names import DISK_FAILED, no_such_file, system_reason
+from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
 from truearm.schema import load_toml
 
 SESSION_MAGIC = b"\x89MCAP"
@@ -23,19 +23,10 @@ SESSION_MAGIC = b"\x89MCAP"
 
 def read_bytes(path: Path, max_bytes: int, error: type[InputError]) -> bytes:
     """Return the content of a regular file of at most ``max_bytes``. Raises ``error`` for anything else."""
-    try:
-        if path.is_dir():
-            raise error(f"{path}: is a directory; give a file")
-        if not path.exists():
-            raise error(no_such_file(path))
-        if not path.is_file():  # reading a pipe or a device would block or never end
-            raise error(f"{path}: is not a regular file; save the data to a file first")
-        with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
-    except OSError as exc:
-        raise error(f"{path}: cannot be read: {system_reason(exc)}") from exc
+    with open_input(path) as file, reading(path):
+        data = file.read(max_bytes + 1)
     if len(data) > max_bytes:
-        raise error(f"{path}: is larger than {max_bytes / 2**20:.0f} MiB, the maximum for such a file")
+        raise error("too-large", place=path, most=f"{max_bytes / 2**20:.0f} MiB")
     return data
 
 
@@ -51,9 +42,9 @@ def read_text(path: Path, max_bytes: int, error: type[InputError]) -> str:
                 f"{path}: is a session; {'' if named else 'where a session is wanted, its name must end in .mcap; otherwise '}"
                 "give what truearm identify writes of it: a table (--table-out FILE) or a result (--out FILE)"
             ) from exc
-        raise error(f"{path}: is not UTF-8 text (byte {exc.start}); save it as UTF-8") from exc
+        raise error("not-text", place=path, byte=exc.start) from exc
     if "\0" in text:
-        raise error(f"{path}: holds a NUL byte at {text.index(chr(0))}, so it is not a text file")
+        raise error("not-text", place=path, byte=text.index("\0"))
     return text
 
 
@@ -151,11 +142,8 @@ def _umask() -> int:
 
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file as hexadecimal text, read in blocks. Raises InputError if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as exc:
-        raise InputError(f"{path}: cannot be read: {system_reason(exc)}") from exc
+    with open_input(path) as file, reading(path):
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_writable(

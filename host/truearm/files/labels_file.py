@@ -55,8 +55,9 @@ def read_labels(session: Path) -> Labels | None:
     path = labels_path(session)
     if not path.exists():
         return None
+    text = read_text(path, MAX_BYTES, SessionError)
     try:
-        document = json.loads(read_text(path, MAX_BYTES, SessionError))
+        document = json.loads(text)
     except (ValueError, RecursionError) as exc:
         raise SessionError(
             f"{path}: is not JSON: {str(exc)[:100]}; label the dwells again with truearm session relabel"

@@ -55,7 +55,7 @@ def load_robot(robot: str, base: str | None = None, tip: str | None = None) -> R
     try:
         found = _urdf_robot(chain_from_urdf(text, base, tip)) if is_urdf(robot) else parse_robot(text)
     except RobotError as exc:
-        raise RobotError(f"{path}: ", *exc.args) from exc
+        raise exc.within(path) from exc
     return replace(found, file=str(path))
 
 

@@ -27,7 +27,6 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from truearm.errors import Argument, SessionError
-from truearm.file_names import no_such_file, system_reason
 from truearm.types import Ints, Message
 
 MAX_CHUNK_BYTES = 64 << 20
@@ -45,19 +44,6 @@ FOOTER_BYTES = 20
 # Raised by the library for a record that ends early, is not valid UTF-8 or claims a length beyond 63 bits.
 UNREADABLE = (McapError, struct.error, ValueError, OverflowError)
 ADVICE = ("copy it again from where it was recorded, or, to use the intact part, give ", Argument("allow_damaged"))
-
-
-def open_file(path: Path) -> BinaryIO:
-    try:
-        if path.exists() and not path.is_file():
-            raise SessionError(f"{path}: is not a regular file; give a session recorded by truearm record")
-        return path.open("rb")
-    except FileNotFoundError as exc:
-        raise SessionError(no_such_file(path)) from exc
-    except OSError as exc:
-        raise SessionError(f"{path}: cannot be read: {system_reason(exc)}") from exc
-    except ValueError as exc:
-        raise SessionError(f"{path}: cannot be read: {exc}; check its name") from exc
 
 
 def records(file: BinaryIO, end: int, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, int, int]]:

@@ -40,6 +40,7 @@ from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor
 
 from truearm.errors import Argument, SessionError
+from truearm.file_names import open_input
 from truearm.progress import step
 from truearm.session.message_columns import (
     ADVICE,
@@ -57,7 +58,6 @@ from truearm.session.message_columns import (
     chunk_records,
     damaged,
     has_footer,
-    open_file,
     parse_attachment,
     parse_metadata,
     records,
@@ -112,7 +112,7 @@ class Session:
         """Yield the records of one chunk after the other."""
         first, last = min((start for start, _ in self.spans), default=0), max((end for _, end in self.spans), default=0)
         zstd = ZstdDecompressor()
-        with open_file(self.path) as file, step(f"reading {self.path.name}") as advance:
+        with open_input(self.path) as file, step(f"reading {self.path.name}") as advance:
             for start, end in self.spans:
                 for opcode, at, length in records(file, end, start):
                     advance((at - first) / (last - first))
@@ -131,7 +131,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
     second time.
     """
     path = Path(path)
-    with open_file(path) as file:
+    with open_input(path) as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             if not has_footer(file, os.fstat(file.fileno()).st_size):
                 raise SessionError(f"{path}: is not an MCAP file; give a session recorded by truearm record")

@@ -28,8 +28,8 @@ from truearm.correct.programs.reasons import reason_text, remedy_of
 from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
 from truearm.correct.straight_moves import straight_moves
-from truearm.errors import Argument
-from truearm.findings import Finding, FindingError
+from truearm.errors import Argument, FindingError
+from truearm.findings import Finding
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, frame_of, inverted
 from truearm.text import counted, listed

@@ -8,8 +8,8 @@ from difflib import get_close_matches
 
 from truearm.correct.programs.languages import ProgramLanguage
 from truearm.correct.programs.program import Program
-from truearm.errors import Argument
-from truearm.findings import Finding, FindingError
+from truearm.errors import Argument, FindingError
+from truearm.findings import Finding
 from truearm.model.poses import Six
 
 NAMES = {"rapid": ".*", "krl": r"(tool_data|base_data)\d+", "ls": r"u[tf]\d+"}  # a URScript has no names

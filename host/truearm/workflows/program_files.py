@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
-from truearm.errors import InputError
+from truearm.errors import FindingError, InputError
 from truearm.files.disk import check_new_folder, check_writable, read_bytes, write_atomic, write_folder
-from truearm.findings import Finding, FindingError
+from truearm.findings import Finding
 
 MAX_BYTES = 64 * 2**20  # of all files together
 MAX_FILES = 10_000

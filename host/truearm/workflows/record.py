@@ -192,7 +192,7 @@ def _record(device: str, work: RecordingWork, request: Request, output: TextIO) 
                 if not writer.kept:
                     raise
                 where = "" if isinstance(exc, WriteError) else f"; everything received until then is in {writer.path}"
-                raise IncompleteError(*exc.args, where) from exc
+                raise IncompleteError(exc, where) from exc
         dwells = None
         if writer.kept and work.robot is not None and work.rig is not None and (work.rows or work.mounted):
             dwells = recorded_dwells(writer.path)

@@ -162,7 +162,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
     except (RigError, SessionError) as exc:
         if str(exc).startswith(str(path)):
             raise
-        raise type(exc)(f"{path}: ", *exc.args) from exc
+        raise exc.within(path) from exc
     if not len(result.table) and not options.may_be_empty:
         raise SessionError(nothing_observed(path, rejected_of(result)))
     if warning := temperature_warning(result, rig):

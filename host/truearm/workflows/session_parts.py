@@ -73,9 +73,10 @@ def recorded_model(path: Path) -> str:
     """Return the robot, or its file, for which a session was recorded; "" if the session does not name one."""
     from mcap.opcode import Opcode
 
-    from truearm.session.message_columns import MAX_METADATA_BYTES, body_of, open_file, parse_metadata, records
+    from truearm.file_names import open_input
+    from truearm.session.message_columns import MAX_METADATA_BYTES, body_of, parse_metadata, records
 
-    with suppress(SessionError), open_file(path) as file:
+    with suppress(InputError), open_input(path) as file:
         for opcode, at, length in records(file, path.stat().st_size):
             if opcode == Opcode.METADATA:
                 name, entries, _ = parse_metadata(path, body_of(path, file, at, length, MAX_METADATA_BYTES), at)

@@ -14,7 +14,8 @@ from truearm.correct.programs.rapid import read_rapid
 from truearm.correct.programs.tokens import Source
 from truearm.correct.programs.urscript import read_urscript
 from truearm.correct.programs.urscript_names import DEFINING, calls_in
-from truearm.findings import Finding, FindingError
+from truearm.errors import FindingError
+from truearm.findings import Finding
 
 ProgramLanguage = Literal["rapid", "urscript", "krl", "ls"]
 SUFFIXES: dict[ProgramLanguage, tuple[str, ...]] = {

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from truearm.errors import Argument, InputError, SessionError
-from truearm.file_names import no_such_file, system_reason
+from truearm.file_names import open_input, reading
 from truearm.record.robots.joint_table import NO_ARRIVAL, AddedReading
 from truearm.record.robots.sources import FileOptions
 from truearm.schema import quoted
@@ -58,14 +58,10 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
 
 def bag_files(path: Path) -> list[Path]:
     """Return the files of a bag in order: name_0.mcap, name_1.mcap …. Raises InputError."""
-    if not path.is_dir():
-        if not path.exists():
-            raise InputError(no_such_file(path))
+    if path.exists() and not path.is_dir():
         return [path]
-    try:
+    with reading(path):
         names = sorted(path.iterdir(), key=_numbered)
-    except OSError as exc:
-        raise InputError(f"{path}: cannot be read: {system_reason(exc)}") from exc
     files = [name for name in names if name.suffix.lower() in SUFFIXES]
     if not files:
         packed = any(name.suffix == ".zstd" for name in names)
@@ -98,8 +94,7 @@ def _messages(path: Path, topic: str, allow_damaged: bool) -> Iterator[bytes]:
 
 def _sqlite_messages(path: Path, topic: str) -> Iterator[bytes]:
     """Yield as ``_messages``, ordered by time of reception."""
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a regular file; give a bag")
+    open_input(path).close()
     try:
         connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True)
     except sqlite3.Error as exc:

@@ -6,12 +6,13 @@ The header is parsed as in ``columns``. The table is read row by row: a day at 5
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from io import TextIOWrapper
 from itertools import chain
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from truearm.errors import Argument, InputError, TableError
-from truearm.file_names import no_such_file, system_reason
+from truearm.file_names import open_input, reading
 from truearm.files.csv_cells import Row, rows_of
 from truearm.record.joint_lines import MAX_LINE
 from truearm.record.robots.joint_columns import read_columns, renamed, separator_of, with_point
@@ -46,17 +47,11 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
 
 
 def _readings(path: Path, renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
-    if not path.exists():
-        raise TableError(no_such_file(path))
-    if not path.is_file():
-        raise TableError(f"{path}: is not a regular file; save the data to a file first")
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _rows(path, file, renames)
-    except OSError as exc:
-        raise TableError(f"{path}: cannot be read: {system_reason(exc)}") from exc
+        with open_input(path) as file, reading(path):
+            yield from _rows(path, TextIOWrapper(file, encoding="utf-8-sig", newline=""), renames)
     except UnicodeDecodeError as exc:
-        raise TableError(f"{path}: is not UTF-8 text; save it as UTF-8") from exc
+        raise TableError("not-text", place=path) from exc
 
 
 def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iterator[AddedReading]:
@@ -86,7 +81,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     except TableError:
         raise
     except InputError as exc:
-        raise TableError(f"{path}: {exc}") from exc
+        raise TableError(f"{path}: ", exc) from exc
 
 
 def _one_space(line: str) -> str:
