@@ -30,9 +30,10 @@ from truearm.files.observation_table import concatenate, parse_table, read_table
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
 from truearm.kinds.position import nearest_rotation
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
-from truearm.types import BallBar, Device, Floats, ObservationTable, Point, Rig
+from truearm.types import BallBar, Device, Floats, Point, Rig
 from truearm.workflows.identify import Identification, IdentifyOptions, Selection, identified
 from truearm.workflows.selection import held_out_rows
 
@@ -86,14 +87,13 @@ def packed(path: Path) -> str:
 def ur10(series: str) -> tuple[Robot, ObservationTable]:
     folder = DATA / "ipa_ur10"
     data = np.loadtxt(packed(folder / f"series_{series}.csv.xz").splitlines(), delimiter=",", skiprows=1)
-    n = len(data)
     table = ObservationTable(
         q=data[:, :6],
-        kind=np.full(n, "position"),
+        kind="position",
         xyz=1e-3 * data[:, 6:9],
-        tracker=np.full(n, "tracker"),
-        target=np.full(n, "reflector"),
-        source=np.array([f"series_{series} row {i + 1}" for i in range(n)]),
+        tracker="tracker",
+        target="reflector",
+        source=[f"series_{series} row {i + 1}" for i in range(len(data))],
     )
     return load_robot(str(folder / "ur10.toml"), None, None), table
 
@@ -129,15 +129,14 @@ def lengths(robot: Robot, table: ObservationTable, seed: int) -> tuple[Rig, Obse
         distance = np.linalg.norm(points - place, axis=1)
         for bar, middle in BARS.items():
             rows = np.flatnonzero(np.abs(distance - middle) < TRAVEL)
-            n = rows.size
             parts.append(
                 ObservationTable(
                     q=table.q[rows],
-                    kind=np.full(n, "ball_bar"),
-                    value=distance[rows] + rng.normal(0.0, BAR_NOISE, n),
-                    chuck=np.full(n, f"c{c + 1}"),
-                    sphere=np.full(n, "s1"),
-                    bar=np.full(n, bar),
+                    kind="ball_bar",
+                    value=distance[rows] + rng.normal(0.0, BAR_NOISE, rows.size),
+                    chuck=f"c{c + 1}",
+                    sphere="s1",
+                    bar=bar,
                     source=table.source[rows],
                 )
             )

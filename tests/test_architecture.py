@@ -48,7 +48,7 @@ ROOMS = {
     "plan": {"estimate", "kinds", "model"},
     "correct": {"model"},
     "export": {"model"},
-    "session": set(),
+    "session": {"kinds"},  # the table that its observations are given as
     "files": {"estimate", "kinds", "model"},  # of estimate its registry: the names of solvers, losses and priors
     "record": {"files", "session"},
     "report": {"estimate", "kinds", "session"},  # the registries, and why dwells were rejected
@@ -64,7 +64,7 @@ ROOMS = {
         *("plan", "correct", "export", "estimate", "kinds", "model"),
     },
     "extend": {"kinds", "model", "export", "record", "session"},
-    "api": {"workflows", "files", "plan", "correct", "export", "estimate", "model"},
+    "api": {"workflows", "files", "plan", "correct", "export", "estimate", "kinds", "model"},
     "__main__": {"cli"},
     "types": set(),
     "results": set(),

@@ -16,10 +16,11 @@ from truearm.estimate.identify import identify
 from truearm.estimate.levenberg_marquardt import DAMPING_START
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.constant_folding import _folded
 from truearm.model.robot import builtin_robot
-from truearm.types import BallBar, Device, ObservationTable, Point, Rig
+from truearm.types import BallBar, Device, Point, Rig
 
 ROBOTS = {"position": "ur10e", "ball_bar": "puma560"}
 
@@ -32,21 +33,14 @@ def named(prefix: str, points) -> dict[str, Point]:
 
 
 def rig_and_table(kind: str, data) -> tuple[Rig, ObservationTable]:
-    n = len(data["q"])
-    none, no_number = np.broadcast_to(np.array(""), n), np.broadcast_to(np.array(np.nan), n)
-    text = dict.fromkeys(("bar", "chuck", "sphere", "socket", "place", "shell", "source"), none)
-    common = {"q": data["q"], "kind": np.full(n, kind), "sigma": no_number}
     if kind == "position":
         cov = tuple(map(tuple, SIGMA[kind] ** 2 * np.eye(3)))
         tracker = Device("tracker", cov, (0.0, 0.0, 0.0), sigma=0.0, turn_sigma=0.0)
         rig = Rig(trackers={"tracker": tracker}, targets={"target": Point("target", TARGET)})
-        return rig, ObservationTable(**common, **text, value=no_number, xyz=data["y"])
+        return rig, ObservationTable(q=data["q"], kind=kind, xyz=data["y"])
     rig = Rig(named("c", CHUCKS), named("s", SPHERES), {"bar": BallBar("bar", 5.5, 1.0, 10.0, SIGMA[kind])})
-    text |= {
-        "chuck": np.array(list(rig.chucks))[data["pair"][0]],
-        "sphere": np.array(list(rig.spheres))[data["pair"][1]],
-    }
-    return rig, ObservationTable(**common, **text, value=data["y"])
+    chuck, sphere = np.array(list(rig.chucks))[data["pair"][0]], np.array(list(rig.spheres))[data["pair"][1]]
+    return rig, ObservationTable(q=data["q"], kind=kind, chuck=chuck, sphere=sphere, value=data["y"])
 
 
 def held_out(kind: str, data, params: np.ndarray) -> float:

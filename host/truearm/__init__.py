@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from truearm.errors import TableError as TableError
     from truearm.errors import TargetError as TargetError
     from truearm.errors import TruearmError as TruearmError
+    from truearm.kinds.table import ObservationTable as ObservationTable
     from truearm.model.robot import Robot as Robot
     from truearm.plan.ball_bar_plan import BallBarPlan as BallBarPlan
     from truearm.plan.region import Region as Region
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from truearm.results import HeldOut as HeldOut
     from truearm.types import BallBar as BallBar
     from truearm.types import Device as Device
-    from truearm.types import ObservationTable as ObservationTable
     from truearm.types import Plane as Plane
     from truearm.types import Point as Point
     from truearm.types import Rig as Rig
@@ -78,7 +78,7 @@ _MODULES = {
     "IdentifyOptions": "workflows.identify",
     "InputError": "errors",
     "MissingFileError": "errors",
-    "ObservationTable": "types",
+    "ObservationTable": "kinds.table",
     "ParameterEstimate": "workflows.calibration",
     "PlanError": "errors",
     "Plane": "types",

@@ -27,10 +27,11 @@ from truearm.export.formats import FORMATS
 from truearm.file_names import missing_file
 from truearm.files import observation_table, result_file, rig_file, robot_file
 from truearm.files.disk import write_atomic
+from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.robot import Robot
 from truearm.plan.ball_bar_plan import BallBarPlan
-from truearm.types import Floats, ObservationTable, Rig, Rigs
+from truearm.types import Floats, Rig, Rigs
 from truearm.units import UNITS
 from truearm.workflows import correct, export, plan
 from truearm.workflows import identify as identification

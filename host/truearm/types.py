@@ -6,7 +6,7 @@ They only check their shapes: ``n`` rows, ``j`` joints.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -16,9 +16,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from truearm.arguments import Checked, converted
+from truearm.arguments import Checked
 from truearm.display import Displayed
-from truearm.errors import Argument, InputError, PlanError
+from truearm.errors import PlanError
 from truearm.schema import Choice, Covariance, Direction, List, Matrix, Number, sigma
 
 Floats = NDArray[np.float64]
@@ -286,171 +286,8 @@ def rigs_by_name(rig: Rigs) -> Mapping[str, Rig]:
 
 
 def _absent() -> Any:
-    """Return a placeholder for a column that was not given; ObservationTable fills it."""
+    """Return a placeholder for a column that was not given; the class fills it."""
     return None
-
-
-_NUMBERS = ("value", "sigma", "time", "temperature")  # numeric columns (n,) of a table
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ObservationTable(Displayed):
-    """Observations of one or several kinds, one per row. Tables and sessions are both read into this type.
-
-    - ``q`` (n, j) [rad, m]: joint readings.
-    - ``kind`` (n,): "ball_bar", "seat", "line", "position", "pose" or "plane".
-    - ``value`` (n,) [m]: the measured length of a ball-bar row, or the distance from the plane in a ``plane`` row
-      (NaN means 0, a touch). NaN for other kinds.
-    - ``xyz`` (n, 3) [m]: the measured point of a line, position or pose row, in the device's axes.
-    - ``rotation`` (n, 3) [rad]: the measured rotation vector of a pose row.
-    - ``q_rate`` (n, j): joint velocities, NaN where the robot was at rest or they were not measured.
-    - ``side`` (n, j): direction in which each joint last moved before the robot stopped, −1 or 1, NaN where unknown.
-    - ``sigma`` (n,) [m or rad]: standard deviation of each residual in the (first) unit of the row's kind, NaN to use
-      that of the rig.
-    - ``xyz_sigma`` (n, 3) [m]: standard deviation of this point's own noise along the device's axes, in addition to that
-      of the rig. NaN for none.
-    - ``time`` (n,) [s]: time of the measurement on any clock. ``temperature`` (n,) [°C]: temperature of the box at that
-      time. NaN where unknown.
-    - ``bar``, ``chuck`` and the other columns of names (n,) hold "" where a row has no such part. ``rig`` is the name of
-      the rig that a row belongs to.
-    - ``source``: where a row comes from, for messages ("poses.csv row 17"; by default "table[16]").
-    - ``more``: columns that only other kinds have, (n,) or (n, c), by the name that the kind declares.
-      "simulated" is "yes" in rows that were recorded with a simulated box.
-
-    Columns that are not given are filled with NaN or "". Raises TypeError or InputError for a column of the wrong type
-    or shape. ``select(rows)`` returns the rows of a mask or of indices, ``joined(tables)`` one table of several.
-
-    Examples
-    --------
-    >>> import truearm
-    >>> table = truearm.read_table("poses.csv", truearm.load_robot("puma560"))
-    >>> len(table.select(table.chuck == "c1"))
-    30
-    """
-
-    q: Floats  # (n, j) joint readings, rad or m
-    kind: Strings  # (n,)
-    value: Floats = field(default_factory=_absent)  # (n,)
-    sigma: Floats = field(default_factory=_absent)  # (n,)
-    bar: Strings = field(default_factory=_absent)  # (n,)
-    chuck: Strings = field(default_factory=_absent)  # (n,)
-    sphere: Strings = field(default_factory=_absent)  # (n,)
-    socket: Strings = field(default_factory=_absent)  # (n,)
-    place: Strings = field(default_factory=_absent)  # (n,)
-    shell: Strings = field(default_factory=_absent)  # (n,)
-    source: Strings = field(default_factory=_absent)  # (n,)
-    xyz: Floats = field(default_factory=_absent)  # (n, 3)
-    xyz_sigma: Floats = field(default_factory=_absent)  # (n, 3)
-    rotation: Floats = field(default_factory=_absent)  # (n, 3)
-    q_rate: Floats = field(default_factory=_absent)  # (n, j) rad/s or m/s
-    side: Floats = field(default_factory=_absent)  # (n, j)
-    time: Floats = field(default_factory=_absent)  # (n,) s
-    temperature: Floats = field(default_factory=_absent)  # (n,) °C
-    target: Strings = field(default_factory=_absent)  # (n,)
-    line: Strings = field(default_factory=_absent)  # (n,)
-    tracker: Strings = field(default_factory=_absent)  # (n,)
-    plane: Strings = field(default_factory=_absent)  # (n,)
-    rig: Strings = field(default_factory=_absent)  # (n,)
-    more: Mapping[str, NDArray[Any]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("q", "kind"):
-            object.__setattr__(self, name, as_column(name, getattr(self, name), text=name == "kind"))
-        if self.q.ndim != 2:
-            raise InputError(Argument("q"), f" must be (n, j), is {self.q.shape}")
-        n = self.q.shape[0]
-        shapes = {
-            **dict.fromkeys(self.fields(), (n,)),
-            **dict.fromkeys(("q", "q_rate", "side"), self.q.shape),
-            **dict.fromkeys(("xyz", "xyz_sigma", "rotation"), (n, 3)),
-        }
-        for name, shape in shapes.items():
-            if getattr(self, name) is None:
-                blank = np.nan if len(shape) == 2 or name in _NUMBERS else ""
-                rows = (
-                    [f"table[{i}]" for i in range(n)] if name == "source" else np.broadcast_to(np.array(blank), shape)
-                )
-                object.__setattr__(self, name, rows)
-            is_text = len(shape) == 1 and name not in _NUMBERS
-            object.__setattr__(self, name, as_column(name, getattr(self, name), is_text))
-            if getattr(self, name).shape != shape:
-                raise InputError(Argument(name), f" must be {shape}, is {getattr(self, name).shape}")
-        converted("more", self.more, Mapping[str, Any])
-        more = {name: as_column(name, column) for name, column in self.more.items()}
-        for name, column in more.items():
-            if column.shape[:1] != (n,):
-                raise InputError(Argument(name), f" must have {n} rows, is {column.shape}")
-        object.__setattr__(self, "more", more)
-
-    def __len__(self) -> int:
-        return int(self.q.shape[0])
-
-    def _headline(self) -> str:
-        counts = zip(*np.unique(self.kind, return_counts=True), strict=True)
-        return f"{', '.join(f'{n} {kind}' for kind, n in counts) or 'no rows'}; {self.q.shape[1]} joints"
-
-    def _columns(self) -> Mapping[str, Any]:
-        columns: dict[str, Any] = {}
-        for name in (*self.fields(), *self.more):
-            column = self.column(name)
-            by_axis = name in ("xyz", "xyz_sigma", "rotation")
-            axes = {f"{name}_{axis}".removeprefix("xyz_"): column[:, k] for k, axis in enumerate("xyz") if by_axis}
-            columns |= axes or {name: column}
-        return columns
-
-    @property
-    def simulated(self) -> bool:
-        """Whether any row was recorded with a simulated box."""
-        return bool(np.any(self.column("simulated") != ""))
-
-    @classmethod
-    def fields(cls) -> tuple[str, ...]:
-        """Return the columns that every table has."""
-        return tuple(column.name for column in fields(cls) if column.name != "more")
-
-    def column(self, name: str, absent: float | str = "") -> NDArray[Any]:
-        """Return a column, including those in ``more``; filled with ``absent`` if the table does not have it."""
-        converted("name", name, str)
-        if name in self.fields():
-            return np.asarray(getattr(self, name))
-        return self.more[name] if name in self.more else np.full(len(self), absent)
-
-    def select(self, rows: NDArray[Any]) -> ObservationTable:
-        """Return the rows selected by a boolean mask, an index array or a slice. Raises InputError for anything else.
-
-        All rows in their order are the table itself, not a copy.
-        """
-        every = np.arange(len(self))
-        try:
-            index = every[rows]
-        except (IndexError, TypeError, ValueError):
-            index = np.array(0)
-        if index.ndim != 1:
-            raise InputError(
-                Argument("rows"), f": must be a mask of {len(self)} rows, an array of row numbers or a slice"
-            )
-        if np.array_equal(index, every):
-            return self
-        columns: dict[str, Any] = {name: getattr(self, name)[index] for name in self.fields()}
-        return ObservationTable(**columns, more={name: column[index] for name, column in self.more.items()})
-
-    @classmethod
-    def joined(cls, tables: Sequence[ObservationTable]) -> ObservationTable:
-        """Return the rows of several tables, concatenated.
-
-        Raises TypeError, InputError unless they are tables with the same number of joints.
-        """
-        converted("tables", tables, Sequence[ObservationTable])
-        if len({table.q.shape[1] for table in tables}) != 1:
-            raise InputError(Argument("tables"), ": must be one or more tables with the same number of joints")
-        columns: dict[str, Any] = {
-            name: np.concatenate([getattr(table, name) for table in tables]) for name in cls.fields()
-        }
-        more = {
-            name: np.concatenate([_like(column, table.more.get(name), len(table)) for table in tables])
-            for name, column in {name: column for table in tables for name, column in table.more.items()}.items()
-        }
-        return cls(**columns, more=more)
 
 
 def as_column(name: str, given: Any, text: bool | None = None) -> NDArray[Any]:
@@ -467,12 +304,6 @@ def as_column(name: str, given: Any, text: bool | None = None) -> NDArray[Any]:
     if array.dtype.kind not in ("U" if text else "fiu") and (array.size or array.dtype.kind == "O"):
         raise TypeError(f"{name}: must be an array of {'text' if text else 'real numbers'}")
     return array.astype(str, copy=False) if text else array.astype(np.float64, copy=False)
-
-
-def _like(column: NDArray[Any], own: NDArray[Any] | None, n: int) -> NDArray[Any]:
-    """Return a table's ``own`` column, or n rows without a value if it has none."""
-    blank = np.nan if column.dtype.kind == "f" else ""
-    return np.full((n, *column.shape[1:]), blank) if own is None else own
 
 
 @dataclass(frozen=True)

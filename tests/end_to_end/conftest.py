@@ -13,10 +13,11 @@ import pytest
 
 from truearm.cli.main import main
 from truearm.files.rig_file import format_rig
+from truearm.kinds.table import ObservationTable
 from truearm.record import ports
 from truearm.record.recorder import RecordOptions, RecordSummary, record
 from truearm.record.session_writer import SessionWriter
-from truearm.types import Floats, ObservationTable, Plan, Rig
+from truearm.types import Floats, Plan, Rig
 from truearm.workflows.record import plan_rows
 from truearm_sim import micropython
 from truearm_sim.arm import Arm

@@ -12,11 +12,11 @@ from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
 from truearm.files.plan_file import concatenate
 from truearm.files.rig_file import format_rig
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
-from truearm.types import ObservationTable
 from truearm.workflows.record import plan_rows
 from truearm.workflows.session_observations import observations_of_session
 from truearm_sim.lab import Lab

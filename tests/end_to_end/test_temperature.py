@@ -64,7 +64,7 @@ def left(world, rig, result):
     used = [i for i, dwell in enumerate(result.dwells) if not dwell.reason]
     truth = world.truth.length[[result.dwells[i].pose for i in used]]
     extension = (table.value - bar.zero) / bar.gain
-    warm, hot = table.more["bar_temperature"] - 20.0, table.more["sensor_temperature"] - 20.0
+    warm, hot = table.bar_temperature - 20.0, table.sensor_temperature - 20.0
     corrected = bar.zero * (1.0 + STEEL * warm) + bar.gain * (1.0 + GAIN_DRIFT * hot) * extension
     return np.stack([table.value, corrected]) - truth
 
@@ -150,7 +150,7 @@ def test_without_a_thermometer_a_session_far_from_the_calibration_is_warned_of_w
     session(tmp_path / "session.mcap", Thermal(begin=24.0, drift=0.0, ahead=1.0, thermometers=()))
     said = []
     result = observations_of_session(tmp_path / "session.mcap", options=SessionOptions(say=said.append))
-    assert "bar_temperature" not in result.table.more
+    assert "bar_temperature" not in result.table.columns
     (text,) = said
     assert "5.0 °C warmer than when lvdt was calibrated" in text
     # 5 K · (11.5 ppm/K · 460 mm + 100 ppm/K · 37.5 mm)

@@ -18,7 +18,8 @@ from truearm.cli import main as cli
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 from truearm.findings import Finding
-from truearm.types import ObservationTable, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Rig
 
 
 @pytest.fixture

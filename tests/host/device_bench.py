@@ -4,9 +4,10 @@ import numpy as np
 from puma_bench import CHAIN, TRUTH, random_poses
 
 from truearm.kinds.plane import frame_of
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import ObservationTable, Point
+from truearm.types import Point
 
 TARGETS = {
     "ball": Point("ball", (0.02, -0.03, 0.12)),
@@ -16,13 +17,8 @@ TARGETS = {
 
 
 def rows(kind, q, **columns):
-    """Return a table of one kind with the other columns empty. Identifiers may be one word for all rows."""
-    n = len(q)
-    text = {name: np.full(n, "") for name in ("bar", "chuck", "sphere", "socket", "place", "shell")}
-    nan = {name: np.full(n, np.nan) for name in ("value", "sigma")}
-    given = {k: np.full(n, v) if isinstance(v, str) else v for k, v in columns.items()}
-    source = np.array([f"{kind} {i + 1}" for i in range(n)])
-    return ObservationTable(**{"q": q, "kind": np.full(n, kind), "source": source, **text, **nan, **given})
+    """Return a table of one kind."""
+    return ObservationTable(columns, q=q, kind=kind, source=[f"{kind} {i + 1}" for i in range(len(q))])
 
 
 def join(*tables):

@@ -12,13 +12,13 @@ import plan_bench
 from puma_bench import CHAIN, FREE, SIGMA, TRUTH
 
 from truearm.estimate.identify import SolverOptions, identify
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.plan.ball_bar_plan import Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.forecast import Known
 from truearm.plan.route import Visits
-from truearm.types import ObservationTable
 
 STANDARD = plan_bench.RIGS["puma560"]
 RIG = replace(STANDARD, bars={"bar46": STANDARD.bars["bar46"]})

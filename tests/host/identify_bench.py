@@ -11,8 +11,9 @@ from command_line import Run
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
 from truearm.files.robot_file import load_robot
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.types import BallBar, ObservationTable, Point, Rig
+from truearm.types import BallBar, Point, Rig
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "tests" / "data" / "mukca"

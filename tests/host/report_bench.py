@@ -12,10 +12,10 @@ from scipy import stats
 
 from truearm.findings import Finding
 from truearm.kinds.registry import NAMES, kinds
+from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_page import CalibrationPage
 from truearm.report.certificate import MOST, Certificate, Recording, Sensor, facts_of, more, sensor_facts
 from truearm.results import Estimate, Figures, HeldOut, NullDirection, Observability, PredictedError
-from truearm.types import ObservationTable
 from truearm.workflows.certificates import ALWAYS_EXCLUDED
 
 SIGMA = 0.084e-3  # m, the paper's residual

@@ -565,12 +565,12 @@ REFUSED = [
     ("normal", TypeError, lambda a: truearm.Plane("f", (0.4, 0.0, 0.0), 1.0, 2e-5)),
     ("line_sigma", InputError, lambda a: truearm.Rig(line_sigma=(1e-5, -1e-5, 1e-5))),
     ("identify", TypeError, lambda a: truearm.identify(a.robot, a.table, a.rig, solver="map")),
-    ("kind", InputError, lambda a: truearm.ObservationTable(q=[[1.0, 2.0]], kind="a")),
+    ("kind", InputError, lambda a: truearm.ObservationTable(q=[[1.0, 2.0]], kind=["a", "b"])),
     ("q", InputError, lambda a: truearm.ObservationTable(q=[1, 2], kind="a")),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[["a"]], kind=["seat"])),
     ("q", TypeError, lambda a: truearm.ObservationTable(q=[[1.0], [1.0, 2.0]], kind=["seat"])),
     *(("kind", TypeError, lambda a, v=v: truearm.ObservationTable(q=[[1.0]], kind=v)) for v in ([3], None)),
-    ("a", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]] * 2, kind=["seat"] * 2, more={"a": [[1.0], [1.0, 2.0]]})),
+    ("xyz", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]] * 2, kind="seat", xyz=[[1.0], [1.0, 2.0]])),
     *(("table", InputError, lambda a, field=field, v=v: truearm.identify(a.robot, replace(a.table, **{field: np.full(getattr(a.table, field).shape, v)}), a.rig))
       for field, v in (("kind", "bar"), ("q", np.nan), ("value", np.nan))),
     *(("allow", InputError, lambda a, v=v: truearm.identify(a.robot, a.table, a.rig, options=options(allow=(v,))))
@@ -580,8 +580,8 @@ REFUSED = [
     *(("residual", TypeError, lambda a, v=v: truearm.Figures.of(v)) for v in (None, "1.0")),
     *(("residuals", TypeError, lambda a, v=v: truearm.Figures.by_unit(v)) for v in (None, [1.0])),
     ("value", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], value=[1.0, 2.0])),
-    ("more", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more=3)),
-    ("a", InputError, lambda a: truearm.ObservationTable(q=[[1.0]], kind=["seat"], more={"a": [1.0, 2.0]})),
+    ("columns", TypeError, lambda a: truearm.ObservationTable(3)),
+    ("length", TypeError, lambda a: truearm.ObservationTable(q=[[1.0]], kind="seat", length=0.4)),
     ("poses", InputError, lambda a: truearm.correct_poses(a.result, np.eye(4) + 1e300 * np.eye(4, k=3))),
     ("table", InputError, lambda a: truearm.identify(a.robot, replace(a.table, q=np.degrees(a.table.q)), a.rig)),
     ("table", InputError, lambda a: truearm.identify(a.robot, a.table.select(slice(0)), a.rig)),
@@ -696,7 +696,7 @@ def test_odd_values_of_every_argument_are_refused_with_a_text(folder, robot, tab
         *((one, {}) for one in (truearm.Rig, truearm.IdentifyOptions, truearm.BallBarOptions)),
     )
     calls += [(record, given, one) for record, given in records for one in inspect.signature(record).parameters]
-    calls += [(table.select, {}, "rows"), (table.column, {}, "name"), (truearm.ObservationTable.joined, {}, "tables")]
+    calls += [(table.select, {}, "rows"), (truearm.ObservationTable.joined, {}, "tables")]
     calls += [(result.carrying, {"mass": 0.0}, one) for one in ("mass", "centre")]
     for call, given, name in calls:
         texts = refusals(call, name, given)
@@ -734,7 +734,7 @@ def test_wrong_rows_and_tables_are_named(table):
 def test_a_row_of_a_table_in_memory_is_named(robot, table, rig):
     q = table.q.copy()
     q[3, 2] = np.nan
-    bare = truearm.ObservationTable(q, table.kind, table.value, bar=table.bar, chuck=table.chuck, sphere=table.sphere)
+    bare = table.replace(q=q, source=None)
     with pytest.raises(truearm.TableError, match=r"^table: table\[3\]: q\[2\] is not a finite number$"):
         truearm.identify(robot, bare, rig)
 

@@ -14,8 +14,8 @@ from truearm.files.observation_table import read_table, write_table
 from truearm.files.result_file import read_result
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import load_robot
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
-from truearm.types import ObservationTable
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 

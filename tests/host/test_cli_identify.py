@@ -17,7 +17,8 @@ from tests.host.findings_bench import stated
 
 from truearm.files.observation_table import concatenate, read_table, write_table
 from truearm.files.rig_file import write_rig
-from truearm.types import Device, ObservationTable, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Device, Rig
 
 
 def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:

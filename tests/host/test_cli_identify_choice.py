@@ -5,7 +5,7 @@ import pytest
 
 from truearm.errors import InputError
 from truearm.files.observation_table import concatenate, parse_table
-from truearm.types import ObservationTable
+from truearm.kinds.table import ObservationTable
 from truearm.workflows.selection import free_parameters, held_out_rows
 
 NAMES = ("joint1.offset", "joint1.gain", "link2.x", "link2.y")

@@ -16,7 +16,8 @@ from tests.host.findings_bench import stated
 from truearm.cli import main as cli
 from truearm.files.result_file import parse_result, read_result
 from truearm.files.robot_file import load_robot
-from truearm.types import ObservationTable, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Rig
 
 
 def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(

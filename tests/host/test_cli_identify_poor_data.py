@@ -29,8 +29,9 @@ from truearm.estimate.label_search import Search
 from truearm.estimate.solvers import SOLVERS
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 from truearm.workflows.informative_rows import check_rows
 
 UNITS = ("rad",) * 6

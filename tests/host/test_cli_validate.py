@@ -203,7 +203,7 @@ def test_orientations_are_judged_in_degrees(folder, tmp_path, run):
     regions = {region["region"]: region for region in document["regions"]}
     assert regions["shell=two"]["rms_after_deg"] > 5.0 * regions["shell=one"]["rms_after_deg"]
     assert regions["shell=two"]["rms_after_mm"] < 1.3 * regions["shell=one"]["rms_after_mm"]
-    noisy = replace(noisy, more={"rotation_sigma": np.where(np.arange(80) < 40, np.nan, 1e-2)})
+    noisy = noisy.replace(rotation_sigma=np.where(np.arange(80) < 40, np.nan, 1e-2))
     document, _ = found(slice(80))  # rows that say how noisy their angles are: the others have the tracker's figure
     assert document["verdict"].startswith("The calibration holds")
     by_noise = np.degrees(np.sqrt(3.0 * (1e-3**2 + 1e-2**2) / 2.0))

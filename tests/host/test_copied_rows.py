@@ -8,7 +8,8 @@ from puma_bench import CHAIN, RIG, SIGMA, random_table
 
 import truearm
 from truearm.estimate.copied_rows import copied_rows
-from truearm.types import ObservationTable, Point, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Point, Rig
 
 PUMA = truearm.load_robot("puma560")
 

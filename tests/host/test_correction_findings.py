@@ -22,10 +22,11 @@ from truearm.estimate.identify import identify
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.result_document import result_of
 from truearm.files.result_file import RobotFrames, write_result
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.model.robot import builtin_robot
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import unexplained_error
 

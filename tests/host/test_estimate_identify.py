@@ -24,9 +24,10 @@ from truearm.estimate import problem as problem_module
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import weak_prior
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_jacobians
 from truearm.model.urdf import free_without_gains
-from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+from truearm.types import BallBar, Point, Rig, SocketDistance
 
 AT = {name: i for i, name in enumerate(CHAIN.parameter_names)}
 

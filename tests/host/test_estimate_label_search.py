@@ -25,7 +25,8 @@ from truearm.estimate import wrong_inputs
 from truearm.estimate.identify import SolverOptions
 from truearm.estimate.identify import identify as estimated
 from truearm.estimate.wrong_inputs import diagnosed
-from truearm.types import ObservationTable, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Rig
 
 
 @pytest.fixture(autouse=True)

@@ -13,8 +13,8 @@ from puma_bench import CHAIN, SIGMA
 from truearm.errors import InputError
 from truearm.estimate.circumstances import last_directions, last_moves
 from truearm.files.result_document import systematic_entries
+from truearm.kinds.table import ObservationTable
 from truearm.report.result_findings import systematic_findings
-from truearm.types import ObservationTable
 from truearm.workflows.selection import parse_effect
 
 HALF = 0.5e-3  # rad of backlash to either side

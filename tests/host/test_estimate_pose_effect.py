@@ -11,8 +11,9 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_effect import pose_effect
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solution import Options
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 
 NOISE = 1e-4  # m
 TARGETS = {"a": (0.1, 0.0, 0.05), "b": (-0.05, 0.09, 0.05), "c": (-0.05, -0.09, 0.05)}

@@ -21,10 +21,11 @@ from truearm.estimate.prediction import (
 from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
-from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig
+from truearm.types import BallBar, Device, Plane, Point, Rig
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis

@@ -11,7 +11,8 @@ from truearm.errors import ProblemError
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.prior import robot_prior
 from truearm.estimate.problem import build_problem
-from truearm.types import BallBar, Device, ObservationTable, Plane, Point, Rig, SocketDistance
+from truearm.kinds.table import ObservationTable
+from truearm.types import BallBar, Device, Plane, Point, Rig, SocketDistance
 
 TABLE = random_table(18, np.random.default_rng(0))
 
@@ -111,11 +112,10 @@ def test_an_empty_table():
 
 def seat_rows(*labels):
     n = len(labels)
-    empty, nan = np.full(n, ""), np.full(n, np.nan)
     place, socket = (np.array(names) for names in zip(*labels, strict=True))
     q = np.random.default_rng(1).uniform(-1, 1, (n, 6))
-    kind, source = np.full(n, "seat"), np.array([f"row {i + 1}" for i in range(n)])
-    return ObservationTable(q, kind, nan, nan, empty, empty, empty, socket, place, empty, source)
+    source = [f"row {i + 1}" for i in range(n)]
+    return ObservationTable(q=q, kind="seat", socket=socket, place=place, source=source)
 
 
 def test_socket_distances_go_by_place_and_socket_not_by_spelling():

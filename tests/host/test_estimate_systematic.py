@@ -24,12 +24,13 @@ from truearm.estimate.systematic_effects import error_columns, with_effects
 from truearm.estimate.systematic_score import FitChi2, Fitted, WhitenedResiduals
 from truearm.estimate.wrong_inputs import diagnosed
 from truearm.files.result_document import systematic_entries
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation
 from truearm.report.result_findings import systematic_findings
 from truearm.results import Effect
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 from truearm.workflows.selection import parse_effect
 

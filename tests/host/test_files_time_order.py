@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from truearm.files.observation_table import in_order_of_time
-from truearm.types import ObservationTable
+from truearm.kinds.table import ObservationTable
 
 SESSION = 5.0 + 12.0 * np.arange(60)
 

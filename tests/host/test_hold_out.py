@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truearm.types import ObservationTable
+from truearm.kinds.table import ObservationTable
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out
 from truearm.workflows.selection import held_out_rows
 

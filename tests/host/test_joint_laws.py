@@ -26,6 +26,7 @@ from truearm.files.result_file import format_document, parse_result
 from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.position import nearest_rotation
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.law_chain import carries, distal_frames, with_laws
@@ -34,7 +35,7 @@ from truearm.plan.forecast import Known
 from truearm.plan.law_forecast import curve_forecasts
 from truearm.report.law_figures import law_figures
 from truearm.report.law_findings import law_findings
-from truearm.types import CurveKnots, ObservationTable, Payload, SagMasses
+from truearm.types import CurveKnots, Payload, SagMasses
 from truearm.workflows.calibration import calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
@@ -303,7 +304,7 @@ def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
     """On a base that leans by 40°: with gravity along -z the torques are others. Rows of two mountings have no one direction."""
     leaning = np.array([np.sin(0.7), 0.0, -np.cos(0.7)])
     table, _ = world(np.random.default_rng(12), 160, curves=False, gravity=leaning)
-    told = replace(table, more={"gravity": np.tile(9.81 * leaning, (160, 1))})
+    told = table.replace(gravity=np.tile(9.81 * leaning, (160, 1)))
     read = parse_table(format_table(told, ("rad",) * 6), "rows.csv", ("rad",) * 6)
     without, found = (identified_with(rows, np.arange(160) >= 110, "sag").estimate for rows in (table, read))
     assert found.joint_laws.gravity == pytest.approx(tuple(leaning))
@@ -312,7 +313,7 @@ def test_gravity_in_the_table_is_that_of_an_arm_that_stands_askew():
     assert found.held_out.figures["m"].mean < 1.5 * floor
     assert without.held_out.figures["m"].mean > 1.5 * found.held_out.figures["m"].mean
     turned = np.where(np.arange(160)[:, None] % 2, 9.81 * leaning, (0.0, 0.0, -9.81))
-    both = identified_with(replace(table, more={"gravity": turned}), np.zeros(160, dtype=bool), "sag").estimate
+    both = identified_with(table.replace(gravity=turned), np.zeros(160, dtype=bool), "sag").estimate
     assert both.joint_laws.kept == ()
     assert "gravity is up to 20.1 deg from its mean direction" in both.joint_laws.reasons[0]
 
@@ -346,9 +347,14 @@ def loaded_world(rng, masses):
         tracker=np.full(n, "tracker"),
         target=np.full(n, "reflector"),
         source=np.array([f"world row {i + 1}" for i in range(n)]),
-        more={"payload": np.array(masses, dtype=float), "payload_centre": np.tile(HELD, (n, 1))},
+        payload=masses,
+        payload_centre=np.tile(HELD, (n, 1)),
     )
     return table, true_points
+
+
+def without_payload(table):
+    return table.replace(payload=None, payload_centre=None)
 
 
 @pytest.fixture(scope="module")
@@ -365,7 +371,7 @@ def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
     found, table, _ = loaded_arm
     mean = found.estimate.held_out.figures["m"].mean
     assert mean < 1.5 * np.sqrt(8.0 / np.pi) * NOISE  # the factor is the mean norm of the noise alone
-    blind = identified_with(replace(table, more={}), ~found.estimate.fitted, "sag").estimate
+    blind = identified_with(without_payload(table), ~found.estimate.fitted, "sag").estimate
     assert blind.held_out.figures["m"].mean > 3.0 * mean
     laws = found.document["joint_laws"]
     assert [one["mass_kg"] for one in laws["payloads"]] == [0.0, 4.0]
@@ -421,7 +427,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     rig = replace(RIG, payload=read.payload, payload_centre=read.payload_centre)
     by_table = identified_with(table, none, "sag")
     by_rig = identified(
-        ROBOT, rig, replace(table, more={}), Selection(ROBOT.free, none), IdentifyOptions(joint_laws="sag")
+        ROBOT, rig, without_payload(table), Selection(ROBOT.free, none), IdentifyOptions(joint_laws="sag")
     )
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
@@ -433,14 +439,14 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     assert sentence in map_lines(
         Mapped(mapped(again, Section(cell=0.2)), None, payload=again.doubt_of_payload), 0.2, None
     )
-    assert validated(again, rig, replace(table, more={})).document["payload"] == [sentence]
+    assert validated(again, rig, without_payload(table)).document["payload"] == [sentence]
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
-    light = validated(again, rig, replace(table, more={**table.more, "payload": masses}))
+    light = validated(again, rig, table.replace(payload=masses))
     assert light.document["payload"][0] == sentence
     assert "130 rows of 160 have another payload (0 kg) than the rows of the calibration (4 kg)" in str(light)
     with pytest.raises(InputError, match="does not know how a payload acts"):
         again.carrying(2.0)
-    bad = replace(table, more={"payload": np.full(160, -1.0)})
+    bad = table.replace(payload=-1.0)
     with pytest.raises(ProblemError, match="world row 1: a payload of -1 kg"):
         identified_with(bad, none, "sag")
 

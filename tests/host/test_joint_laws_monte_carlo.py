@@ -9,8 +9,8 @@ from ur10_bench import RIG, ROBOT
 
 from truearm.estimate import joint_laws, law_elsewhere
 from truearm.estimate.problem import build_problem
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import joint_frames, point_forward
-from truearm.types import ObservationTable
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 WORLDS = 40

@@ -5,8 +5,9 @@ import pytest
 from test_joint_laws_monte_carlo import MIDDLE, POINTS, rig_of, table_of, truth_of
 from ur10_bench import ROBOT
 
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
-from truearm.types import BallBar, ObservationTable, Point, Rig
+from truearm.types import BallBar, Point, Rig
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 NOISE = 3e-5  # m

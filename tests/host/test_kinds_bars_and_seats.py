@@ -8,8 +8,9 @@ from puma_bench import BARS, CHAIN, CHUCKS, SPHERES, TRUTH, all_pairs, lengths, 
 
 from truearm.estimate.problem import blocks, build_problem
 from truearm.kinds.ball_bar import beyond_stroke
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, point_forward
-from truearm.types import BallBar, ObservationTable, Point, Rig, SocketDistance
+from truearm.types import BallBar, Point, Rig, SocketDistance
 
 UNKNOWN_RIG = Rig(
     chucks={k: Point(k, p.xyz, None) for k, p in CHUCKS.items()},
@@ -160,7 +161,7 @@ STEEL = BallBar(
 
 
 def warmed(t, bar, sensor):
-    return replace(t, more={"bar_temperature": bar, "sensor_temperature": sensor})
+    return t.replace(bar_temperature=bar, sensor_temperature=sensor)
 
 
 def test_a_warm_bar_reads_short_and_a_warm_sensor_in_its_proportion():

@@ -271,13 +271,11 @@ def test_turning_derivatives_are_the_chains_angular_velocity():
 
 def test_an_item_that_two_columns_name_has_its_numbers_once():
     """As in a kind that compares two targets: the second column has a name of its own."""
-    table = replace(
-        rows("position", random_poses(3, np.random.default_rng(1)), target="ball"),
-        more={"below": np.array(["other", "ball", "ball"])},
-    )
+    q = random_poses(3, np.random.default_rng(1))
+    table = rows("position", q, target="ball", sphere=["other", "ball", "ball"])
     scope, every = Scope(CHAIN, RIG, table, ""), np.arange(3)
     first = use_points(scope, every, "target", RIG.targets)
-    second = use_points(scope, every, "below", RIG.targets, item="target")
+    second = use_points(scope, every, "sphere", RIG.targets, item="target")
     layout = Layout(0, (first, second))
     assert [number.name for number in layout.unknown] == [
         f"target.{name}.{k}" for name in ("ball", "other") for k in "xyz"

@@ -12,9 +12,10 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise, RowsByPose
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import LawMode
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.law_chain import with_laws
-from truearm.types import ObservationTable, Point, Rig
+from truearm.types import Point, Rig
 
 NOISE = 5e-5  # m
 JOINT_ERROR = 2e-4  # rad, of each joint at a pose: the arm's own, which no repeat averages

@@ -1,15 +1,14 @@
 """Sessions of earlier versions remain readable: the files of tests/data/sessions give the same observations as before."""
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from truearm.files.observation_table import read_table
+from truearm.kinds.table import ObservationTable
 from truearm.session.session_file import open_session
-from truearm.types import ObservationTable
 from truearm.workflows.export_session import ExportSession, export_session_files
 from truearm.workflows.session_observations import observations_of_session
 
@@ -62,7 +61,7 @@ def test_they_are_known_as_simulated(name, tmp_path):
     for table in (observations_of_session(SESSIONS / f"{name}.mcap").table, exported):
         assert table.simulated
         first = table.select(slice(0, 1))
-        unmarked = replace(first, more={})
+        unmarked = first.replace(simulated=None)
         assert not unmarked.simulated
         assert ObservationTable.joined([unmarked, first]).simulated
 

@@ -9,9 +9,10 @@ from puma_bench import CHAIN, FREE, SIGMA, TRUTH, random_poses
 
 from truearm.estimate.identify import identify
 from truearm.files.result_document import systematic_entries
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.report.result_findings import systematic_findings
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 
 WORLDS = 200
 TRACKER_SIGMA = 1e-4

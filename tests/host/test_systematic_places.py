@@ -8,10 +8,11 @@ from puma_bench import CHAIN, FREE, LOWER, SPHERES, TRUTH, UPPER, random_poses
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem
 from truearm.estimate.wrong_inputs import diagnosed
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward, point_jacobians
 from truearm.model.rotation import rotation
 from truearm.results import Effect, WrongInput
-from truearm.types import ObservationTable, Point, Rig
+from truearm.types import Point, Rig
 
 BALL = np.array(SPHERES["s1"].xyz)
 PLACES = {"front": (0.5, 0.1, 0.2), "left": (0.1, 0.5, 0.3), "right": (0.2, -0.5, 0.25)}

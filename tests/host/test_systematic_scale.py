@@ -8,10 +8,11 @@ from puma_bench import CHAIN, DESIGN, FREE, SIGMA, TRUTH, random_poses
 from truearm.estimate.identify import SolverOptions, identify
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.files.result_document import systematic_entries
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.report.result_findings import systematic_findings
 from truearm.results import Effect
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 
 TRACKER_SIGMA = 5e-5  # m
 PLACE = (1.5, 0.2, 0.5)

@@ -25,12 +25,13 @@ from truearm.estimate.other_readings import Candidate, in_other_units
 from truearm.estimate.trial_fit import tried
 from truearm.estimate.wrong_inputs import absurd, diagnosed, explanations_of
 from truearm.kinds.ball_bar import BallBarRows
+from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import joint_frames, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.report.result_findings import inputs, verdict
 from truearm.results import Unusable, WrongInput
-from truearm.types import ObservationTable, Plane, Rig, thinned
+from truearm.types import Plane, Rig, thinned
 
 ROBOTS = {name: Candidate(robot.chain, robot.free) for name in builtin_names() for robot in [builtin_robot(name)]}
 PUMA = builtin_robot("puma560")
@@ -489,8 +490,8 @@ def probed(heights, give=0.0, n=60):
         arm = point_forward(PUMA.chain, DESIGN, q, np.array([0.0, 0.0, 0.12])) - frames[:, joint, :3, 3]
         sagging[:, joint] -= give * mass * np.cross(frames[:, joint, :3, 2], arm)[:, 2]
     value = devices.target(sagging, params=DESIGN)[:, 2] - 0.3 + 3e-5 * rng.normal(size=len(q))
-    more = {"payload": mass, "payload_centre": np.tile([0.0, 0.0, 0.12], (len(q), 1))}
-    return devices.rows("plane", q, plane="table", target="ball", value=value, more=more)
+    centre = np.tile([0.0, 0.0, 0.12], (len(q), 1))
+    return devices.rows("plane", q, plane="table", target="ball", value=value, payload=mass, payload_centre=centre)
 
 
 def other_units(table):

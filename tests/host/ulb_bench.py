@@ -7,10 +7,11 @@ millimetres by which the real robot's path deviates from straight.
 
 import numpy as np
 
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_jacobian, point_forward
 from truearm.model.robot import builtin_robot
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Device, ObservationTable, Rig
+from truearm.types import Device, Rig
 
 CHAIN = builtin_robot("ulb").chain
 NOMINAL = CHAIN.params_nominal

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from truearm.files.robot_file import load_robot
+from truearm.kinds.table import ObservationTable
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Device, ObservationTable, Point, Rig
+from truearm.types import Device, Point, Rig
 
 FOLDER = Path(__file__).parents[1] / "data" / "ipa_ur10"
 ROBOT = load_robot(str(FOLDER / "ur10.toml"), None, None)

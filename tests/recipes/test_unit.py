@@ -24,7 +24,7 @@ def table(column, value):
 
 key = Key("force", Number("N"))
 print(json.dumps({
-    "read": table("force_n", 12.5).more["force"].tolist(),
+    "read": table("force_n", 12.5)["force"].tolist(),
     "written": format_table(table("force_n", 12.5), ("rad",)).splitlines()[0],
     "no unit": refused(lambda: table("force", 1), TableError),
     "other unit": refused(lambda: table("force_kg", 1), TableError),

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.kinds.table import ObservationTable
 from truearm.results import Figures
 from truearm.session.observations import SyncResult
 from truearm.text import outcome
-from truearm.types import BallBar, ObservationTable
+from truearm.types import BallBar
 from truearm.units import CM, MM, NS, US
 from truearm.workflows.demo_ball_bar import BallBarCalibration
 from truearm.workflows.demo_lines import N_LINES, LineCalibration, delay_words

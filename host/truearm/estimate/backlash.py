@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.errors import ProblemError
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.kinds.table import ObservationTable
+from truearm.types import Floats, Rig
 
 ROUNDING = 1e-9  # relative to joint_cov, which contains ½ b_j squared
 

@@ -9,9 +9,10 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import DriftWith
-from truearm.types import Floats, Indices, ObservationTable
+from truearm.types import Floats, Indices
 
 SAME_POSE = 1e-3  # rad or m: joint readings that differ by less belong to one pose
 LEAST_DIRECTED = 5  # rows that a joint must have reached in either direction
@@ -87,7 +88,7 @@ def last_directions(table: ObservationTable) -> Floats:
     the pose before, and a joint that did not move keeps its direction.
     """
     if np.isfinite(table.side).any():
-        return np.nan_to_num(table.side, nan=0.0)
+        return np.asarray(np.nan_to_num(table.side, nan=0.0))
     step, began = _steps(table)
     last = np.maximum.accumulate(np.where(step == 0.0, -1, np.arange(len(table))[:, None]), axis=0)
     return np.where(last > began[:, None], np.sign(np.take_along_axis(step, last, axis=0)), 0.0)

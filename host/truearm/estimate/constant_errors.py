@@ -25,9 +25,10 @@ from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.systematic_score import FitChi2, log_chance
 from truearm.estimate.ties import largest_first
 from truearm.estimate.whitened_rows import only
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, OffBy, SystematicError, SystematicErrors
-from truearm.types import Floats, ObservationTable, Rigs
+from truearm.types import Floats, Rigs
 
 MOST_ROWS = 400  # of a fit that ranks the items
 FITS = Options(max_iterations=20)

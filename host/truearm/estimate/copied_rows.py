@@ -23,8 +23,9 @@ from scipy import special
 from truearm.estimate.problem import build_problem
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.types import Floats, Indices, ObservationTable, Rigs
+from truearm.types import Floats, Indices, Rigs
 from truearm.units import SMALLEST, UNITS
 
 LEVEL = 1e-3  # probability that equal measurements are taken for copies
@@ -39,8 +40,7 @@ def copied_rows(chain: Chain, rig: Rigs, table: ObservationTable) -> Indices:
     some = np.flatnonzero(np.bincount(first, minlength=len(table))[first] > 1)
     if not some.size:
         return out
-    columns = {name: getattr(table, name)[some] for name in table.fields() if name != "source"}
-    columns |= {name: column[some] for name, column in table.more.items()}
+    columns = {name: column[some] for name, column in table.columns.items() if name != "source"}
     measured = {name: _readings(table.select(table.kind == name), name) for name in np.unique(table.kind).tolist()}
     fields = {quantity.field for quantities in measured.values() for quantity in quantities}
     equal = _first_alike(list(columns.values()))
@@ -62,9 +62,7 @@ def _readings(table: ObservationTable, kind: str) -> list[Quantity]:
     return [
         quantity
         for quantity in kinds()[kind].quantities
-        if quantity.unit in ("m", "rad")
-        and quantity.most > LARGEST_NOISE
-        and np.isfinite(table.column(quantity.field, np.nan)).any()
+        if quantity.unit in ("m", "rad") and quantity.most > LARGEST_NOISE and np.isfinite(table[quantity.field]).any()
     ]
 
 
@@ -94,7 +92,7 @@ def _step_shares(
             continue
         name = str(table.kind[group.row[0]])
         mine = table.select(table.kind == name)
-        every = [(mine.column(of.field).reshape(len(mine), -1), of.unit) for of in measured[name]]
+        every = [(mine[of.field].reshape(len(mine), -1), of.unit) for of in measured[name]]
         step = np.array([_resolution(of, unit) for part, unit in every for of in part.T])
         cov, width = group.sensor_cov, group.sensor_cov.shape[1]
         if step.size == width:

@@ -45,9 +45,10 @@ from truearm.estimate.solution import Options
 from truearm.estimate.solvers import Loss
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.whitened_rows import only, whitened_blocks
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Defaults, StillJoint
-from truearm.types import Floats, Mask, ObservationTable, Rigs
+from truearm.types import Floats, Mask, Rigs
 from truearm.units import UNITS
 
 STILL = 4.0  # weak σ, largest minus smallest reading
@@ -177,7 +178,7 @@ def in_any_pose(chain: Chain, table: ObservationTable) -> ObservationTable:
     rows = np.resize(np.arange(len(table)), max(len(table), LEAST_POSES))
     lower, upper = np.nan_to_num(chain.limits, neginf=-np.pi, posinf=np.pi)
     q = np.random.default_rng(0).uniform(lower, upper, (rows.size, len(chain.joints)))
-    return replace(table.select(rows), q=q)
+    return table.select(rows).replace(q=q)
 
 
 def _misfit(problem: Problem, x: Floats, columns: Mask) -> tuple[float, float]:
@@ -227,7 +228,7 @@ def _seen_by_moving_only(
     standing, moving = table.q.copy(), table.q.copy()
     standing[:, columns] = np.median(table.q[:, columns], axis=0)
     moving[:, columns] += rng.uniform(-MOTION, MOTION, (len(table), len(columns)))
-    roots = [_root(build_problem(chain, rig, replace(table, q=q)), x, free) for q in (standing, moving)]
+    roots = [_root(build_problem(chain, rig, table.replace(q=q)), x, free) for q in (standing, moving)]
     kept = suggested_free(roots[0], n, ((~own | named)[free]))
     told = suggested_free(roots[1], n, kept, taken=kept)
     return spread(told & ~kept, free) & ~named

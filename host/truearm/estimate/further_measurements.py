@@ -19,9 +19,10 @@ from truearm.estimate.information import fold, observe, with_prior
 from truearm.estimate.problem import build_problem, settled
 from truearm.kinds.proposals import Proposal
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Addition
-from truearm.types import Floats, ObservationTable, Rig, Rigs
+from truearm.types import Floats, Rig, Rigs
 
 
 def additions(

@@ -19,8 +19,9 @@ from scipy import special
 
 from truearm.estimate.mean_error import LEAST_POSES
 from truearm.estimate.measured_order import poses
+from truearm.kinds.table import ObservationTable
 from truearm.results import Estimate, Gain, MeanChange, Unusable
-from truearm.types import Floats, Indices, ObservationTable, Residuals
+from truearm.types import Floats, Indices, Residuals
 
 LEVEL = 0.05
 SMALLEST = 1e-9  # m, rad: rounding of exact data is less

@@ -52,10 +52,11 @@ from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import goodness, prior_shares
 from truearm.estimate.validation import has_freedom
 from truearm.estimate.whitened_rows import only, standardised, weighted_chi2
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.progress import step
 from truearm.results import Effect, Estimate, Figures, HeldOut, MeanError, NullDirection
-from truearm.types import Floats, Indices, ObservationTable, Residuals, Rigs, not_left_out
+from truearm.types import Floats, Indices, Residuals, Rigs, not_left_out
 from truearm.units import UNITS
 
 TIME_OFFSET = "time_offset"

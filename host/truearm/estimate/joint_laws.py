@@ -38,6 +38,7 @@ from truearm.estimate.systematic import moves
 from truearm.estimate.systematic_effects import Modelled
 from truearm.estimate.uncertainty import goodness
 from truearm.estimate.whitened_rows import only
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.curve import Curve
 from truearm.model.joint_terms.sag import Sag
@@ -53,7 +54,7 @@ from truearm.results import (
     TriedLaw,
     weights_of,
 )
-from truearm.types import CurveKnots, Floats, Law, ObservationTable, Residuals, Rigs, thinned
+from truearm.types import CurveKnots, Floats, Law, Residuals, Rigs, thinned
 from truearm.units import UNITS
 
 LEAST_FREEDOM = 20  # residuals in excess of the geometry's parameters

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations, islice, pairwise, product
 from typing import Any, NamedTuple
 
@@ -35,9 +34,10 @@ from truearm.estimate.label_test import CLEARLY, Labels, labellings, log_chance,
 from truearm.estimate.ties import first_within
 from truearm.estimate.trial_fit import Trial, misfit, placed, tried
 from truearm.kinds.registry import GROUPS, identifiers, kinds, rig_names
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Relabelling
-from truearm.types import Floats, Indices, ObservationTable, Rig, Rigs, rigs_by_name, thinned
+from truearm.types import Floats, Indices, Rig, Rigs, rigs_by_name, thinned
 
 TENFOLD = 0.1  # of the RMS
 LEVEL = 1e-3  # probability that correct labels are reported as wrong
@@ -102,12 +102,8 @@ class _Searched(NamedTuple):
             mine = self.scope == number
             names = np.array(scope.could, dtype=object).reshape(len(scope.could), -1)[labels[mine]]
             for column, name in zip(label_columns(scope.kind), names.T, strict=True):
-                columns.setdefault(column, self.table.column(column).astype(object))[mine] = name
-        own: dict[str, Any] = {}
-        more: dict[str, NDArray[Any]] = {**self.table.more}
-        for title, values in columns.items():
-            (own if title in self.table.fields() else more)[title] = values.astype(str)
-        return replace(self.table, **own, more=more)
+                columns.setdefault(column, self.table[column].astype(object))[mine] = name
+        return self.table.replace(**{column: names.astype(str) for column, names in columns.items()})
 
     def squares(self, known: Mapping[str, float]) -> Floats:
         """Return the squares (n, k) of every row under each possible label, for given robot parameters; inf for none."""
@@ -275,13 +271,13 @@ def _spread(search: _Searched, groups: Sequence[Indices], labels: Sequence[Label
 
 
 def _searched(chain: Chain, rigs: Mapping[str, Rig], table: ObservationTable, free: NDArray[np.bool_]) -> _Searched:
-    places = list(zip(table.rig.tolist(), table.kind.tolist(), table.column(PLACE).tolist(), strict=True))
+    places = list(zip(table.rig.tolist(), table.kind.tolist(), table[PLACE].tolist(), strict=True))
     scopes = [_Scope(*place, _could(rigs, table, *place)) for place in dict.fromkeys(places)]
     at = {tuple(one[:3]): i for i, one in enumerate(scopes)}
     scope = np.array([at[place] for place in places])
     was = np.empty(len(table), dtype=np.intp)
     for i, one in enumerate(scopes):
-        columns = [table.column(column)[scope == i].tolist() for column in label_columns(one.kind)]
+        columns = [table[column][scope == i].tolist() for column in label_columns(one.kind)]
         # An empty name stands for the only one there is.
         was[scope == i] = [
             one.could.index(tuple(name or one.could[0][k] for k, name in enumerate(names)))
@@ -297,22 +293,22 @@ def _searched(chain: Chain, rigs: Mapping[str, Rig], table: ObservationTable, fr
 
 def _could(rigs: Mapping[str, Rig], table: ObservationTable, rig: str, kind: str, place: str) -> tuple[Labels, ...]:
     """Return the labels that rows of a scope could have, from the names in the rig, or otherwise in its rows."""
-    mine = (table.rig == rig) & (table.kind == kind) & (table.column(PLACE) == place)
+    mine = (table.rig == rig) & (table.kind == kind) & (table[PLACE] == place)
     in_rig, names = rig_names(rigs[rig]), []
     for column in label_columns(kind):
-        have = dict.fromkeys(table.column(column)[mine].tolist())
+        have = dict.fromkeys(table[column][mine].tolist())
         known = in_rig.get(column) or have
         names.append([name for name in known if name or len(known) == 1] if known is not have else list(have))
     every = tuple(product(*names))
     if len(every) <= MAX_CANDIDATES:
         return every
-    columns = zip(*(table.column(column)[mine].tolist() for column in label_columns(kind)), strict=True)
+    columns = zip(*(table[column][mine].tolist() for column in label_columns(kind)), strict=True)
     return tuple(dict.fromkeys(columns))[:1] if len(set(columns)) == 1 else tuple(dict.fromkeys(columns))
 
 
 def _runs(table: ObservationTable, scope: Indices, was: Indices) -> Indices:
     """Return the run (n,) of every row: consecutive rows without a name change, or all rows of one label if too many."""
-    others = [table.column(name).tolist() for name in identifiers()]
+    others = [table[name].tolist() for name in identifiers()]
     keys = list(zip(scope.tolist(), was.tolist(), *others, strict=True))
     runs = np.cumsum([0, *(a != b for a, b in pairwise(keys))])
     for length in (len(keys[0]), 2):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from truearm.kinds.table import ObservationTable
 from truearm.results import Relabelling
-from truearm.types import ObservationTable
 
 
 def label_sentences(found: Sequence[Relabelling], table: ObservationTable) -> list[str]:
@@ -50,7 +50,7 @@ def _exchanged(found: Sequence[Relabelling], table: ObservationTable) -> list[st
             return []
         if not changed:
             continue
-        have = table.column(column)
+        have = table[column]
         if set(changed) != set(changed.values()) or any(count[was] != int((have == was).sum()) for was in changed):
             return []
         if len(changed) == 2:

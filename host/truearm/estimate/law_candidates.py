@@ -22,11 +22,11 @@ from truearm.errors import InputError
 from truearm.estimate.evidence import PriorBlock
 from truearm.estimate.solvers import LawMode
 from truearm.estimate.ties import first_within
-from truearm.kinds.quantities import GRAVITY
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_terms.sag import Sag
 from truearm.model.law_chain import DOWN, carries, distal_frames, with_laws
-from truearm.types import CurveKnots, Floats, Law, ObservationTable, Payload, SagMasses
+from truearm.types import CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG
 
 SPACING = 0.05  # rad between knots, at most
@@ -55,7 +55,7 @@ def gravity_of(table: ObservationTable, of_robot: tuple[float, float, float] | N
 
     Raises InputError for a row whose gravity has length 0.
     """
-    given = table.column(GRAVITY.field, np.nan).reshape(len(table), -1)
+    given = table.gravity
     rows = np.flatnonzero(np.isfinite(given).all(axis=1))
     if not rows.size:
         return Gravity(of_robot or DOWN, of_robot is not None)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from truearm.estimate.circumstances import SAME_POSE, Circumstances, runs, sessions
 from truearm.estimate.systematic_score import Measured
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.types import Indices, ObservationTable
+from truearm.types import Indices
 
 
 def measured_order(table: ObservationTable, chain: Chain, rows: NDArray[np.bool_]) -> Measured:
@@ -28,4 +29,4 @@ def poses(table: ObservationTable) -> Indices:
 def mountings(table: ObservationTable) -> Indices:
     """Return numbers (n,) of the runs of rows with one item mounted, as each kind groups its rows."""
     columns = dict.fromkeys(column for kind in kinds().values() for column in kind.grouped_by)
-    return runs(table.kind, table.rig, table.shell, *(table.column(column) for column in columns))
+    return runs(table.kind, table.rig, table.shell, *(table[column] for column in columns))

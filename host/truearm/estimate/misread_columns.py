@@ -29,9 +29,10 @@ from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import POINT, TURN
 from truearm.kinds.registry import kinds, points
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.rotation import rotation, rotation_vector
-from truearm.types import Floats, Indices, Mask, ObservationTable, Rig, Rigs, thinned
+from truearm.types import Floats, Indices, Mask, Rig, Rigs, thinned
 
 AXES = "xyz"
 
@@ -51,7 +52,7 @@ def other_rotations(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask
     for text, of in readings.items():
         changed = turn.copy()
         changed[some] = of
-        yield Interpretation(text, chain, rig, replace(table, rotation=changed), free)
+        yield Interpretation(text, chain, rig, table.replace(rotation=changed), free)
 
 
 def _by_angles(angles: Floats, moving: bool = False) -> Floats:
@@ -79,9 +80,9 @@ def mirrored(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask) -> It
         turned = _measured(table, TURN.field)
         for k in range(3) if turned else (2,):
             flip = np.where(np.arange(3) == k, -1.0, 1.0)
-            yield Interpretation(text, chain, rig, replace(table, xyz=table.xyz * flip), free)
+            yield Interpretation(text, chain, rig, table.replace(xyz=table.xyz * flip), free)
         if turned:
-            both = replace(table, xyz=table.xyz * flip, rotation=table.rotation * -flip)
+            both = table.replace(xyz=table.xyz * flip, rotation=table.rotation * -flip)
             yield Interpretation(f"{text}, also in the rotations", chain, rig, both, free)
     for column, entry in points().items():
         for k, axis in enumerate(AXES):
@@ -142,7 +143,7 @@ def shifted_rows(
         inside = (other >= 0) & (other < len(table))
         some, of = rows[inside], other[inside]
         if some.size:
-            changed = replace(table.select(some), q=table.q[of], q_rate=table.q_rate[of])
+            changed = table.select(some).replace(q=table.q[of], q_rate=table.q_rate[of])
             text = f"the joint readings in each row belong to the row {belong_to} it"
             yield Interpretation(text, chain, rig, changed, free)
 
@@ -153,12 +154,12 @@ def joint_in_other_unit(chain: Chain, rig: Rigs, table: ObservationTable, free: 
         for factor, are, called in in_other_unit(unit):
             text = f"the readings of {joint.name} are in {are}, not in {called}"
             by = np.where(np.arange(len(chain.joints)) == j, factor, 1.0)
-            yield Interpretation(text, chain, rig, replace(table, q=table.q * by, q_rate=table.q_rate * by), free)
+            yield Interpretation(text, chain, rig, table.replace(q=table.q * by, q_rate=table.q_rate * by), free)
 
 
 def _measured(table: ObservationTable, field: str) -> bool:
     """Return whether the rows measure a quantity."""
     used = (kinds()[str(kind)] for kind in np.unique(table.kind))
     return any(quantity.field == field for kind in used for quantity in kind.quantities) and bool(
-        np.isfinite(table.column(field, np.nan)).any()
+        np.isfinite(table[field]).any()
     )

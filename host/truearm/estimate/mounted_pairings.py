@@ -36,9 +36,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from truearm.estimate.prior import weak_prior, wide_prior
 from truearm.estimate.problem import blocks, build_problem
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.progress import steps_of
-from truearm.types import BAR_MOUNTED, Floats, Indices, Mask, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, Floats, Indices, Mask, Rig
 
 Pairing = tuple[str, str, str]  # bar, chuck, sphere
 
@@ -323,7 +324,7 @@ class _Fit:
         extension = np.where(readings.read, readings.extension, 0.0)
         table = ObservationTable(
             q=np.repeat(readings.q, self.k, axis=0),
-            kind=np.full(len(flat), "ball_bar"),
+            kind="ball_bar",
             value=(zero + self.gain * extension[:, None]).ravel(),
             **dict(zip(BAR_MOUNTED, np.array(flat).T, strict=True)),
         )

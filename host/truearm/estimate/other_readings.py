@@ -15,8 +15,9 @@ from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import placed
 from truearm.kinds.quantities import LARGEST_NOISE, Quantity
 from truearm.kinds.registry import kinds, points
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
-from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, thinned
+from truearm.types import Floats, Mask, Rig, Rigs, thinned
 from truearm.units import DEG, MM, UNITS
 
 INCH = 0.0254  # m
@@ -69,16 +70,16 @@ def in_other_units(chain: Chain, rig: Rigs, table: ObservationTable, free: Mask)
                 q = np.where(which, factor * table.q, table.q)
                 rate = np.where(which, factor * table.q_rate, table.q_rate)
                 text = f"the joint readings are in {are}, not in {called}"
-                yield Interpretation(text, chain, rig, replace(table, q=q, q_rate=rate), free)
+                yield Interpretation(text, chain, rig, table.replace(q=q, q_rate=rate), free)
     for quantity in dict.fromkeys(quantity for kind in used for quantity in kind.quantities):
         if quantity.most <= LARGEST_NOISE or quantity.unit not in ("m", "rad"):
             continue
         inches = [(INCH / MM.scale, "inches", "millimetres")] * (quantity.unit == "m")
         for factor, are, called in (*in_other_unit(quantity.unit), *inches):
             text = f"the readings of {quantity.words} are in {are}, not in {called}"
-            changed = _with_column(table, quantity.field, factor)
-            numbers = np.isfinite(table.column(quantity.field, np.nan)).sum()
-            yield Interpretation(text, chain, rig, changed, free, float(numbers * math.log(factor)))
+            numbers = table[quantity.field]
+            changed = table.replace(**{quantity.field: factor * numbers})
+            yield Interpretation(text, chain, rig, changed, free, float(np.isfinite(numbers).sum() * math.log(factor)))
     for column, entry in points().items():
         for factor, are, called in in_other_unit("m"):
             scaled = _with_points(rig, entry, factor)
@@ -91,14 +92,6 @@ def in_other_unit(unit: str) -> tuple[tuple[float, str, str], ...]:
     """Return factors for numbers in another unit than m or rad: "are in the first, not in the second"."""
     scale, shown, si = (MM.scale, "millimetres", "metres") if unit == "m" else (DEG.scale, "degrees", "radians")
     return (scale, shown, si), (1.0 / scale, si, shown)
-
-
-def _with_column(table: ObservationTable, field: str, factor: float) -> ObservationTable:
-    column = factor * table.column(field, np.nan)
-    if field in table.fields():
-        own: dict[str, Any] = {field: column}
-        return replace(table, **own)
-    return replace(table, more={**table.more, field: column})
 
 
 def in_each_rig(rigs: Mapping[str, Rig], change: Callable[[Rig], Rigs | None]) -> Rigs | None:
@@ -147,7 +140,7 @@ def worst_fitted(scored: Sequence[tuple[Any, ...]]) -> float:
 
 
 def _with_joints(table: ObservationTable, order: Sequence[int], signs: Floats) -> ObservationTable:
-    return replace(table, q=table.q[:, order] * signs, q_rate=table.q_rate[:, order] * signs)
+    return table.replace(q=table.q[:, order] * signs, q_rate=table.q_rate[:, order] * signs)
 
 
 def _arrangements(n: int) -> Iterator[tuple[list[int], Floats]]:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group, GroupOfOther
 from truearm.kinds.linearised import Linearised
-from truearm.kinds.quantities import PAYLOAD, PAYLOAD_CENTRE
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.law_chain import carries
-from truearm.types import Floats, ObservationTable, Payload, Rigs, rigs_by_name
+from truearm.types import Floats, Payload, Rigs, rigs_by_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,17 +46,14 @@ def payloads_of(rig: Rigs, table: ObservationTable) -> list[Payload]:
 
     Raises ProblemError for a negative mass.
     """
-    mass = table.column(PAYLOAD.field, np.nan)
-    centre = table.column(PAYLOAD_CENTRE.field, np.nan).reshape(len(table), -1)
+    mass = table.payload
     bad = np.flatnonzero(mass < 0.0)
     if bad.size:
         raise ProblemError(f"{table.source[bad[0]]}: a payload of {mass[bad[0]]:g} kg; give 0 kg (no payload) or more")
     of_rig = {name: Payload(one.payload, one.payload_centre) for name, one in rigs_by_name(rig).items()}
     return [
         of_rig[str(name)] if np.isnan(m) else Payload(float(m), (x, y, z))
-        for name, m, (x, y, z) in zip(
-            table.rig, mass, np.broadcast_to(np.nan_to_num(centre), (len(table), 3)).tolist(), strict=True
-        )
+        for name, m, (x, y, z) in zip(table.rig, mass, np.nan_to_num(table.payload_centre).tolist(), strict=True)
     ]
 
 

@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 from truearm.estimate.uncertainty import covariance_root
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, about, along, forward, point_forward, point_jacobians, trace_point
 from truearm.results import MOVES, Effect, Estimate, PredictedError, SystematicErrors
-from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name, thinned
+from truearm.types import Floats, Rigs, rigs_by_name, thinned
 from truearm.units import UNITS
 
 MOST_POSES = 500  # evenly spaced ones of a large table: the Jacobian, 1500 × 54, is then 0.6 MB
@@ -209,8 +210,9 @@ def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> 
         prefix = f"{name}." if name else ""
         for kind, of in kinds().items():
             rows = (table.rig == name) & (table.kind == kind)
-            known, column = of.points(one), table.column(of.point)
+            known = of.points(one)
             for label, point in known.items():
+                column = table[of.point]
                 mine = rows & ((column == label) | ((column == "") & (len(known) == 1)))
                 own = [at.get(f"{prefix}{of.point}.{label}.{k}", estimate.value.size) for k in "xyz"]
                 columns[mine] = own

@@ -40,11 +40,12 @@ from truearm.estimate.systematic_effects import (
 from truearm.kinds.group import Group
 from truearm.kinds.registry import end_points, kinds
 from truearm.kinds.rig_references import RigUse, Scope
+from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Fault, Layout
 from truearm.model.chain import Chain
 from truearm.model.law_chain import has_payload_law
 from truearm.results import Effect
-from truearm.types import Floats, ObservationTable, Residuals, Rig, Rigs, rigs_by_name
+from truearm.types import Floats, Residuals, Rig, Rigs, rigs_by_name
 from truearm.units import UNITS
 
 BLOCK = 4096  # observations evaluated at once: a Jacobian of 54 columns takes 1.8 MB, about the second-level cache
@@ -129,7 +130,7 @@ def build_problem(
     joint_cov = checked_joint_cov(first.joint_cov, len(chain.joints))
     backlash = Backlash.of(first, joint_cov)
     if backlash is not None:
-        table, joint_cov = replace(table, q=backlash.links(table)), backlash.cov_of_known_sides
+        table, joint_cov = table.replace(q=backlash.links(table)), backlash.cov_of_known_sides
     uses: list[RigUse] = []
     for name, one in rigs.items():
         scope = Scope(chain, one, table, f"{name}." if name else "")

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from truearm.estimate.better_fit import HUNDREDFOLD, MOST_ROWS, Found, explains, found_in
 from truearm.estimate.label_sentences import named_row
 from truearm.estimate.trial_fit import Trial, misfit, tried
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import WrongInput
 from truearm.text import counted
-from truearm.types import Floats, Mask, ObservationTable, Rigs, thinned
+from truearm.types import Floats, Mask, Rigs, thinned
 
 LEAST_ROWS = 5  # of another set-up
 

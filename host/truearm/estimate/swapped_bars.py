@@ -7,7 +7,6 @@ a bar with z₁ and k₁ is the length z₁ + k₁·(length − z₀)/k₀.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import combinations, pairwise
 from typing import NamedTuple
 
@@ -16,9 +15,10 @@ import numpy as np
 from truearm.estimate.label_sentences import named_row
 from truearm.estimate.measured_order import mountings
 from truearm.estimate.other_readings import Interpretation
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.text import counted
-from truearm.types import BallBar, Indices, Mask, ObservationTable, Rig, Rigs
+from truearm.types import BallBar, Indices, Mask, Rig, Rigs
 
 
 class OtherBar(NamedTuple):
@@ -75,4 +75,4 @@ def _with_bar(table: ObservationTable, mine: Mask, was: BallBar, now: BallBar) -
     """Return the table with the rows ``mine`` (n,) measured with bar ``now``, where they name ``was``."""
     length = now.zero + now.gain * (table.value - was.zero) / was.gain
     bar = np.where(mine, now.name, table.bar)
-    return replace(table, bar=bar, value=np.where(mine, length, table.value))
+    return table.replace(bar=bar, value=np.where(mine, length, table.value))

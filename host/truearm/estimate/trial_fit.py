@@ -23,9 +23,10 @@ from truearm.estimate.prior import wide_prior
 from truearm.estimate.problem import Problem, build_problem, modelled_of
 from truearm.estimate.solution import Options, of_data
 from truearm.estimate.uncertainty import goodness, prior_shares
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, Figures
-from truearm.types import Floats, ObservationTable, Residuals, Rigs
+from truearm.types import Floats, Residuals, Rigs
 from truearm.units import UNITS
 
 # Wrong inputs are wrong by centimetres: the last thousandth of χ² in a curved valley is not worth its evaluations.

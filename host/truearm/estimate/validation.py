@@ -43,9 +43,10 @@ from truearm.estimate.systematic_score import FitChi2, Fitted
 from truearm.estimate.uncertainty import covariance_root
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.group import unit_columns
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import MOVES, Effect, SystematicErrors
-from truearm.types import Floats, ObservationTable, Residuals, Rigs
+from truearm.types import Floats, Residuals, Rigs
 
 NOTHING: Mapping[str, float] = MappingProxyType({})
 LEVEL = 0.99  # probability that a consistent session is reported as consistent

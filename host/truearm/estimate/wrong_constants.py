@@ -22,10 +22,11 @@ from truearm.estimate.solution import prior_error
 from truearm.estimate.systematic_effects import Cause
 from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import Trial, trial_problem, tried
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Effect, WrongInput
 from truearm.text import counted
-from truearm.types import Floats, Mask, ObservationTable, Rigs
+from truearm.types import Floats, Mask, Rigs
 from truearm.units import UNITS, Unit
 
 MOST_FITTED = 4

@@ -53,10 +53,11 @@ from truearm.estimate.ties import largest_first
 from truearm.estimate.trial_fit import Trial, tried
 from truearm.estimate.uncertainty import LEAST_FREEDOM
 from truearm.estimate.wrong_constants import wrong_constants
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Estimate, Explanation, Figures, Relabelling, Unusable, WrongInput
 from truearm.text import counted
-from truearm.types import Mask, ObservationTable, Rigs
+from truearm.types import Mask, Rigs
 from truearm.units import UNITS
 
 MISFIT = 4.0  # χ²/ν: with less, rows that do not fit are not worth a search

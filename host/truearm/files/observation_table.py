@@ -23,9 +23,10 @@ from truearm.files.disk import read_text, write_atomic
 from truearm.files.observation_columns import Column, joint_columns, rate_columns, read_header, sigma_column
 from truearm.kinds import registry
 from truearm.kinds.quantities import CIRCUMSTANCES, LARGEST_NOISE, Quantity
+from truearm.kinds.table import ObservationTable
 from truearm.schema import quoted
 from truearm.text import with_article
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, Rig
 from truearm.units import SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
@@ -69,10 +70,9 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     given: dict[str, Any] = {**names, **measured, "sigma": sigma}
     if rates:
         given["q_rate"] = together(rates, rows, "the velocities of all joints", name)
-    more = {field: given.pop(field) for field in tuple(given) if field not in ObservationTable.fields()}
     source = np.array([f"{name} row {row.number}" for row in rows])
     return ObservationTable(
-        q=q, kind=kind, source=source, **given, more={k: column for k, column in more.items() if _filled(column).any()}
+        {field: column for field, column in given.items() if _filled(column).any()}, q=q, kind=kind, source=source
     )
 
 
@@ -183,7 +183,7 @@ def check_values(table: ObservationTable, joint_units: Sequence[str]) -> None:
     for key, kind in registry.kinds().items():
         checks += [(quantity, table.kind == key) for quantity in (*kind.quantities, noise[kind.components[0]])]
     for quantity, rows in checks:
-        _refuse_values(table, quantity, table.column(quantity.field, np.nan), rows)
+        _refuse_values(table, quantity, table[quantity.field], rows)
     for j, unit in enumerate(joint_units):
         for name, column, of in (("q", table.q, unit), ("q_rate", table.q_rate, f"{unit}/s")):
             _refuse_values(table, Quantity(name, (f"{name}[{j}]",), of), column[:, j], np.ones(len(table), dtype=bool))
@@ -203,7 +203,7 @@ def _refuse_incomplete(table: ObservationTable) -> None:
     for key, kind in registry.kinds().items():
         for needed in (column for column in kind.needs if not isinstance(column, str)):
             words = needed.words if len(needed.columns) > 1 else with_article(needed.words)
-            missing.append(((table.kind == key) & ~_filled(table.column(needed.field, np.nan)), words))
+            missing.append(((table.kind == key) & ~_filled(table[needed.field]), words))
     for rows, what in missing:
         if rows.any():
             row = int(np.argmax(rows))
@@ -229,7 +229,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     row's kind rejects.
     """
     for column, known in registry.rig_names(rig).items():
-        for identifier, source in zip(table.column(column), table.source, strict=True):
+        for identifier, source in zip(table[column], table.source, strict=True):
             if identifier and identifier not in known:
                 has = f"it has {', '.join(sorted(known))}" if known else f"it has no {column}"
                 raise TableError(
@@ -238,7 +238,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
                 )
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
-        nameless = np.flatnonzero(rows & (table.column(kind.point) == "")) if len(points) > 1 else np.zeros(0, int)
+        nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)
         if nameless.size:
             names = ", ".join(sorted(points))
             where = f"{table.source[nameless[0]]} column {kind.point}"
@@ -260,7 +260,7 @@ def format_table(table: ObservationTable, joint_units: Sequence[str]) -> str:
 
 def table_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict[str, Any]:
     """Return titles and values of the columns that ``format_table`` writes; ``source`` is not among them."""
-    names = {column: table.column(column) for column in registry.identifiers()}
+    names = {column: table[column] for column in registry.identifiers()}
     return {
         "kind": table.kind,
         **_number_columns(table, joint_units),
@@ -273,9 +273,7 @@ def _number_columns(table: ObservationTable, joint_units: Sequence[str]) -> dict
     joints = {f"q{i}_{unit}": table.q[:, i - 1] for i, unit in enumerate(joint_units, start=1)}
     others: dict[str, Floats] = {}
     for quantity in registry.quantities():
-        parts = np.atleast_2d(
-            table.column(quantity.field, np.nan).T
-        )  # (components, rows), also of a table without rows
+        parts = np.atleast_2d(table[quantity.field].T)  # (components, rows), also of a table without rows
         others |= {
             named(title, _own(quantity.unit)): part for title, part in zip(quantity.columns, parts, strict=False)
         }

@@ -20,6 +20,7 @@ from truearm.estimate.gain import gain_of
 from truearm.files.result_file import Covariance, Parameter, Result, RobotFrames
 from truearm.files.strict_json import without_nan
 from truearm.kinds import registry
+from truearm.kinds.table import ObservationTable
 from truearm.results import (
     DriftWith,
     Estimate,
@@ -31,7 +32,7 @@ from truearm.results import (
     SystematicError,
     SystematicErrors,
 )
-from truearm.types import ObservationTable, Residuals
+from truearm.types import Residuals
 from truearm.units import MM, MRAD, SUFFIXES, UNITS, key, shown
 
 
@@ -204,7 +205,7 @@ def _counts(estimate: Estimate, table: ObservationTable, units: Sequence[str]) -
         if estimate.left_out.size:
             held_out &= ~estimate.left_out
         entry = {"rig": rig, "kind": kind, "fitted": int(fitted.sum()), "held_out": int(held_out.sum())}
-        entry |= {f"{column}s": len(set(table.column(column)[fitted].tolist()) - {""}) for column in columns}
+        entry |= {f"{column}s": len(set(table[column][fitted].tolist()) - {""}) for column in columns}
         entry |= _rms("rms_before", estimate.residual_before, fitted, units)
         entry |= _rms("rms_after", estimate.residual, fitted, units)
         entry |= _rms("rms_held_out", estimate.residual, held_out, units)

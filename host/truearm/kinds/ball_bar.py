@@ -27,10 +27,11 @@ from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
 from truearm.kinds.quantities import BAR_TEMPERATURE, LENGTH, SENSOR_TEMPERATURE
 from truearm.kinds.rig_entries import NAME, POINT, SPHERE, by_name
 from truearm.kinds.rig_references import RigUse, Scope, measured, sigmas, use
+from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, SchemaError, Table, keys_of
-from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, ObservationTable, Point, Rig
+from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, Point, Rig
 from truearm.units import MM
 
 SURE = 5.0  # σ: a length is beyond the stroke
@@ -98,7 +99,7 @@ def warmer(table: ObservationTable, bars: Sequence[BallBar]) -> Floats:
     0 where the table does not hold the temperature.
     """
     holds = np.array([(bar.temperature, bar.sensor_temperature) for bar in bars]).reshape(-1, 2)
-    read = [table.column(quantity.field, np.nan) for quantity in (BAR_TEMPERATURE, SENSOR_TEMPERATURE)]
+    read = [table[quantity.field] for quantity in (BAR_TEMPERATURE, SENSOR_TEMPERATURE)]
     return np.asarray(np.nan_to_num(np.stack(read, axis=1) - holds))
 
 
@@ -192,7 +193,7 @@ def _trial(q: Floats, bar: str, pairs: Sequence[tuple[str, str]]) -> Observation
     Their length is arbitrary, since the derivatives do not depend on the reading.
     """
     chuck, sphere = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
-    return trial_rows(q, "ball_bar", value=np.ones(len(q)), bar=bar, chuck=chuck, sphere=sphere)
+    return trial_rows(q, "ball_bar", value=1.0, bar=bar, chuck=chuck, sphere=sphere)
 
 
 def _another(points: Sequence[tuple[float, float, float]]) -> Point:

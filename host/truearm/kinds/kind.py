@@ -10,9 +10,10 @@ from truearm.kinds.group import Group
 from truearm.kinds.proposals import Proposing
 from truearm.kinds.quantities import Quantity
 from truearm.kinds.rig_references import RigUse, Scope
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.schema import Entries
-from truearm.types import Floats, Indices, ObservationTable, Point, Rig
+from truearm.types import Floats, Indices, Point, Rig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,10 +40,11 @@ from truearm.kinds.proposals import NEW, TRIAL_SIGMA, Proposal, about_one_point,
 from truearm.kinds.quantities import POINT, SPREAD
 from truearm.kinds.rig_entries import DEVICE, TARGET, by_name
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
 from truearm.model.rotation import rotation
 from truearm.schema import Entries
-from truearm.types import Device, Floats, Indices, LinePlacement, ObservationTable, Rig
+from truearm.types import Device, Floats, Indices, LinePlacement, Rig
 
 
 def place(

@@ -80,7 +80,7 @@ def use_rig(scope: Scope, rows: Indices) -> RigUse:
     used, make_points = points_of(scope, rows, "tracker", known)
     labels, which = look_up(scope, rows, "tracker", known)
     turns = measured(scope, rows, TURN)
-    own = scope.table.column(TURN_SIGMA.field, np.nan)[rows]
+    own = scope.table[TURN_SIGMA.field][rows]
     of_tracker = np.array([known[str(label)].rotation_sigma or 0.0 for label in labels])[which]
     sigma = np.where(np.isnan(own), of_tracker, own)
     wanted = f"a pose row needs a rotation_sigma, its own or its tracker's, of {SMALLEST:g} rad or more"

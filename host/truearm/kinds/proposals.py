@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward, point_jacobians
-from truearm.types import Floats, ObservationTable, Rig
+from truearm.types import Floats, Rig
 
 NEW = "(new)"  # brackets are not allowed in the names of a rig
 TRIES = 40  # rows that a proposal is tried with; a new line or place has up to 6 unknowns of its own
@@ -39,16 +40,8 @@ Proposing = Callable[[Chain, Rig, ObservationTable, np.random.Generator], Iterat
 
 
 def trial_rows(q: Floats, kind: str, **columns: Any) -> ObservationTable:
-    """Return rows of a kind at joint readings q (n, j), including columns of further kinds.
-
-    A string stands for a column with the same value in all rows.
-    """
-    n = len(q)
-    given: dict[str, Any] = {
-        name: np.full(n, value) if isinstance(value, str) else value for name, value in columns.items()
-    }
-    more = {name: given.pop(name) for name in tuple(given) if name not in ObservationTable.fields()}
-    return ObservationTable(q=q, kind=np.full(n, kind), sigma=np.full(n, TRIAL_SIGMA), **given, more=more)
+    """Return rows of a kind at joint readings q (n, j)."""
+    return ObservationTable(columns, q=q, kind=kind, sigma=TRIAL_SIGMA)
 
 
 def anywhere(chain: Chain, n: int, rng: np.random.Generator) -> Floats:

@@ -11,6 +11,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from truearm.kinds.kind import Kind
     from truearm.kinds.quantities import Quantity
     from truearm.schema import Entries
@@ -40,7 +42,7 @@ def kinds() -> Mapping[str, Kind]:
 def add_kind(name: str, kind: Kind) -> None:
     """Add a kind of another package. Its rows have this name in the column ``kind``."""
     ADDED[name] = kind
-    for derived in (kinds, identifiers, quantities, entries):
+    for derived in (kinds, identifiers, quantities, blank_row, entries):
         derived.cache_clear()
 
 
@@ -57,6 +59,18 @@ def quantities() -> tuple[Quantity, ...]:
 
     every = (quantity for kind in kinds().values() for quantity in kind.quantities)
     return tuple({quantity.field: quantity for quantity in (*every, *CIRCUMSTANCES)}.values())
+
+
+@cache
+def blank_row(joints: int) -> Mapping[str, NDArray[Any]]:
+    """Return all columns that a table may have, and what each holds in a row without a value: "", or NaN (k,)."""
+    import numpy as np
+
+    measured = {quantity.field: len(quantity.columns) for quantity in quantities()}
+    nan = {name: np.full(width if width > 1 else (), np.nan) for name, width in {**measured, "sigma": 1}.items()}
+    text = dict.fromkeys((*identifiers(), "source"), np.array(""))
+    q = np.full(joints, np.nan)
+    return {"q": q, "kind": np.array(""), **nan, **text, "q_rate": q, "side": q}
 
 
 @cache

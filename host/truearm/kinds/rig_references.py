@@ -15,10 +15,11 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.kinds.group import Group
 from truearm.kinds.quantities import Quantity
+from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import MOVED, Fault, Layout, RigNumber, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, point_forward
 from truearm.text import with_article
-from truearm.types import Floats, Indices, ObservationTable, Point, Rig
+from truearm.types import Floats, Indices, Point, Rig
 from truearm.units import SMALLEST
 
 Entry = TypeVar("Entry")
@@ -51,7 +52,7 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
     An empty name stands for the only entry there is. Raises ProblemError that names the first row with a name that the
     rig does not have.
     """
-    names, which = enumerate_labels(scope.table.column(what)[rows].tolist())
+    names, which = enumerate_labels(scope.table[what][rows].tolist())
     labels: list[Hashable] = []
     for i, name in enumerate(names):
         label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
@@ -90,7 +91,7 @@ def use_points(scope: Scope, rows: Indices, what: str, known: Mapping[str, Point
 
 def measured(scope: Scope, rows: Indices, quantity: Quantity) -> Floats:
     """Return the measured values (n,) or (n, c) of the rows. Raises ProblemError for the first row without a value."""
-    values = scope.table.column(quantity.field, np.nan)[rows]
+    values = scope.table[quantity.field][rows]
     lacks = ~np.isfinite(values.reshape(len(rows), -1)).all(axis=1)
     what = quantity.words if len(quantity.columns) > 1 else with_article(quantity.words)
     refuse(scope, rows, lacks, f"{with_article(str(scope.table.kind[rows[0]]))} row needs {what}")

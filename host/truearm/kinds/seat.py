@@ -21,10 +21,11 @@ from truearm.kinds.proposals import NEW, Proposal, about_one_point, trial_rows
 from truearm.kinds.rig_entries import POINT, SPHERE
 from truearm.kinds.rig_references import ORIGIN, RigUse, Scope, nominal_points, sigmas, use_points
 from truearm.kinds.socket_distance import known_distances
+from truearm.kinds.table import ObservationTable
 from truearm.kinds.unknowns import Layout, Used, enumerate_labels, point_numbers
 from truearm.model.chain import Chain, along, trace_point
 from truearm.schema import IDENTIFIER, Entries, Key, List, SchemaError, Table, keys_of
-from truearm.types import Floats, Indices, ObservationTable, Point, Rig, SocketDistance
+from truearm.types import Floats, Indices, Point, Rig, SocketDistance
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -188,7 +188,7 @@ def _told(known: Known, found: Plan, best: Plan) -> NDArray[np.bool_]:
     told = np.ones(len(found), dtype=bool)
     for column, points in (("chuck", known.rig.chucks), ("sphere", known.rig.spheres)):
         names, poses = np.unique(getattr(best, column), return_counts=True)
-        before = () if known.measured is None else known.measured.column(column)
+        before = () if known.measured is None else known.measured[column]
         idle = [
             name
             for name, count in zip(names.tolist(), poses.tolist(), strict=True)

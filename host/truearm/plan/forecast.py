@@ -27,12 +27,13 @@ from truearm.estimate.solvers import Prior
 from truearm.estimate.whitened_rows import whitened_blocks
 from truearm.kinds.registry import end_points
 from truearm.kinds.registry import points as points_of_rig
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch, Capsules
 from truearm.plan.branch_inverse import Arm, make_arm
 from truearm.results import MOVES, Defaults, NullDirection
-from truearm.types import Floats, ObservationTable, Plan, Rig, rms
+from truearm.types import Floats, Plan, Rig, rms
 from truearm.units import UNITS
 
 
@@ -206,8 +207,7 @@ def bar_table(known: Known, plan: Plan) -> ObservationTable:
 
 def planned_table(q: Floats, kind: str, **columns: Any) -> ObservationTable:
     """Return a table of one kind with the given columns."""
-    source = np.array([f"planned pose {i}" for i in range(len(q))])
-    return ObservationTable(q=q, kind=np.full(len(q), kind), source=source, **columns)
+    return ObservationTable(columns, q=q, kind=kind, source=[f"planned pose {i}" for i in range(len(q))])
 
 
 def _all_rows(known: Known, planned: ObservationTable) -> ObservationTable:

@@ -21,11 +21,12 @@ from truearm.estimate.measured_order import poses
 from truearm.estimate.pose_noise import PoseNoise
 from truearm.estimate.problem import build_problem
 from truearm.estimate.solvers import LawMode
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.model.joint_law import terms
 from truearm.model.law_chain import with_laws
 from truearm.plan.forecast import Known
-from truearm.types import Floats, ObservationTable, rms
+from truearm.types import Floats, rms
 
 TYPICAL = 2e-4  # rad, at each of the lengths
 TYPICAL_LENGTHS = (0.1, 0.2)  # rad

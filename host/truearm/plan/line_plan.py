@@ -23,6 +23,7 @@ from truearm.errors import Argument, PlanError
 from truearm.estimate.information import of_rows
 from truearm.estimate.problem import settled
 from truearm.estimate.whitened_rows import whitened_blocks
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import point_forward
 from truearm.model.rotation import rotation_vector
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
@@ -33,7 +34,7 @@ from truearm.plan.measurement_limits import Site
 from truearm.plan.region import Region, around, poses_in
 from truearm.plan.route_stops import SETTLE, Stop, plain
 from truearm.progress import steps_of
-from truearm.types import Device, Floats, Move, ObservationTable, Plan, Rig
+from truearm.types import Device, Floats, Move, Plan, Rig
 
 SETUP = 180.0  # s to place the device
 BY_HAND = 0.052  # rad about each axis: accuracy with which a device is set up as planned (Renders III-C)
@@ -145,14 +146,13 @@ def line_rows(
         ways = np.concatenate([values, sign * values[:, ::-1]] * passes, axis=1)
         return ways.reshape(-1, values.shape[2])
 
-    n = 2 * passes * lines.points.shape[1] * len(names)
     table = planned_table(
         all_ways(lines.points),
         "line",
         xyz=all_ways(xyz),
         q_rate=all_ways(lines.q_rate, -1.0),
-        line=np.repeat(names, n // len(names)),
-        target=np.full(n, target),
+        line=np.repeat(names, 2 * passes * lines.points.shape[1]),
+        target=target,
     )
     return table, devices
 

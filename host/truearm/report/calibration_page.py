@@ -14,6 +14,7 @@ from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
 from truearm.finding_texts import Severity
 from truearm.findings import Finding
+from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_tables import observability_table, residual_table, suspect_table
 from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.correlation import correlation
@@ -26,7 +27,7 @@ from truearm.report.residual_rows import rows_by_kind, summaries
 from truearm.report.result_words import before_words
 from truearm.results import Estimate, PredictedError
 from truearm.text import counted
-from truearm.types import Floats, ObservationTable
+from truearm.types import Floats
 from truearm.units import symbol, tolerances
 
 

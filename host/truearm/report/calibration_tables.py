@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.report.page_parts import table_of
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.report.residual_rows import Summary, row_name
 from truearm.report.result_words import OBSERVABILITY, kind_name, residual_words
 from truearm.results import Estimate, Figures
 from truearm.text import counted
-from truearm.types import ObservationTable
 from truearm.units import shown, symbol, title, tolerances
 
 MAX_ROWS = 40  # suspect rows that are listed

@@ -19,9 +19,10 @@ from scipy import special
 from truearm.estimate.circumstances import sessions
 from truearm.estimate.measured_order import mountings
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.report.result_words import PARTS, kind_name
 from truearm.results import Estimate, Figures
-from truearm.types import Floats, Indices, ObservationTable
+from truearm.types import Floats, Indices
 from truearm.units import DEG, shown, symbol, title
 
 
@@ -136,7 +137,7 @@ def _groups(table: ObservationTable) -> NDArray[np.str_]:
     names = np.full(len(table), "", dtype=object)
     for key in np.unique(table.kind):
         rows = np.flatnonzero(table.kind == key)
-        columns = (table.column(column)[rows].tolist() for column in kinds()[str(key)].grouped_by)
+        columns = (table[column][rows].tolist() for column in kinds()[str(key)].grouped_by)
         names[rows] = [" · ".join(filter(None, identifiers)) for identifiers in zip(*columns, strict=True)]
     if np.unique(table.rig).size > 1:
         names = np.array([f"{rig}: {name}" if rig else name for rig, name in zip(table.rig, names, strict=True)])

@@ -22,11 +22,12 @@ from truearm.estimate.information import fold, half, observe, seen, spectrum
 from truearm.estimate.problem import Problem, build_problem
 from truearm.estimate.solution import Options
 from truearm.estimate.uncertainty import predicted_error
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward
 from truearm.model.robot import Robot
 from truearm.reproduce.line_bench import gear_error
 from truearm.results import Estimate, Figures
-from truearm.types import Floats, ObservationTable, Point, Rig
+from truearm.types import Floats, Point, Rig
 
 NOISE = 0.084e-3  # m, the paper's RMS residual
 NEAR, FAR = "bar46", "bar61"
@@ -53,18 +54,17 @@ def bench(
     robot: Robot, rig: Rig, q: Floats, bar: NDArray[np.str_], chuck: NDArray[np.str_], sphere: NDArray[np.str_]
 ) -> Bench:
     """Return a bench of n poses q (n, j) with the pairing that connects robot and table at each."""
-    n = len(q)
     table = ObservationTable(
         q=q,
-        kind=np.full(n, "ball_bar"),
-        sigma=np.full(n, NOISE),
+        kind="ball_bar",
+        sigma=NOISE,
         bar=bar,
         chuck=chuck,
         sphere=sphere,
-        source=np.array([f"pose {i + 1}" for i in range(n)]),
+        source=[f"pose {i + 1}" for i in range(len(q))],
     )
     made = Bench(robot, rig, table)
-    return made._replace(table=replace(table, value=lengths(made, q)))
+    return made._replace(table=table.replace(value=lengths(made, q)))
 
 
 def lengths(made: Bench, q: Floats) -> Floats:
@@ -261,12 +261,12 @@ def _circle(radius: float, turn: Floats) -> Floats:
 
 def _problem(made: Bench, bar: str) -> Problem:
     return build_problem(
-        made.chain, made.rig, replace(made.table, sigma=np.full(len(made.table), 1.0)).select(made.table.bar == bar)
+        made.chain, made.rig, made.table.replace(sigma=np.full(len(made.table), 1.0)).select(made.table.bar == bar)
     )
 
 
 def _noisy(made: Bench, value: Floats, noise: float, rng: np.random.Generator) -> ObservationTable:
-    return replace(made.table, value=value + noise * rng.standard_normal(value.size))
+    return made.table.replace(value=value + noise * rng.standard_normal(value.size))
 
 
 def _root_mean(values: list[float]) -> float:

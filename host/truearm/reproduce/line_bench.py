@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.schema import Matrix
-from truearm.types import Device, Floats, LinePlacement, ObservationTable, Point, Rig
+from truearm.types import Device, Floats, LinePlacement, Point, Rig
 
 SENSOR_VARIANCE = (3.84e-9, 10e-9, 3.84e-9)  # m², III-C, y is the longitudinal sensor
 # rad², III-C prints five of six entries; 21, as for its neighbours, replaces the missing fifth.

@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
-from typing import Any
 
 import numpy as np
 
+from truearm.kinds.table import ObservationTable
 from truearm.session.box_ident import Ident
 from truearm.session.box_reader import Blocks, BoxReader
 from truearm.session.box_temperature import BoxTemperature, box_temperature
@@ -41,7 +41,7 @@ from truearm.session.plan_matching import (
 )
 from truearm.session.samples import ChannelSamples
 from truearm.session.trigger_edges import Output, with_edges
-from truearm.types import BAR_MOUNTED, DwellLabel, Floats, ObservationTable, Rig
+from truearm.types import BAR_MOUNTED, DwellLabel, Floats, Rig
 
 # Names given by the box's configuration: the columns that kinds of observation declare
 THERMOMETERS = {"bar": "bar_temperature", "sensor": "sensor_temperature"}
@@ -236,10 +236,12 @@ def observations(
     table = table_of(dwells, driven, len(found.joints.step), name, bins)
     at = (1e9 * table.time).astype(np.int64)
     read = {name: found.thermometers[name].between(at) for name in THERMOMETERS if name in found.thermometers}
-    more = {**table.more, **{THERMOMETERS[name]: degc for name, degc in read.items()}}
-    if any(box.simulated for box in found.idents.values()):
-        more["simulated"] = np.full(len(table), "yes")
-    table = replace(table, temperature=found.temperature.at(at), more=more)
+    simulated = any(box.simulated for box in found.idents.values())
+    table = table.replace(
+        **{THERMOMETERS[name]: degc for name, degc in read.items()},
+        temperature=found.temperature.at(at),
+        simulated="yes" if simulated else None,
+    )
     return SyncResult(table, tuple(dwells), driven, found, found.losses.samples, used)
 
 
@@ -357,34 +359,30 @@ def table_of(
 def _of_dwells(dwells: Sequence[Dwell], joints: int, name: str, bins: Bins | None) -> ObservationTable:
     rows = [(i, dwell) for i, dwell in enumerate(dwells, start=1) if not dwell.reason]
 
-    mounted: dict[str, Any] = {
-        key: np.array([dwell.mounted.get(key, "") for _, dwell in rows], dtype=np.str_)
-        for key in (*BAR_MOUNTED, "shell")
-    }
+    mounted = {key: [dwell.mounted.get(key, "") for _, dwell in rows] for key in (*BAR_MOUNTED, "shell")}
     side = np.full((len(rows), joints), np.nan)
     if bins is not None and rows:
         side[:] = [came_from(bins, dwell) for _, dwell in rows]
     return ObservationTable(
+        mounted,
         q=np.array([dwell.q for _, dwell in rows]).reshape(len(rows), joints),
-        kind=np.array(["ball_bar"] * len(rows), dtype=np.str_),  # np.full would keep only one letter
-        value=np.array([dwell.value for _, dwell in rows], dtype=np.float64),
-        sigma=np.array([dwell.sigma for _, dwell in rows], dtype=np.float64),
-        source=np.array([f"{name} dwell {i}" for i, _ in rows], dtype=np.str_),
-        time=np.array([0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows], dtype=np.float64),
+        kind="ball_bar",
+        value=[dwell.value for _, dwell in rows],
+        sigma=[dwell.sigma for _, dwell in rows],
+        source=[f"{name} dwell {i}" for i, _ in rows],
+        time=[0.5e-9 * (dwell.start_host_ns + dwell.end_host_ns) for _, dwell in rows],
         side=np.where(side == 0.0, np.nan, side),
-        **mounted,
     )
 
 
 def _of_pass(one: LinePass, number: int, name: str) -> ObservationTable:
-    n = len(one.xyz)
     return ObservationTable(
         q=one.q,
-        kind=np.full(n, "line"),
-        source=np.array([f"{name} pass {number}.{i}" for i in range(1, n + 1)], dtype=np.str_),
-        shell=np.full(n, one.group),
-        line=np.full(n, one.mounted.get("line", "")),
-        target=np.full(n, one.mounted.get("target", "")),
+        kind="line",
+        source=[f"{name} pass {number}.{i}" for i in range(1, len(one.xyz) + 1)],
+        shell=one.group,
+        line=one.mounted.get("line", ""),
+        target=one.mounted.get("target", ""),
         time=np.asarray(1e-9 * one.t_host_ns),
         xyz=one.xyz,
         xyz_sigma=one.xyz_sigma,

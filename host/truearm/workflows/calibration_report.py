@@ -11,9 +11,10 @@ import numpy as np
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.files.disk import write_atomic
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain
 from truearm.results import Estimate, PredictedError
-from truearm.types import Floats, ObservationTable, Rigs, rigs_by_name
+from truearm.types import Floats, Rigs, rigs_by_name
 from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:

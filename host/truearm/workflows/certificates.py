@@ -15,11 +15,12 @@ from truearm.estimate.prediction import nominal_error, predicted_point_error, to
 from truearm.files.project_file import Project
 from truearm.files.result_file import Input
 from truearm.findings import Finding
+from truearm.kinds.table import ObservationTable
 from truearm.report.certificate import MOST, Certificate, Facts, Recording, conditions, more, recorded, sensor_facts
 from truearm.report.page_text import size
 from truearm.results import Figures, Gain
 from truearm.text import counted
-from truearm.types import ObservationTable, Rigs, rigs_by_name, rms
+from truearm.types import Rigs, rigs_by_name, rms
 from truearm.units import MM, PPM
 from truearm.workflows.calibration import Calibration, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error

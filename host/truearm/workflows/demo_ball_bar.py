@@ -10,9 +10,9 @@ from truearm.workflows import demo_steps
 from truearm.workflows.demo_steps import ClockTruth, DemoCalibration, Steps, Subject, recording_facts
 
 if TYPE_CHECKING:
+    from truearm.kinds.table import ObservationTable
     from truearm.results import Estimate
     from truearm.session.observations import SyncResult
-    from truearm.types import ObservationTable
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,11 @@ from truearm.workflows import demo_steps
 from truearm.workflows.demo_steps import ClockTruth, DemoCalibration, Steps, Subject, recording_facts
 
 if TYPE_CHECKING:
+    from truearm.kinds.table import ObservationTable
     from truearm.model.robot import Robot
     from truearm.results import Estimate
     from truearm.session.observations import SyncResult
-    from truearm.types import ObservationTable, Plan
+    from truearm.types import Plan
     from truearm_sim.world import World
 
 N_LINES = 4

@@ -19,11 +19,12 @@ from truearm.workflows.simulated_robot import SimulatedRobot, TruthOptions, simu
 
 if TYPE_CHECKING:
     from truearm.findings import Finding
+    from truearm.kinds.table import ObservationTable
     from truearm.model.robot import Robot
     from truearm.model.workspace import Branch
     from truearm.results import Estimate, PredictedError
     from truearm.session.observations import SyncResult
-    from truearm.types import BallBar, Floats, ObservationTable, Plan, Rig
+    from truearm.types import BallBar, Floats, Plan, Rig
     from truearm_sim.simbox import SimulatedBox
     from truearm_sim.world import World
 

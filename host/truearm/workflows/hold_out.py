@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import ANYWHERE, identifiers
-from truearm.types import Mask, ObservationTable
+from truearm.kinds.table import ObservationTable
+from truearm.types import Mask
 from truearm.workflows.selection import held_out_rows, numbered
 
 FRACTIONS = (0.2, 0.1)
@@ -52,14 +53,14 @@ def named_columns(table: ObservationTable) -> list[str]:
     """Return the columns that name what is mounted, as far as rows have names: bar, chuck and sphere, or socket and
     target.
     """
-    return [name for name in identifiers() if name not in ANYWHERE[1:] and np.any(table.column(name) != "")]
+    return [name for name in identifiers() if name not in ANYWHERE[1:] and np.any(table[name] != "")]
 
 
 def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
     """Return the names without any row left in the fit: ``sphere=s1``."""
     found = []
     for column in named_columns(table):
-        names = table.column(column)
+        names = table[column]
         gone = np.setdiff1d(names[held], names[~held])
         found += [f"{column}={name}" for name in gone.tolist() if name]
     return found
@@ -67,4 +68,4 @@ def all_held_out(table: ObservationTable, held: Mask) -> list[str]:
 
 def _combinations(table: ObservationTable) -> NDArray[np.intp]:
     """Return (n,) the number of each row's combination of kind, names and rig."""
-    return numbered([table.kind, *(table.column(name) for name in (*named_columns(table), "rig"))])
+    return numbered([table.kind, *(table[name] for name in (*named_columns(table), "rig"))])

@@ -33,6 +33,7 @@ from truearm.files.observation_table import looks_like_table, write_table
 from truearm.files.result_document import copies_of, result_of
 from truearm.files.result_file import Input, RobotFrames, looks_like_result, write_result
 from truearm.files.robot_file import RobotChoice
+from truearm.kinds.table import ObservationTable
 from truearm.model.builtin import builtin_names
 from truearm.model.chain import Chain
 from truearm.model.robot import Robot, builtin_robot
@@ -40,7 +41,7 @@ from truearm.progress import step
 from truearm.report.certificate import Recording
 from truearm.report.result_findings import result_findings
 from truearm.results import Effect, Estimate, PredictedError
-from truearm.types import Mask, ObservationTable, Rigs
+from truearm.types import Mask, Rigs
 from truearm.workflows.calibration import Calibration, calibration_of
 from truearm.workflows.calibration_report import write_page
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out

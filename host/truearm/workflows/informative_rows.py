@@ -7,8 +7,9 @@ import numpy as np
 from truearm.errors import ProblemError
 from truearm.kinds.quantities import POINT, Quantity
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import Chain, forward
-from truearm.types import Floats, Mask, ObservationTable
+from truearm.types import Floats, Mask
 
 IN_SPACE = 0.01  # m, standard deviation in the direction of least motion
 LEAST_ROWS = 5  # of a kind, which must not all be equal
@@ -28,7 +29,7 @@ def check_rows(chain: Chain, table: ObservationTable, rows: Mask) -> None:
         if len(mine) < LEAST_ROWS or not np.ptp(mine.q, axis=0).max() > 0.0:
             continue
         for quantity in (column for column in kind.needs if isinstance(column, Quantity)):
-            values = mine.column(quantity.field, np.nan).reshape(len(mine), -1)
+            values = mine[quantity.field].reshape(len(mine), -1)
             if not np.ptp(values, axis=0).any():
                 are = "are" if " and " in quantity.words else "is"
                 text = f"{quantity.words} {are} the same in all {len(mine)} {name} rows though the joints move"

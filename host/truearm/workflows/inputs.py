@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
 
 from truearm.errors import Argument, InputError, SessionError
 from truearm.files.disk import check_writable, same_file
@@ -18,10 +16,11 @@ from truearm.files.result_file import Input, input_of
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.kinds.registry import kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.progress import step
 from truearm.text import one_line
-from truearm.types import ObservationTable, Rig
+from truearm.types import Rig
 from truearm.workflows.relabel import borne_out_rows
 from truearm.workflows.session_observations import (
     Heard,
@@ -267,7 +266,7 @@ def _read_session(
     count = DwellCount(
         path.name, n, int(used), reasons, labels, mountings, lines, lines_used, of_lines, result.with_bar
     )
-    return _Read(replace(table, rig=np.full(len(table), name)), count, rejected)
+    return _Read(table.replace(rig=name), count, rejected)
 
 
 def hashed_inputs(sources: Sources, robot: RobotChoice) -> list[Input]:

@@ -20,6 +20,7 @@ from truearm.files.plan_file import looks_like_plan, write_plan
 from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
+from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
 from truearm.plan.approaches import ApproachesWanted, plan_approaches
@@ -38,7 +39,7 @@ from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
-from truearm.types import BAR_MOUNTED, Floats, ObservationTable, Plan, Rig
+from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
 from truearm.workflows.hold_out import all_held_out, proposed_hold_out

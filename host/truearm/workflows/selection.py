@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from truearm.errors import Argument, InputError
 from truearm.estimate.measured_order import poses
 from truearm.kinds.registry import GROUPS, drawn_from, identifiers
+from truearm.kinds.table import ObservationTable
 from truearm.model.joint_terms.gain import Gain
 from truearm.results import DriftWith, Effect
 from truearm.text import listed
-from truearm.types import Mask, ObservationTable
+from truearm.types import Mask
 
 HOLD_OUT, FIT_ONLY, ALLOW, LEAVE_OUT = (Argument(name) for name in ("hold_out", "fit_only", "allow", "leave_out"))
 
@@ -75,15 +76,15 @@ def _group_rows(table: ObservationTable, group: str, argument: Argument) -> Mask
         raise InputError(
             argument, f" {group}: {column!r} is not a group; use one of {', '.join(identifiers())}{fraction}"
         )
-    rows: Mask = table.column(column) == identifier
+    rows: Mask = table[column] == identifier
     if not identifier or not rows.any():
-        known = [name for name in np.unique(table.column(column)) if name]
+        known = [name for name in np.unique(table[column]) if name]
         raise InputError(argument, f" {group}: the table has no row with that {column}; {_listed(column, known)}")
     return rows
 
 
 def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argument) -> Mask:
-    found = [column for column in GROUPS if identifier and np.any(table.column(column) == identifier)]
+    found = [column for column in GROUPS if identifier and np.any(table[column] == identifier)]
     if len(found) > 1:
         raise InputError(
             argument, f" {identifier} is both a place and a shell; write place={identifier} or shell={identifier}"
@@ -93,11 +94,11 @@ def _bare_group_rows(table: ObservationTable, identifier: str, argument: Argumen
             argument, f" {identifier}: a fraction lies between 0 and 1, such as 0.2; a group is written shell=NAME"
         )
     if not found:
-        known = [f"{column}={name}" for column in GROUPS for name in np.unique(table.column(column)) if name]
+        known = [f"{column}={name}" for column in GROUPS for name in np.unique(table[column]) if name]
         raise InputError(
             argument, f" {identifier}: no place or shell has that name; {_listed('group', known, 'the table')}"
         )
-    return np.asarray(getattr(table, found[0]) == identifier)
+    return np.asarray(table[found[0]] == identifier)
 
 
 def _is_number(text: str) -> bool:
@@ -120,7 +121,7 @@ def _random_rows(table: ObservationTable, fraction: float, seed: int) -> Mask:
     out together or not at all.
     """
     rng = np.random.default_rng(seed)
-    group = numbered([table.kind, *map(table.column, drawn_from())])
+    group = numbered([table.kind, *(table[column] for column in drawn_from())])
     _, first, pose = np.unique(np.stack([poses(table), group]), axis=1, return_index=True, return_inverse=True)
     of_pose = group[first]
     share = np.empty(first.size)

@@ -30,7 +30,7 @@ def temperature_warning(result: SyncResult, rig: Rig) -> str:
         for one in stream.channels
         if one.name == LVDT and math.isfinite(one.calibrated_degc)
     ]
-    unread = ~np.isfinite(table.column("bar_temperature", np.nan))
+    unread = ~np.isfinite(table.bar_temperature)
     warmer = table.temperature[unread] - (noted[0] if noted else np.nan)
     if not np.isfinite(warmer).any():
         return ""

@@ -30,11 +30,12 @@ from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
 from truearm.kinds.registry import regions as regions_of_kinds
+from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.progress import step
 from truearm.report.validation_words import BY_PLACE, validation_lines, verdict
 from truearm.results import Effect, Figures
-from truearm.types import Floats, Mask, ObservationTable, Rig, Rigs, rms
+from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
 from truearm.workflows.calibration import Calibration, covariance_of, read_calibration, unseen_of, unusable_because
 from truearm.workflows.inputs import Output, Sources, check_files, hashed_inputs, observed
@@ -395,9 +396,9 @@ def _regions(
 def _named_regions(calibration: Calibration, table: ObservationTable) -> list[tuple[str, Mask]]:
     regions = []
     for column in regions_of_kinds():
-        names = [str(name) for name in np.unique(table.column(column)) if name]
+        names = [str(name) for name in np.unique(table[column]) if name]
         if len(names) > 1:
-            regions += [(f"{column}={name}", table.column(column) == name) for name in names]
+            regions += [(f"{column}={name}", table[column] == name) for name in names]
     return regions + _parts(calibration, table)
 
 
