@@ -58,6 +58,7 @@ from truearm import (
     Identification,
     IdentifyOptions,
     InputError,
+    MissingFileError,
     ObservationTable,
     ParameterEstimate,
     PlanError,
