@@ -359,7 +359,61 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "too-large": ("[{place}: ]has more than {most}, the maximum", "check that it is the right file, or split it"),
 }
 
+# why a move of a program is not corrected: clauses, about its tool or the like if the values have a subject
+UNDETERMINED = (
+    "nothing determines in which of its configurations the arm reaches this target, and each needs another correction"
+)
+REASONS = {
+    "absent-routine": "{name} is in none of the files and may change data or displace the program; give {@unchanged} NAME if it does not",
+    "aimless": "it has no target in the program",
+    "ambiguous": "{name} is declared in several modules, such as in {where}",
+    "argument": "{name} is an argument of {function} in {where}, which may change it[{outside:!}; give {@unchanged} NAME if it does not]",
+    "arguments": "arguments are missing",
+    "assigned": "{name} is assigned in {where}",
+    "axis": "its external axis {name} may move the robot's base; give {@unchanged} NAME if it does not",
+    "by-name": "{name} in {where} changes data by their names",
+    "configuration": f"{UNDETERMINED}; give {{@home}} Q1,Q2,... or, in a URScript, qnear of get_inverse_kin",
+    "deep": "it is nested too deeply, or a name leads to itself",
+    "displacing": "{name} in {where} displaces the program at run time",
+    "element": "{name} has no such element",
+    "fixed-tool": "the robot does not hold its tool",
+    "frames": "its tool and base are not set in plain steps before it",
+    "held-object": "the robot holds its work object",
+    "joints": "its joint readings are computed, not written as six plain numbers",
+    "locked-axis": "SingArea\\LockAxis4 turns the tool away from its target",
+    "many": "it may go to more than {most} targets",
+    "method": "{name} may be changed by a method in {where}",
+    "moved-object": "a mechanical unit moves its work object",
+    "no-value": "{name} is declared without a value",
+    "not-written": "its numbers are not all written in one place",
+    "other-configuration": "the arm reaches its target in several configurations, which need different numbers",
+    "other-numbers": "it needs other numbers in {where} than another move",
+    "other-task": "{name}, declared in {where}, is assigned or has another value in another task",
+    "parameter": "{name} is a {kind} of a routine",
+    "partial": "it does not give all components, so the others keep their last values",
+    "path": "its path is corrected at run time",
+    "quaternion": "its orientation is no unit quaternion: its norm is {norm:.4g}",
+    "range": "its number {number:g} is beyond the reach of any robot",
+    "redeclared": "{name} is declared again in {where}",
+    "redefined": "{name} is a function of the language, and the program defines it again",
+    "register": "it goes to a position register, or to a point by a computed number",
+    "relative": "it is relative to where the robot is",
+    "run-time": "it is computed at run time",
+    "several": "{name} has several values",
+    "several-tools": "it may run with several tools",
+    "shared-use": "{name} is also used in {where}, which needs its numbers as they are",
+    "solution": "{problem}",
+    "tool": "no tool is set before it; give {@tool} X,Y,Z,RX,RY,RZ",
+    "turns": "its configuration data do not fit the joints with which the arm arrives; give {@home} Q1,Q2,...",
+    "type": "it is no {type}",
+    "undeclared": "{name} is declared in none of the files[{subject:!}; give {@tool} or {@work} NAME=X,Y,Z,RX,RY,RZ]",
+}
+PROGRAMS: Mapping[str, Statement] = {
+    code: Statement(REFUSAL, f"[its {{subject}}: ]{clause}") for code, clause in REASONS.items()
+}
+
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,
+    **PROGRAMS,
     **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
 }

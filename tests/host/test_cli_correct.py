@@ -161,7 +161,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
     assert "--home" in err
     if kind in ("script", "module"):
         refused = json.loads(said)["refused"]
-        assert {one["remedy"] for one in refused} == {"home"}
+        assert {one["code"] for one in refused} == {"configuration"}
     near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
     code, said, err = run(capsys, *arguments, "--home", near)
     assert code == 0, err

@@ -229,8 +229,8 @@ def test_a_move_that_is_not_certain_is_refused(tmp_path, form):
     text = program(*lines, f"movej({written(Q[3])})", f"movel({six(POSES[4])})")
     with pytest.raises(ProgramRefused) as caught:
         corrected(tmp_path, text)
-    assert {move.line: move.code for move in caught.value.refused} == codes
-    assert all(move.why for move in caught.value.refused)
+    assert {move.line: move.reason.code for move in caught.value.refused} == codes
+    assert all(move.reason.text() for move in caught.value.refused)
     after = corrected(tmp_path, text, partial=True).splitlines()
     before = text.splitlines()
     assert after[-3] != before[-3]  # the joint move
@@ -245,7 +245,7 @@ def test_a_configuration_that_nothing_determines_needs_home(tmp_path, program_ki
     text = program(f"movej({six(POSES[1])})") if program_kind == "script" else module_text
     with pytest.raises(ProgramRefused) as caught:
         outcome(tmp_path, text, home=None)
-    assert [(move.code, move.remedy) for move in caught.value.refused] == [("configuration", "home")]
+    assert [move.reason.code for move in caught.value.refused] == ["configuration"]
     done = outcome(tmp_path, text, home=Q[1])
     assert "does not determine" in " ".join(done.notes)
     assert done.others.n_targets == 1

@@ -17,14 +17,6 @@ from truearm.workflows.correction_findings import Refused
 
 MOST_REFUSED = 30  # shown one by one
 NOTHING = 1e-7  # m, rad: less than the last digit that is printed
-_REMEDIES = {
-    "": "",
-    "tool": "; give --tool X,Y,Z,RX,RY,RZ",
-    "tools": "; give --tool NAME=X,Y,Z,RX,RY,RZ",
-    "works": "; give --work NAME=X,Y,Z,RX,RY,RZ",
-    "home": "; give --home Q1,Q2,... or, in a URScript, qnear of get_inverse_kin",
-    "unchanged": "; give --unchanged NAME if it does not",
-}
 
 
 def lines(found: CorrectedFile) -> list[str]:
@@ -62,7 +54,7 @@ def refused_lines(refused: Sequence[Refused]) -> list[str]:
     if not refused:
         return []
     rows = [
-        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {one_line(move.why)}{_REMEDIES[move.remedy]}"
+        f"  {one_line(move.file)} line {move.line}: {one_line(move.statement)}: {move.reason.text('--{}'.format)}"
         for move in refused[:MOST_REFUSED]
     ]
     more = [f"  and {counted(len(refused) - MOST_REFUSED, 'more move')}"] * (len(refused) > MOST_REFUSED)

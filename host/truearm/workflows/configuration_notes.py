@@ -7,13 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.correct.programs.reasons import TEXTS
 from truearm.text import counted, listed
 from truearm.types import Floats
 from truearm.units import DEG
 
 MOST_NAMED = 6  # quarter turns
-UNDETERMINED = TEXTS["configuration"]
 
 
 def _other_quarters(lines: Sequence[str], q: Floats, quarters: Floats, wrong: NDArray[np.bool_]) -> list[str]:

@@ -19,6 +19,7 @@ from truearm.errors import Argument, InputError, RobotError, TargetError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
+from truearm.finding_texts import UNDETERMINED
 from truearm.model.chain import Chain, forward
 from truearm.model.poses import Six, frame_of, inverted
 from truearm.progress import step
@@ -27,7 +28,6 @@ from truearm.report.page_parts import looks_like_page
 from truearm.types import Floats
 from truearm.units import DEG, MM
 from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings
-from truearm.workflows.configuration_notes import UNDETERMINED
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     Corrected,

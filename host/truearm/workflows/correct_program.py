@@ -24,7 +24,6 @@ from truearm.correct.programs.languages import ProgramLanguage, read_programs
 from truearm.correct.programs.order import preceding
 from truearm.correct.programs.poses import readings_of
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
-from truearm.correct.programs.reasons import reason_text, remedy_of
 from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
 from truearm.correct.straight_moves import straight_moves
@@ -255,9 +254,7 @@ def _refused(programs: Sequence[Program]) -> list[Refused]:
             program.files[move.place.file].name,
             program.files[move.place.file].line(move.place.offset),
             shorten(program.statement(move), 60, placeholder="..."),
-            move.reason.code,
-            reason_text(move.reason),
-            remedy_of(move.reason),
+            move.reason,
         )
         for program in programs
         for move in program.moves

@@ -32,18 +32,20 @@ COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
 FADES = " Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected."
 FORMAT = "truearm-correction"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 class Refused(NamedTuple):
-    """A move that is not corrected, with the code of the reason, its text, and the argument that would resolve it."""
+    """A move that is not corrected, and why."""
 
     file: str
     line: int
     statement: str
-    code: str
-    why: str
-    remedy: str
+    reason: Finding
+
+    def entry(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {"file": self.file, "line": self.line, "statement": self.statement, **self.reason.entry()}
 
 
 class CorrectedTargets(NamedTuple):
@@ -246,7 +248,7 @@ def document_of(
         "error_point": found.targets.error_point(calibration.chain.end_frame),
         "warnings": list(said),
         "notes": list(notes),
-        "refused": [one._asdict() for one in refused],
+        "refused": [move.entry() for move in refused],
         "configurations": configurations,
         "targets": _target_entries(found, calibration.joint_units),
         "moves": _move_entries(found.moves, calibration.joint_units),
@@ -255,7 +257,7 @@ def document_of(
 
 def refusal_of(calibration: Calibration, refused: Sequence[Refused]) -> dict[str, Any]:
     """Return the document for a program that was not written."""
-    return {**_head(calibration, None), "refused": [one._asdict() for one in refused]}
+    return {**_head(calibration, None), "refused": [move.entry() for move in refused]}
 
 
 def _head(calibration: Calibration, out: str | None) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def page_of(
         limits=tuple(_limit(row, units) for row in found.limits),
         singular_value=found.singular_value,
         moves=_moves(found, units),
-        refused=tuple((f"{move.file}:{move.line}", move.statement, move.why) for move in refused),
+        refused=tuple((f"{move.file}:{move.line}", move.statement, move.reason.text()) for move in refused),
         warnings=tuple(said),
         notes=tuple(notes),
         facts=facts,

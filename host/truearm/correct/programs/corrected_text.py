@@ -12,7 +12,6 @@ from truearm.correct.programs.census import Census
 from truearm.correct.programs.data import Form, Literal
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
 from truearm.correct.programs.program import Goal, Move, Program
-from truearm.correct.programs.reasons import reason_text
 from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give
@@ -101,7 +100,7 @@ def marks_of(program: Program) -> list[Change]:
     for move in program.moves:
         if move.reason is not None:
             end = program.files[move.place.file].line_end(move.end)
-            reasons.setdefault((move.place.file, end), []).append(reason_text(move.reason))
+            reasons.setdefault((move.place.file, end), []).append(move.reason.text())
     sign = COMMENTS[program.language]
     return [
         Change(file, end, end, f" {sign} truearm: not corrected: {'; '.join(dict.fromkeys(texts))}")

@@ -52,7 +52,7 @@ class Literal:
 
 
 class Change(NamedTuple):
-    """Where and how (by a code of ``reasons.py``) a datum gets a value that is not certain."""
+    """Where and how (by the code of a finding) a datum gets a value that is not certain."""
 
     place: Place
     code: str

@@ -226,7 +226,7 @@ class _Reader(Reading):
                 or CORRECTION.search(" ".join(line.texts))
                 or (line.routine in interrupting and line.sets_frames)
             ):
-                self.displace("displaced", line.texts[0].upper(), Place(line.file, line.tokens[0].start))
+                self.displace("displacing", line.texts[0].upper(), Place(line.file, line.tokens[0].start))
 
     def targets(self, tokens: Tokens, line: Line) -> list[tuple[Tokens, int, Uses]]:
         """Return each {…} that tokens may stand for, with its file and the names on the way. Raises Uncertain."""
@@ -295,9 +295,7 @@ class _Reader(Reading):
             if pose is not None and uncertain.finding.code == "undeclared":
                 return pose
             raise uncertain.about(subject) from uncertain
-        if any(name not in components for name in POSE):
-            raise Uncertain("not-written")
-        x, y, z, a, b, c = (_number(components[name]) for name in POSE)
+        x, y, z, a, b, c = (_number(components.get(name, ())) for name in POSE)
         return matrix_of_angles(x, y, z, a, b, c)
 
 

@@ -63,7 +63,7 @@ class _File:
         spans = (match.span(1) for match in STATEMENT.finditer(self.text, start, end))
         self.statements = [span for span in spans if not self.text.startswith(REMARK, *span)]
         if (match := LINE_TRACK.search(self.text, 0, start)) is not None:
-            self.tracked = Uncertain("displaced", name="LINE_TRACK", where=self.where(match.start()))
+            self.tracked = Uncertain("displacing", name="LINE_TRACK", where=self.where(match.start()))
         for first, last in self.statements:
             for point in POINT.finditer(self.text, first, last):
                 if point[1].upper() == "P" and point[2].isdigit():
@@ -72,7 +72,7 @@ class _File:
                 elif point[1].upper() == "P" and not MOVE.match(self.text, first, last):
                     self.tracked = Uncertain("assigned", name="a point by a computed number", where=self.where(first))
             if (match := DISPLACING.match(self.text, first, last)) is not None:
-                self.reading.displace("displaced", match[0], Place(self.number, first))
+                self.reading.displace("displacing", match[0], Place(self.number, first))
 
     def where(self, offset: int) -> str:
         """Return the line of an offset."""

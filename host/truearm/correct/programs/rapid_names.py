@@ -296,7 +296,7 @@ def _note_instruction(task: Task, statement: Statement) -> None:
     _note_call(task, scope, name, tokens[1:])
     texts = {token.text for token in tokens}
     if name in DISPLACING:
-        task.displace("displaced", name, place)
+        task.displace("displacing", name, place)
     if name == "singarea" and "lockaxis4" in texts:
         task.displace("locked-axis", name, place)
     if name in BY_NAME:

@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class Uncertain(Exception):
-    """Why something has no certain value, by a code of ``reasons.py`` with the values of its text."""
+    """Why something has no certain value, by the code of a finding with its values."""
 
     def __init__(self, code: str, **values: object) -> None:
         super().__init__(code)

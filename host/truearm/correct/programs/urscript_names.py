@@ -121,7 +121,7 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Script:
     script.program.absent.update(dict.fromkeys(absent))
     for name, calls in script.calls.items():
         if name in TRACKING:
-            script.displace("displaced", name, calls[0].place)
+            script.displace("displacing", name, calls[0].place)
     for name in script.routines:
         if name in EFFECTS:
             script.displace("redefined", name, Place(0, 0))
