@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from typing import Literal, assert_never
+from typing import Literal
 
 from truearm.correct.programs.krl import read_krl
 from truearm.correct.programs.ls import read_ls
+from truearm.correct.programs.order import closure
 from truearm.correct.programs.program import Program, Surroundings
 from truearm.correct.programs.rapid import read_rapid
 from truearm.correct.programs.tokens import Source
@@ -44,17 +45,11 @@ def read_programs(language: ProgramLanguage, files: Sequence[Source], surroundin
     for source in files:
         if b"\0" in source.data:
             raise FindingError(Finding("binary"), f"{source.name}: holds a NUL byte, so it is not a program")
-    match language:
-        case "rapid":
-            return read_rapid(_tasks(files), surroundings)
-        case "urscript":
-            return [read_urscript(group, surroundings) for group in _scripts(files)]
-        case "krl":
-            return [read_krl(files, surroundings)]
-        case "ls":
-            return [read_ls(files, surroundings)]
-        case _:
-            assert_never(language)
+    if language == "rapid":
+        return read_rapid(_tasks(files), surroundings)
+    if language == "urscript":
+        return [read_urscript(group, surroundings) for group in _scripts(files)]
+    return [read_krl(files, surroundings) if language == "krl" else read_ls(files, surroundings)]
 
 
 def _tasks(files: Sequence[Source]) -> list[list[Source]]:
@@ -70,6 +65,7 @@ def _scripts(files: Sequence[Source]) -> list[list[Source]]:
     """Return the URScripts that run together: those that call functions which only another one defines."""
     defined: dict[str, list[int]] = defaultdict(list)
     called: list[set[str]] = []
+    linked: dict[int, set[int]] = defaultdict(set)
     for number, source in enumerate(files):
         tokens = source.script_tokens
         calls = {token.text for _, token in calls_in(tokens)}
@@ -77,11 +73,13 @@ def _scripts(files: Sequence[Source]) -> list[list[Source]]:
         called.append(calls - own)
         for name in own:
             defined[name].append(number)
-    group = list(range(len(files)))
     for number, names in enumerate(called):
-        for other in {other for name in names for other in defined.get(name, ())}:
-            first, second = sorted((group[number], group[other]))
-            group = [first if label == second else label for label in group]
-    return [
-        [source for source, label in zip(files, group, strict=True) if label == first] for first in dict.fromkeys(group)
-    ]
+        for other in [other for name in names for other in defined.get(name, ())]:
+            linked[number].add(other)
+            linked[other].add(number)
+    groups: dict[int, frozenset[int]] = {}
+    for number in range(len(files)):
+        if number not in groups:
+            group = frozenset(closure([number], linked.__getitem__))
+            groups |= dict.fromkeys(group, group)
+    return [[files[number] for number in sorted(group)] for group in dict.fromkeys(groups.values())]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import assert_never
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -55,20 +54,18 @@ def poses_of(literals: Sequence[Literal]) -> Floats:
 
 
 def _poses(form: Form, numbers: Floats) -> Floats:
-    """Return the poses (n, 4, 4) [m] of numbers (n, 6 or 7)."""
+    """Return the poses (n, 4, 4) [m] of numbers (n, 6 or 7) that are no joint readings."""
     poses = np.tile(np.eye(4), (len(numbers), 1, 1))
     poses[:, :3, 3], angles = MM.to_si(numbers[:, :3]), numbers[:, 3:]
-    match form:
-        case Form.VECTOR:
-            return pose_of(numbers[:, :3], angles)
-        case Form.ROBTARGET:
-            poses[:, :3, :3] = Rotation.from_quat(np.roll(angles, -1, axis=1)).as_matrix()
-        case Form.ANGLES:
-            poses[:, :3, :3] = Rotation.from_euler("ZYX", angles, degrees=True).as_matrix()
-        case Form.RADIANS | Form.DEGREES:
-            raise ValueError("joint readings are no pose")
-        case _:
-            assert_never(form)
+    if form is Form.VECTOR:
+        return pose_of(numbers[:, :3], angles)
+    is_quaternion = form is Form.ROBTARGET
+    turn = (
+        Rotation.from_quat(np.roll(angles, -1, axis=1))
+        if is_quaternion
+        else Rotation.from_euler("ZYX", angles, degrees=True)
+    )
+    poses[:, :3, :3] = turn.as_matrix()
     return poses
 
 
@@ -96,20 +93,14 @@ def texts_of_poses(literals: Sequence[Literal], poses: Floats) -> list[list[str]
         turn = Rotation.from_matrix(poses[rows, :3, :3])
         old = np.array([literals[row].numbers[3 : form.size] for row in rows])
         xyz = poses[rows, :3, 3]
-        match form:
-            case Form.VECTOR:
-                numbers, decimals = np.concatenate([xyz, _nearest_vectors(turn.as_rotvec(), old)], axis=1), (9, 9)
-            case Form.ROBTARGET:
-                quaternion = np.roll(turn.as_quat(), 1, axis=1)
-                quaternion *= np.where((quaternion * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-                numbers, decimals = np.concatenate([MM.of(xyz), quaternion], axis=1), (5, 10)
-            case Form.ANGLES:
-                angles = turn.as_euler("ZYX", degrees=True)
-                numbers, decimals = np.concatenate([MM.of(xyz), _nearest_angles(angles, old)], axis=1), (6, 8)
-            case Form.RADIANS | Form.DEGREES:
-                continue
-            case _:
-                assert_never(form)
+        if form is Form.ROBTARGET:
+            angles, decimals = np.roll(turn.as_quat(), 1, axis=1), (5, 10)
+            angles *= np.where((angles * old).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+        else:
+            is_vector = form is Form.VECTOR
+            angles = _nearest_vectors(turn.as_rotvec(), old) if is_vector else _nearest_angles(turn, old)
+            decimals = (9, 9) if is_vector else (6, 8)
+        numbers = np.concatenate([xyz if form is Form.VECTOR else MM.of(xyz), angles], axis=1)
         for row, values in zip(rows, numbers.tolist(), strict=True):
             texts[row] = [plain(value, decimals[column > 2]) for column, value in enumerate(values)]
     return texts
@@ -124,8 +115,9 @@ def _nearest_vectors(vectors: Floats, old: Floats) -> Floats:
     return np.asarray(np.where(angle < 1e-9, vectors, alternatives[nearest, np.arange(len(vectors))]))
 
 
-def _nearest_angles(angles: Floats, old: Floats) -> Floats:
+def _nearest_angles(turn: Rotation, old: Floats) -> Floats:
     """Return A, B, C (n, 3) [deg] or the other angles of the same rotation, whichever are nearer to the old ones."""
+    angles = turn.as_euler("ZYX", degrees=True)
     other = np.stack([angles[:, 0] + 180.0, 180.0 - angles[:, 1], angles[:, 2] + 180.0], axis=1)
     alternatives = np.stack([one + 360.0 * np.round((old - one) / 360.0) for one in (angles, other)])
     nearest = np.abs(alternatives - old).max(axis=2).argmin(axis=0)

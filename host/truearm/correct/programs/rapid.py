@@ -7,16 +7,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from truearm.correct.programs.data import Change, Datum, Form, Literal, Place
 from truearm.correct.programs.expressions import sum_or_product
-from truearm.correct.programs.poses import check_reach, matrix_of_angles, matrix_of_quaternion
+from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
 from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, find, read_names
 from truearm.correct.programs.rapid_words import AIMLESS, MOVES, STRAIGHT
 from truearm.correct.programs.reading import Uncertain
 from truearm.correct.programs.tokens import NUMBER, Source, Tokens, is_bracketed, is_word, separated
 from truearm.types import Floats
+from truearm.units import MM
 
 SIZES = {Form.ROBTARGET.value: (3, 4, 4, 6), Form.DEGREES.value: (6, 6)}  # components of robtarget and jointtarget
 TOOL, WORK_OBJECT = "(b((fff)(ffff))(f(fff)(ffff)fff))", "(bbs((fff)(ffff))((fff)(ffff)))"  # types of components
@@ -144,16 +146,13 @@ def _displaced(task: Task, tokens: Tokens, scope: Scope, form: Form) -> list[Tar
     positional, optional = arguments_of(tokens[2:-1])
     if len(positional) != 4:
         raise Uncertain("arguments")
-    axes = [axis for axis in ("rx", "ry", "rz") if axis in optional]
-    arguments = [*positional[1:], *(optional[axis] for axis in axes)]
-    offsets = [value_of(task, argument, scope) for argument in arguments]
-    x, y, z, *angles = numbers = [offset for offset in offsets if isinstance(offset, float)]
-    if len(numbers) != len(offsets):
+    offsets: list[Any] = [value_of(task, argument, scope) for argument in positional[1:]]
+    angles: list[Any] = [value_of(task, optional[key], scope) if key in optional else 0.0 for key in ("rx", "ry", "rz")]
+    if not all(isinstance(number, float) for number in (*offsets, *angles)):
         raise Uncertain("run-time", subject="offset")
-    step = matrix_of_angles(x, y, z, 0.0, 0.0, 0.0)
-    for axis, angle in zip(axes, angles, strict=True):
-        a, b, c = (angle * (axis == name) for name in ("rz", "ry", "rx"))
-        step = step @ matrix_of_angles(0.0, 0.0, 0.0, a, b, c)
+    step = IDENTITY.copy()
+    step[:3, 3] = MM.to_si(np.array(offsets))
+    step[:3, :3] = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
     targets = targets_of(task, positional[0], scope, form)
     if tokens[0].text == "offs":
         return [Target(t.literal, step @ t.left, t.right, t.uses) for t in targets]
