@@ -95,17 +95,17 @@ def test_corrected_targets_land_where_they_should(bench, capsys):
 @pytest.mark.parametrize("name", ["program.mod", "program.script"])
 def test_a_corrected_program_lands_where_it_should(bench, capsys, name):
     given, out = bench.folder / name, bench.folder / f"corrected-{name}"
-    residuals = bench.folder / f"residuals-{name}.csv"
-    more = ("--home", home(bench), "--residuals-out", residuals, *FRAMES[: 6 if name.endswith("script") else 4])
+    more = ("--home", home(bench), "--json", *FRAMES[: 6 if name.endswith("script") else 4])
     code, said, err = run(capsys, "correct", bench.folder / "result.json", given, "--out", out, *more)
     assert code == 0, err
-    assert said.splitlines()[-2:] == [f"Written: {out}", f"Written: {residuals}"]
-    rows = list(csv.DictReader(residuals.open()))
+    rows = json.loads(said)["targets"]
     numbered = enumerate(given.read_bytes().splitlines(), start=1)
     mine = {"program.mod": b"[0,", "program.script": b"p["}[name]
-    assert {int(row["line"]) for row in rows} <= {line for line, text in numbered if mine in text or b"[[" in text}
+    assert {int(row["place"].rpartition(" ")[2]) for row in rows} <= {
+        line for line, text in numbered if mine in text or b"[[" in text
+    }
     assert len(rows) == N + (name == "program.mod")  # the module's last target stands there twice
-    assert all(float(row["before_mm"]) > 5.0 and float(row["after_mm"]) < 1e-5 for row in rows)
+    assert all(row["error_before_mm"] > 5.0 and row["error_after_mm"] < 1e-5 for row in rows)
     before, after = (path.read_bytes().decode("latin-1") for path in (given, out))
     targets = bench.targets[[*range(N), N - 1]]  # the last one twice
     assert miss(lands(driven(before, name, bench.q[0])), targets) > 15e-3
@@ -186,16 +186,15 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         offset[2, 3] = 1e-3 * float(tool.split(",")[2])
         (tmp_path / "t.csv").write_text(table(bench.targets @ offset, bench.q))
         arguments = ("correct", bench.folder / "result.json", tmp_path / "t.csv", "--tool", tool, "--force")
-        files = ("--out", tmp_path / "o.csv", "--residuals-out", tmp_path / "r.csv", "--report", tmp_path / "r.html")
+        files = ("--out", tmp_path / "o.csv", "--report", tmp_path / "r.html")
         _, said, _ = run(capsys, *arguments, *files)
         _, document, _ = run(capsys, *arguments, *files, "--json")
         document = json.loads(document)
         errors = [one["error_before_mm"] for one in document["targets"]]
         printed = [float(line.split()[1]) for line in said.splitlines() if re.match(r"\d+ +\d", line)]
         assert printed == pytest.approx(errors[: len(printed)], abs=6e-5)
-        for path in ("o.csv", "r.csv"):
-            written = [float(row["before_mm"]) for row in csv.DictReader((tmp_path / path).open())]
-            assert written == pytest.approx(errors, abs=1e-5)
+        written = [float(row["before_mm"]) for row in csv.DictReader((tmp_path / "o.csv").open())]
+        assert written == pytest.approx(errors, abs=1e-5)
         rms = np.sqrt(np.mean(np.square(errors)))
         tile = re.search(r"error without correction, RMS</p>.*?>([\d.]+)<", (tmp_path / "r.html").read_text())
         assert float(tile[1]) == pytest.approx(rms, abs=0.05)  # three digits

@@ -246,7 +246,7 @@ OPTIONS = {
     f"{CORRECT} --work 1e9,0,0,0,0,0": "--work",
     f"{CORRECT} --margin nan": "--margin",
     f"{CORRECT} --margin 1.0": "too near a singularity",
-    f"{CORRECT} --residuals-out new.csv": "already an input or output",
+    f"{CORRECT} --residuals-out new.csv": "--json have the error of every target",
     f"{CORRECT} --steps 3": "--steps: 3 has no effect with method newton; leave it out, or use method false-target or joints",
     f"{CORRECT} --split": "moves that need different numbers of one target always get their own",
     f"{CORRECT} --strict": "targets.csv: is a table, and --strict is for programs; leave it out",

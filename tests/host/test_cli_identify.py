@@ -22,7 +22,7 @@ from truearm.types import Device, Rig
 
 
 def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--all-free", "--hold-out", "outer", "--prior", "none", "--json")
+    outcome = run(*good, "--free", "*", "--hold-out", "outer", "--prior", "none", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     result = json.loads(outcome.out)
     assert (result["status"], result["rank"], result["n_free"]) == ("converged", 36, 54)
@@ -37,7 +37,7 @@ def test_noise_free_lengths_give_the_true_robot(run: Run, good: list[object]) ->
 
 
 def test_a_person_reads_parameters_errors_and_what_is_not_seen(run: Run, good: list[object]) -> None:
-    outcome = run(*good, "--all-free", "--hold-out", "outer", "--details")
+    outcome = run(*good, "--free", "*", "--hold-out", "outer", "--details")
     assert outcome.code == 0
     for words in (
         "puma560: 36 of 54 parameters identified from 70 ball-bar rows fitted, 20 held out",
@@ -57,7 +57,7 @@ def test_stopping_early_and_a_rank_that_is_not_full_are_results(run: Run, tmp_pa
     write_table(tmp_path / "t.csv", table, ("rad",) * 6)
     write_rig(tmp_path / "rig.toml", rig)
     arguments = ["identify", tmp_path / "t.csv", "--model", "puma560", "--rig", tmp_path / "rig.toml"]
-    outcome = run(*arguments, "--all-free", "--max-iterations", 1)
+    outcome = run(*arguments, "--free", "*", "--max-iterations", 1)
     assert outcome.code == 3
     assert "33 of 54 parameters" in outcome.out  # the paper's Table I: one chuck, three spheres
     assert outcome.out.startswith("This fit is not usable. It did not converge")
@@ -248,7 +248,7 @@ def test_real_data_gives_the_documented_figures(run: Run, row: list[str]) -> Non
     for place in places.split():
         arguments += ["--hold-out", f"place={place}"]
     geometry = ["--joint-laws", "none"]
-    options = (geometry, [*geometry, "--all-free"], [])
+    options = (geometry, [*geometry, "--free", "*"], [])
     result, gains_too, by_default = (json.loads(run(*arguments, *more).out) for more in options)
     assert result["status"] == "converged"
     # Three decimals are written down.

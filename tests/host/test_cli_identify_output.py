@@ -24,7 +24,7 @@ def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
     run: Run, good: list[object], good_text: str, tmp_path: Path
 ) -> None:
     out = tmp_path / "result.json"
-    outcome = run(*good, "--all-free", "--hold-out", "0.2", "--json", "--out", out)
+    outcome = run(*good, "--free", "*", "--hold-out", "0.2", "--json", "--out", out)
     assert out.read_text() == outcome.out
     result = json.loads(outcome.out, parse_constant=pytest.fail)
     check_schema(result)
@@ -37,7 +37,7 @@ def test_the_result_file_is_the_json_output_and_keeps_to_its_schema(
 
 
 def test_the_result_is_read_back(run: Run, good: list[object], tmp_path: Path) -> None:
-    run(*good, "--all-free", "--out", tmp_path / "r.json")
+    run(*good, "--free", "*", "--out", tmp_path / "r.json")
     stored = read_result(tmp_path / "r.json")
     document = json.loads((tmp_path / "r.json").read_text())
     assert stored.robot.name == "puma560"

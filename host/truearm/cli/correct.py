@@ -44,7 +44,6 @@ def correct(
     strict: bool = False,
     unchanged: list[str] | None = None,
     home: str | None = None,
-    residuals_out: Path | None = None,
     report: Path | None = None,
     allow_unusable: bool = False,
     force: bool = False,
@@ -81,8 +80,6 @@ def correct(
         Moves of a program to joint values: keep them or correct them too. Needed if the program has any.
     partial
         Correct the other moves of a program if some cannot be corrected; the exit code is 4.
-    residuals_out : FILE
-        Write the error of every target before and after as a table (.csv).
     report : FILE
         Write a report (.html): shifts, expected errors, margins, straight moves.
 
@@ -133,7 +130,7 @@ def correct(
         works=works,
         unchanged=frozenset(unchanged or ()),
     )
-    files = fill(CorrectFiles, locals(), robot=RobotChoice(model, base, tip), residuals=residuals_out)
+    files = fill(CorrectFiles, locals(), robot=RobotChoice(model, base, tip))
     calibration = read_usable(files.result, files.robot, allow_unusable).carrying(*payload_of(payload))
     options = fill(
         CorrectOptions,
@@ -151,7 +148,7 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    further = [f"Written: {one_line(str(path))}" for path in (residuals_out, report) if path is not None]
+    further = [] if report is None else [f"Written: {one_line(str(report))}"]
     print_result(found.document, [*lines(found), *further], json)
     if found.refused:
         raise typer.Exit(ExitCode.INCOMPLETE)

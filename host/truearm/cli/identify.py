@@ -41,7 +41,6 @@ def identify(
     free: list[str] | None = None,
     also_free: list[str] | None = None,
     freeze: list[str] | None = None,
-    all_free: bool = False,
     prior: Annotated[str | None, OneOf(tuple(Prior))] = None,
     solver: Annotated[str, OneOf(SOLVERS)] = option_defaults.SOLVER,
     loss: Annotated[str, OneOf(tuple(Loss))] = option_defaults.LOSS,
@@ -95,13 +94,12 @@ def identify(
     fit_only : GROUP
         Fit only these rows, such as place=front (repeatable). All others are held out.
     free : PATTERN
-        Identify only parameters that match, such as 'joint*.offset' (repeatable).
+        Identify only parameters that match, such as 'joint*.offset' (repeatable); '*': also those that the robot file
+        fixes.
     also_free : PATTERN
         Identify these too, in addition to those that the robot file frees: '*.gain,link3.y' (repeatable).
     freeze : PATTERN
         Hold parameters that match at their nominal values (repeatable).
-    all_free
-        Identify also the parameters that the robot file fixes; like --free '*'.
     prior
         Prior about the nominal values. weak: sigma of {weak}. wide: {wide}. where-needed: like
         weak, but for weakly identifiable parameters only. Default for a URDF: weak. Default for other robots:
@@ -136,7 +134,7 @@ def identify(
     files = IdentifyFiles(
         RobotChoice(model, base, tip), sources, tuple(results), table_out, report, command_line, force
     )
-    options = fill(IdentifyOptions, locals(), **({"free": ("*",)} if all_free else {}))
+    options = fill(IdentifyOptions, locals())
     document = identify_files(files, hold_out or [], options).document
     if json:
         typer.echo(format_document(document))

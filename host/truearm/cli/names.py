@@ -22,7 +22,6 @@ EARLIER = {
     "--picture": "--picture-out",
     "--program": "--program-out",
     "--curves": "--curves-out",
-    "--residuals": "--residuals-out",
     "--duration": "--duration-s",
     "--patience": "--patience-s",
     "--timeout": "--timeout-s",
@@ -33,6 +32,8 @@ EARLIER = {
     "--known-mm": "--measured-with",
 }
 REMOVED = {
+    "--all-free": "give --free '*'",
+    "--residuals-out": "the corrected table and --json have the error of every target",
     "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",
     "--split": "moves that need different numbers of one target always get their own; leave it out",
     "--harmless": "routines in none of the files are taken to be harmless, unless --strict is given; for data or an axis "

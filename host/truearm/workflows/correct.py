@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +25,6 @@ from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
 from truearm.types import Floats
-from truearm.units import DEG, MM
 from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings
 from truearm.workflows.correct_program import (
     CalibrationFrames,
@@ -76,7 +74,6 @@ class CorrectFiles(NamedTuple):
     robot: RobotChoice
     targets: Path
     out: Path
-    residuals: Path | None = None
     report: Path | None = None
     force: bool = False
 
@@ -106,7 +103,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
 
     Raises InputError with a one-line message, and then writes nothing.
     """
-    check_names(files.targets, files.out, files.residuals, files.report)
+    check_names(files.targets, files.out, files.report)
     _refuse_steps(options)
     read = [files.result, files.targets, *files.robot.files]
     programs = read_program_files(files.targets) if is_program(files.targets) else None
@@ -117,14 +114,9 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     else:
         check_program_out(files.out, programs, read)
     how = _how(calibration, options)
-    written = [*read, files.out]
-    for path, known, suffix in (
-        (files.residuals, looks_like_targets, ".csv"),
-        (files.report, looks_like_page, ".html"),
-    ):
-        if path is not None:
-            check_writable(path, files.force, inputs=written, ours=known, suffixes=[suffix])
-            written.append(path)
+    if files.report is not None:
+        inputs = [*read, files.out]
+        check_writable(files.report, files.force, inputs=inputs, ours=looks_like_page, suffixes=[".html"])
     if programs is None:
         done = _correct_table(files.targets, how, options)
     else:
@@ -132,9 +124,7 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         done = correct_program(programs.contents, programs.language, how, frames, options.program)
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
-    texts: dict[Path, str] = {}  # written once all is computed
-    if files.residuals is not None:
-        texts[files.residuals] = _residuals(correction, places, "row" if programs is None else "line")
+    page = ""
     said = tuple(warnings(calibration, done.targets, done.moves))
     caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
     configurations = None
@@ -147,13 +137,13 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
         document = document_of(found, calibration, said, caveats, done.refused, files.out.name, configurations)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
-            texts[files.report] = render(page_of(found, calibration, names, said, caveats, done.refused))
+            page = render(page_of(found, calibration, names, said, caveats, done.refused))
     if programs is None:
         write_atomic(files.out, done.table)
     else:
         write_program_files(files.out, programs, done.programs)
-    for path, text in texts.items():
-        write_atomic(path, text)
+    if files.report is not None:
+        write_atomic(files.report, page)
     point = done.targets.error_point(calibration.chain.end_frame)
     return CorrectedFile(
         calibration, options.own_frames, files.out, correction, point, places, caveats, said, document, done.refused
@@ -286,13 +276,3 @@ def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]
         caveats.append(calibration.doubt_of_payload)
     caveats += undetermined(calibration, q, own_frames)
     return caveats
-
-
-def _residuals(correction: Correction, places: Sequence[str], what: str) -> str:
-    """Return one row per target; without angles if only positions matter."""
-    lines = [f"{what},before_mm,after_mm,before_deg,after_deg"]
-    for place, before, after in zip(places, correction.before, correction.after, strict=True):
-        lengths = [f"{MM.of(error[0]):.6f}" for error in (before, after)]
-        angles = [f"{DEG.of(error[1]):.6f}" if math.isfinite(error[1]) else "" for error in (before, after)]
-        lines.append(",".join([place, *lengths, *angles]))
-    return "\n".join([*lines, ""])
