@@ -13,6 +13,8 @@ import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 
 from truearm.files.observation_table import write_table
+from truearm.files.project_file import Project, format_project
+from truearm.files.project_folder import FILE
 from truearm.files.rig_file import write_rig
 from truearm.report.validation_words import verdict
 from truearm.types import Device, Rig
@@ -72,13 +74,15 @@ def test_a_robot_that_did_not_change_passes(folder, run):
     )
 
 
-def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path):
+def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path, monkeypatch):
     """The same errors as on the screen; twice the RMS is compared with the tolerance."""
     path = measured(folder / "page.csv", TRUTH)
     found = judged(run, folder, path)
     twice = 2.0 * found["rms_after_mm"]
     page = tmp_path / "page.html"
-    details = ["--number", "TV-9", "--customer", "<Acme>", "--serial", "7", "--report", page]
+    (tmp_path / FILE).write_text(format_project(Project("puma560", customer="<Acme>")))
+    monkeypatch.chdir(tmp_path)
+    details = ["--number", "TV-9", "--report", page]
     for tolerance, decision in ((0.9 * twice, "FAIL"), (1.1 * twice, "PASS")):
         given = ["validate", folder / "result.json", path, "--rig", folder / "rig.toml", *details]
         code, said, _ = run(*given, "--tolerance-mm", f"{tolerance:.4f}", "--force")

@@ -31,7 +31,7 @@ from truearm.workflows.project import results_of, sessions_of
 def project(tmp_path, run, monkeypatch):
     """Make a project of the PUMA without a plan, as the working folder."""
     home = tmp_path / "cell"
-    assert run("init", home, "--model", "puma560", "--minutes", 0, "--operator", "A. B.").code == 0
+    assert run("init", home, "--model", "puma560", "--minutes", 0).code == 0
     monkeypatch.chdir(home)
     return home
 
@@ -145,11 +145,11 @@ def test_init_asks_for_the_links_and_the_branch_of_a_urdf(tmp_path, run, monkeyp
 
 
 def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ncell 3\n\n\ntcp://127.0.0.1:7008\n\n4\n\n460,610\ntape\n"))
+    monkeypatch.setattr(sys, "stdin", Terminal("puma560\ntcp://127.0.0.1:7008\n\n4\n\n460,610\ntape\n"))
     monkeypatch.chdir(tmp_path)
     assert run("init", "--minutes", 0).code == 0
     said = read_project(tmp_path / FILE)
-    assert (said.model, said.name, said.address, said.box) == ("puma560", "cell 3", "tcp://127.0.0.1:7008", "")
+    assert (said.model, said.address, said.box) == ("puma560", "tcp://127.0.0.1:7008", "")
     rig = read_rig(tmp_path / "rig.toml")
     assert (len(rig.chucks), len(rig.spheres)) == (4, 3)
     assert rig.bars["bar61"].zero == pytest.approx(0.61)
@@ -158,7 +158,7 @@ def test_init_asks_on_a_terminal(tmp_path, run, monkeypatch):
 
 def test_init_asks_again_after_a_typing_error(tmp_path, run, monkeypatch):
     """One wrong answer to each question that can be wrong: each is named, and the answers after them hold."""
-    answers = ["ur55", "puma560", "", "", "", "192.168.0.2", "rtde://192.168.0.2", "", "many", "4", "0", "3"]
+    answers = ["ur55", "puma560", "192.168.0.2", "rtde://192.168.0.2", "", "many", "4", "0", "3"]
     answers += ["460;610", "460,610", "ruler", "calliper"]
     monkeypatch.setattr(sys, "stdin", Terminal("\n".join(answers) + "\n"))
     monkeypatch.chdir(tmp_path)

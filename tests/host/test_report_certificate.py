@@ -21,6 +21,8 @@ import truearm
 from truearm.cli.main import main
 from truearm.estimate.prediction import nominal_error
 from truearm.files.observation_table import write_table
+from truearm.files.project_file import Project, format_project
+from truearm.files.project_folder import FILE
 from truearm.files.rig_file import write_rig
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
@@ -65,9 +67,17 @@ def words(page):
     return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<style.*?</style>", "", page, flags=re.S))).split())
 
 
-def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
-    details = ["--customer", "Acme", "--controller", "KRC5 8.7", "--number", "TA-17"]
-    code, out, err = run(*made, "--serial", "2019-7", "--operator", "<b>A.</b>", "--name", "cell 3", *details)
+def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run, monkeypatch):
+    details = {
+        "customer": "Acme",
+        "controller": "KRC5 8.7",
+        "serial": "2019-7",
+        "operator": "<b>A.</b>",
+        "name": "cell 3",
+    }
+    (tmp_path / FILE).write_text(format_project(Project("puma560", **details)))
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*made, "--number", "TA-17")
     assert (code, err) == (0, "")
     assert str(tmp_path / "page.html") in out
     page = (tmp_path / "page.html").read_text("utf-8")
@@ -98,9 +108,10 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run):
 
 def test_the_files_of_a_result_are_found_in_the_project(made, tmp_path, run, monkeypatch):
     """By name and content: a file that was changed is none of them."""
-    without = [*made[:2], *made[3:]]
+    without = [*made[:2], "--out", made[-1]]
     (tmp_path / "data").mkdir()
-    (tmp_path / "poses.csv").rename(tmp_path / "data" / "poses.csv")
+    for name in ("poses.csv", "rig.toml"):
+        (tmp_path / name).rename(tmp_path / "data" / name)
     code, _, err = run(*without)
     assert (code, "poses.csv, which is not among the files given" in err) == (2, True)
     (tmp_path / "truearm.toml").write_text('model = "puma560"')

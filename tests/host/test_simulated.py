@@ -38,7 +38,7 @@ def run(capsys, *words):
 
 def test_result_and_its_pages(folder, tmp_path, capsys):
     assert json.loads((folder / "result.json").read_text())["simulated"] is True
-    run(capsys, "report", folder / "result.json", SESSION, "--name", "cell 3", "--out", tmp_path / "page.html")
+    run(capsys, "report", folder / "result.json", SESSION, "--out", tmp_path / "page.html")
     assert "Certificate of a simulated calibration" in (tmp_path / "page.html").read_text()
     for page in (folder / "fit.html", tmp_path / "page.html"):
         assert WATERMARK in page.read_text()

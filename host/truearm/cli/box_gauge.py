@@ -65,6 +65,8 @@ def gauge(
         The reference, for the report: type, serial number and certificate.
     uncertainty_um : UM
         Expanded uncertainty (k = 2) of the reference, from its certificate.
+    operator : TEXT
+        Name of the operator, for the report.
     yes
         Store the calibration without asking.
 

@@ -37,9 +37,6 @@ def init(
     base: str = "",
     tip: str = "",
     branch: str | None = None,
-    name: str | None = None,
-    serial: str | None = None,
-    operator: str | None = None,
     address: str | None = None,
     box: str | None = None,
     chucks: Annotated[int | None, PARTS] = None,
@@ -79,7 +76,6 @@ def init(
 
     Expert options
     --------------
-    operator
     json
     """
     from truearm.cli.plan_text import visit_lines
@@ -118,9 +114,6 @@ def init(
         base=base,
         tip=tip,
         branch=branch or "",
-        name=ask(name, "What is calibrated, as reports call it (Enter for nothing)", str),
-        serial=ask(serial, "Serial number of the robot (Enter for none)", str),
-        operator=ask(operator, "Name of the operator (Enter for none)", str),
         address=ask(
             address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)", _address
         ),

@@ -32,6 +32,10 @@ EARLIER = {
     "--known-mm": "--measured-with",
 }
 REMOVED = {
+    **{
+        f"--{word}": f"write {word} = … into truearm.toml"
+        for word in ("name", "serial", "operator", "controller", "customer")
+    },
     "--all-free": "give --free '*'",
     "--residuals-out": "the corrected table and --json have the error of every target",
     "--zero-sigma-mm": "give --measured-with, or write zero_sigma_mm of the bar into rig.toml",

@@ -24,14 +24,6 @@ box : DEVICE
     Port of the box: /dev/ttyACM0, COM3 or socket://127.0.0.1:7007. Default: the box that is plugged in.
 address : URL
     Source of the robot's joint readings: {sources}.
-name : TEXT
-    Name of the robot in reports.
-serial : TEXT
-    Serial number of the robot.
-operator : TEXT
-    Name of the operator, for the certificate.
-customer : TEXT
-    Whom the certificate is for.
 tolerance_mm : MM
     Permitted error of the tool, for the certificate: pass or fail.
 own_frames
@@ -51,8 +43,6 @@ json
 
 Expert options
 --------------
-controller : TEXT
-    Controller of the robot and its software, for the certificate.
 number : TEXT
     Number of the certificate.
 base : LINK
@@ -114,10 +104,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from truearm import option_defaults
 from truearm.errors import InputError
@@ -146,18 +135,15 @@ TEXTS = {
 }
 
 
-def issue_of(given: Mapping[str, Any]) -> Issue:
-    """Return whom a certificate is for, from a command's parameters and the project's file."""
+def issue_of(number: str, tolerance_mm: float | None) -> Issue:
+    """Return whom a certificate is for, from two options and the project's file."""
     from truearm.files.project_file import Project, read_project
     from truearm.files.project_folder import find_project
     from truearm.workflows.certificates import Issue
 
     file = find_project(Path.cwd())
     project = Project("") if file is None else read_project(file)
-    named = ("serial", "operator", "name", "controller", "customer")
-    texts = {key: given[key] for key in named if given[key] is not None}
-    tolerance = given["tolerance_mm"]
-    return Issue(replace(project, **texts), given["number"], None if tolerance is None else MM.to_si(tolerance))
+    return Issue(project, number, None if tolerance_mm is None else MM.to_si(tolerance_mm))
 
 
 def rigs_of(given: list[str] | None) -> dict[str, Path]:

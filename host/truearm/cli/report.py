@@ -26,25 +26,19 @@ def report(
     base: str | None = None,
     tip: str | None = None,
     rig: list[str] | None = None,
-    noise: Path | None = None,
-    serial: str | None = None,
-    operator: str | None = None,
-    name: str | None = None,
-    controller: str | None = None,
-    customer: str | None = None,
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     line_points: Annotated[int | None, LINE_POINTS] = None,
-    allow_damaged: bool = False,
     force: bool = False,
     json: bool = False,
 ) -> None:
     """Write the report on a result, with a certificate as its first page.
 
     The fit is repeated from the files of the result, with the same options. If the files differ, or the outcome does, no report is written.
+    The certificate takes name, serial number, controller, customer and operator from truearm.toml.
 
     Example:
-      truearm report result.json session.mcap --serial 2019-7 --operator "A. Smith" --out report.html
+      truearm report result.json session.mcap --number 2026-7 --out report.html
 
     Arguments
     ---------
@@ -56,10 +50,8 @@ def report(
     -------
     out : FILE
         File to write: the report (.html).
-    noise : FILE
-        The noise file that was given to truearm identify.
     rig : [NAME=]FILE
-        Rig (.toml). {named_rigs}. Default: the rig in each session.
+        Rig (.toml). {named_rigs}. Default: the rig in each session, or the one that the result was made from.
 
     Expert options
     --------------
@@ -71,8 +63,8 @@ def report(
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, report_files
 
-    sources = Sources(tuple(inputs or ()), rigs_of(rig), noise, allow_damaged, line_points, warn)
+    sources = Sources(tuple(inputs or ()), rigs_of(rig), None, True, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(RobotChoice(model, base, tip), sources, command=command_line, force=force)
-    report_files(ReportFiles(result, files, out, issue_of(locals())))
+    report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))
     print_result({"report": str(out)}, [f"Written: {one_line(str(out))}"], json)

@@ -28,11 +28,6 @@ def validate(
     rig: list[str] | None = None,
     keep_rig: bool = False,
     report: Path | None = None,
-    serial: str | None = None,
-    operator: str | None = None,
-    name: str | None = None,
-    controller: str | None = None,
-    customer: str | None = None,
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     json: bool = False,
@@ -69,13 +64,15 @@ def validate(
     sources = Sources(tuple(inputs), rigs_of(rig), allow_damaged=allow_damaged, say=warn)
     choice = RobotChoice(model, base, tip)
     if report is None:
-        if number or any(text is not None for text in (tolerance_mm, serial, operator, name, controller, customer)):
+        if number or tolerance_mm is not None:
             raise InputError("the details of a certificate need a page; give ", Argument("report"))
         document = validate_files(result, choice, sources, keep_rig).document
     else:
         command_line = shlex.join(["truearm", *(context.obj or [])])
         files = IdentifyFiles(choice, sources, command=command_line, force=force)
-        document = validation_report(ReportFiles(result, files, report, issue_of(locals())), keep_rig).document
+        document = validation_report(
+            ReportFiles(result, files, report, issue_of(number, tolerance_mm)), keep_rig
+        ).document
     if json:
         typer.echo(format_document(document))
     else:

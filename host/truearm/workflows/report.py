@@ -53,13 +53,14 @@ def report_files(files: ReportFiles) -> Identification:
     options, hold_out = _options(files.result, stored.made_with)
     recordings: list[Recording] = []
     given = files.made_from.sources
-    measured = {entry.sha256: entry.name for entry in stored.inputs if entry.role == "observations"}
-    nearby = (folder / name for folder in _folders(files.result) for name in measured.values())
-    named = list(given.inputs) or [path for path in nearby if path.is_file()]
-    by_hash = {sha256(path): path for path in with_parts(named)}
+    measured = {entry.sha256 for entry in stored.inputs if entry.role == "observations"}
+    named = tuple(path for path in with_parts(list(given.inputs)) if sha256(path) in measured)
+    rigs = _nearby(files.result, stored, "rig") if not given.rigs else []
     sources = replace(
         given,
-        inputs=tuple(by_hash[key] for key in measured if key in by_hash) or given.inputs,
+        inputs=named or given.inputs or tuple(_nearby(files.result, stored, "observations")),
+        rigs={"": rigs[0]} if len(rigs) == 1 else given.rigs,
+        noise=next(iter(_nearby(files.result, stored, "noise")), None),
         heard=lambda session, result: recordings.append(recording_of(session, result)),
     )
     choice = files.made_from.robot
@@ -79,10 +80,13 @@ def report_files(files: ReportFiles) -> Identification:
     return found
 
 
-def _folders(result: Path) -> list[Path]:
-    """Return the folders in which to look for the files of a result."""
-    file = find_project(Path.cwd())
-    return [result.parent, Path.cwd(), *([] if file is None else folders_of(file.parent))]
+def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
+    """Return the files that a result was made from in a role, from its folder, the working folder and the project."""
+    project = find_project(Path.cwd())
+    folders = [result.parent, Path.cwd(), *([] if project is None else folders_of(project.parent))]
+    entries = [entry for entry in stored.inputs if entry.role == role]
+    places = ((entry.sha256, folder / entry.name) for entry in entries for folder in folders)
+    return list({digest: path for digest, path in places if path.is_file() and sha256(path) == digest}.values())
 
 
 @step("validating")
