@@ -160,7 +160,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
     assert (code, out.exists()) == (2, False)
     assert "--home" in err
     if kind in ("script", "module"):
-        refused = json.loads(said)["refused"]
+        refused = json.loads(said)["error"]["values"]["refused"]
         assert {one["code"] for one in refused} == {"configuration"}
     near = ",".join(map(repr, np.rad2deg(q[0]).tolist()))
     code, said, err = run(capsys, *arguments, "--home", near)
@@ -388,9 +388,9 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert f"{n} of {n + 1} moves can be corrected; the other one cannot, so nothing was written" in err
     assert not (tmp_path / "o.script").exists()
     code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
-    document = json.loads(said)
-    refused = [(move["file"], move["line"], move["code"]) for move in document["refused"]]
-    assert (code, document["out"], refused) == (2, None, [("p.script", line, "run-time")])
+    error = json.loads(said)["error"]
+    refused = [(move["file"], move["line"], move["code"]) for move in error["values"]["refused"]]
+    assert (code, error["code"], refused) == (2, "uncertain-moves", [("p.script", line, "run-time")])
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 4, err
     assert said.startswith("1 move not corrected:\n")

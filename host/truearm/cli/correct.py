@@ -10,7 +10,7 @@ import typer
 from truearm.bounds import Within
 from truearm.cli.command import command, fill
 from truearm.cli.options import frame_of, joints_of, numbers_of, payload_of
-from truearm.cli.output import print_json, print_result
+from truearm.cli.output import print_result
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
@@ -113,7 +113,6 @@ def correct(
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
-    from truearm.workflows.correction_findings import refusal_of
 
     if mark and not partial:
         raise InputError("--mark needs --partial: it marks what --partial leaves uncorrected")
@@ -143,8 +142,6 @@ def correct(
     try:
         found = correct_file(calibration, files, options)
     except ProgramRefused as exc:
-        if json:
-            print_json(refusal_of(calibration, exc.refused))
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise

@@ -72,7 +72,7 @@ class ProgramRefused(FindingError):
     """Programs with moves that cannot be corrected with certainty; ``refused`` names them."""
 
     def __init__(self, text: Sequence[str], refused: Sequence[Refused]) -> None:
-        super().__init__(Finding("uncertain-moves", {"refused": len(refused)}), *text)
+        super().__init__(Finding("uncertain-moves", {"refused": [move.entry() for move in refused]}), *text)
         self.refused = tuple(refused)
 
 

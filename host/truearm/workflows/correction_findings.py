@@ -255,12 +255,7 @@ def document_of(
     }
 
 
-def refusal_of(calibration: Calibration, refused: Sequence[Refused]) -> dict[str, Any]:
-    """Return the document for a program that was not written."""
-    return {**_head(calibration, None), "refused": [move.entry() for move in refused]}
-
-
-def _head(calibration: Calibration, out: str | None) -> dict[str, Any]:
+def _head(calibration: Calibration, out: str) -> dict[str, Any]:
     chain = calibration.chain
     frames = {"robot": chain.name, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
     return {"format": FORMAT, "format_version": FORMAT_VERSION, **frames, "out": out}
