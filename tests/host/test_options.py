@@ -11,6 +11,8 @@ import typer
 from truearm.cli import command as declaration
 from truearm.cli.main import command_tree, main
 from truearm.cli.names import EARLIER, MEANINGS
+from truearm.errors import RobotError
+from truearm.files.robot_file import load_robot
 from truearm.workflows.plan import BallBarOptions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "options.md").read_text()
@@ -75,6 +77,24 @@ def test_every_word_of_the_page_is_an_option():
 def test_an_earlier_word_is_refused_and_the_new_one_named(typed, now, capsys):
     assert main(typed.split()) == 2
     assert now in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("typed", ["correct targets.csv r.json --out c.csv", "validate poses.csv r.json"])
+def test_files_in_the_wrong_order_are_named_as_such(typed, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("targets.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
+    Path("poses.csv").write_text("kind,bar\n")
+    Path("r.json").write_text('{"format": "truearm-result"}')
+    assert main(typed.split()) == 2
+    assert f"{typed.split()[1]}: stands where the result belongs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("UR5E", "ur5e"), ("kuka_lbr", "iiwa14"), ("ABB", "irb120"), ("franka", "panda")]
+)
+def test_a_wrong_robot_is_answered_by_what_it_means(typed, meant):
+    with pytest.raises(RobotError, match=f"did you mean {meant}"):
+        load_robot(typed)
 
 
 def test_no_command_has_an_earlier_word():

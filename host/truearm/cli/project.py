@@ -65,12 +65,14 @@ class ProjectCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the command line. Of a command that takes a result and further files, the project's result may be left out."""
         files = [one.name or "" for one in self.params if not one.opts[0].startswith("-")]
-        if files[:1] == ["result"] and len(files) == 2 and ctx.default_map:
+        if files[:1] == ["result"] and len(files) == 2:
             words, *_ = self.make_parser(ctx).parse_args(list(args))
-            first, second = (words.get(name) for name in files)
+            first, further = (words.get(name) for name in files)
+            further = [further] if isinstance(further, str) else further if isinstance(further, list | tuple) else []
             kind = kind_of(Path(first)) if isinstance(first, str) else "result"
-            lacks_one = not isinstance(second, str) and not (isinstance(second, list | tuple) and second)
-            if kind != "result" and (kind or lacks_one) and (result := ctx.lookup_default("result")):
+            if kind != "result" and any(kind_of(Path(file)) == "result" for file in further):
+                raise InputError(f"{first}: stands where the result belongs; give the result first")
+            if kind != "result" and (kind or not further) and (result := ctx.lookup_default("result")):
                 ctx.meta[RESULT_TAKEN] = [result]
                 args = [result, *args]
         return super().parse_args(ctx, args)

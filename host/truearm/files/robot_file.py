@@ -15,6 +15,16 @@ from truearm.model.robot import Robot, builtin_robot, parse_robot
 from truearm.model.urdf import chain_from_urdf, free_without_gains
 
 MAX_BYTES = 8_000_000
+# The built-in robot that a maker's or another name means.
+ROBOTS_OF = {
+    "abb": "irb120",
+    "franka": "panda",
+    "fr3": "panda",
+    "kuka": "iiwa14",
+    "lbr": "iiwa14",
+    "unimation": "puma560",
+    "universal": "ur5e or ur10e",
+}
 
 
 class RobotChoice(NamedTuple):
@@ -65,7 +75,9 @@ def robot_file(robot: str) -> Path | None:
         return None
     path = Path(robot)
     if path.suffix.lower() not in (".toml", ".urdf", ".xml"):
-        meant = difflib.get_close_matches(robot.lower(), builtin_names(), n=1)
+        word = robot.lower()
+        of_maker = [names for maker, names in ROBOTS_OF.items() if maker in word]
+        meant = difflib.get_close_matches(word, builtin_names(), n=1) or of_maker
         if meant and not path.suffix:
             raise RobotError(f"there is no built-in robot {robot!r}; did you mean {meant[0]}?")
         raise RobotError(
