@@ -54,6 +54,8 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
     assert (calibration["unit"], calibration["serial"]) == ("m", "LV-1")
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", calibration["date"])
     assert calibration["temperature_mdegc"] == 24_500
+    assert calibration["reference"] == "micrometer 164-163"
+    assert calibration["reference_sigma"] == [1, -6]  # half of 2 µm, k = 2
     poly = [m * 10.0**e for m, e in calibration["poly"]]
     volts = np.linspace(-0.75, 0.75, 31)
     error = np.polynomial.polynomial.polyval(volts, poly) - np.polynomial.polynomial.polyval(volts, Stage.POLY)

@@ -47,6 +47,8 @@ def full():
         "serial": 'a "quoted" \\ näme\x7f\n',
         "date": "2026-11-21",
         "sigma": [21, -7],
+        "reference": "micrometer head 164-163, certificate 4711 of 2026-01-05",
+        "reference_sigma": [1, -6],
         "temperature_mdegc": -1250,
         "operator": "of a later version",
     }

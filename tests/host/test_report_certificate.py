@@ -161,14 +161,17 @@ def test_the_error_of_the_nominal_robot_is_that_of_the_arm_and_not_of_its_mounti
 
 
 @pytest.mark.parametrize(("pair", "sigma"), [([12, -7], 1.2e-6), (None, None), ([1, 2, 3], None), ([1, 10**6], None)])
-def test_a_sensor_says_how_well_its_calibration_fits(pair, sigma):
+def test_a_sensor_says_how_well_its_calibration_fits_and_against_what(pair, sigma):
     calibration = {"unit": "m", "poly": [[1, 0]], "serial": "7", "date": "2026-01-02", "sigma": pair}
+    calibration |= {"reference": "gauge blocks, certificate 4711", "reference_sigma": pair}
     document = {"streams": [{"channels": [{"name": "lvdt", "calibration": calibration}]}]}
     (sensor,) = sensors_of(document)
-    assert sensor == Sensor("lvdt", "7", "2026-01-02", "", sigma)
+    assert sensor == Sensor("lvdt", "7", "2026-01-02", "", sigma, "gauge blocks, certificate 4711", sigma)
     ((label, value),) = sensor_facts([SimpleNamespace(sensors=(sensor, sensor))])
     assert label == "sensor lvdt"
     assert ("residuals of 1.2 µm" in value) == (sigma is not None)
+    assert "against gauge blocks, certificate 4711" in value
+    assert ("± 2.4 µm (k = 2)" in value) == (sigma is not None)
 
 
 @pytest.mark.parametrize(

@@ -179,6 +179,8 @@ CALIBRATION = Table[dict[str, Any]](
         _key("serial", UnquotedText()),
         _key("date", UnquotedText()),
         _key("sigma", Exact(), "standard deviation of the residuals, in unit", judged=False),
+        _key("reference", UnquotedText(), "instrument that it was calibrated against", judged=False),
+        _key("reference_sigma", Exact(), "standard uncertainty of the reference, in unit", judged=False),
         _key(
             "temperature_degc",
             _MILLIDEGREES,

@@ -135,9 +135,20 @@ def _before(places: Sequence[Place], channel: Channel) -> float | None:
 
 
 def with_calibration(
-    config: dict[str, Any], stream: Stream, index: int, places: Sequence[Place], result: PolyFit, serial: str | None
+    config: dict[str, Any],
+    stream: Stream,
+    index: int,
+    places: Sequence[Place],
+    result: PolyFit,
+    serial: str | None,
+    instrument: str = "",
+    uncertainty: float | None = None,
 ) -> dict[str, Any]:
-    """Return the configuration with the new calibration, checked. Raises InputError."""
+    """Return the configuration with the new calibration, checked. Raises InputError.
+
+    ``instrument`` and ``uncertainty`` as in ``GaugeCircumstances``; the configuration has none for the magnetostrictive
+    sensor.
+    """
     from truearm.box.configuration_schema import check
 
     date = datetime.now(UTC).date().isoformat()
@@ -157,6 +168,8 @@ def with_calibration(
         "date": date,
         "sigma": _pair(f"{result.sigma:.2e}"),
         **_temperature(places),
+        **({"reference": instrument} if instrument else {}),
+        **({} if uncertainty is None else {"reference_sigma": _pair(f"{0.5 * uncertainty:.3e}")}),
     }
     return check({**config, "channels": channels})
 

@@ -122,7 +122,8 @@ def gauge_channel(device: str, options: GaugeOptions, operator: GaugeOperator, s
             result, tried = calibrate(places, options.order, stream.name == MAG)
             for line in words(places, result, tried, stream.channels[index]):
                 say(line)
-            new = with_calibration(config, stream, index, places, result, options.serial)
+            stated = options.serial, options.instrument, options.uncertainty
+            new = with_calibration(config, stream, index, places, result, *stated)
             write_page(page, _circumstances(box, options, new), stream.channels[index], places, result, tried, new)
             say(f"{page}: residuals and orders")
             if _stored(box, (config, new), device, options.agreed, operator):

@@ -22,13 +22,18 @@ SIGNATURE = "".join(f"<p>{field}</p>" for field in ("place, date", "name", "sign
 
 @dataclass(frozen=True)
 class Sensor:
-    """A calibrated channel of a box, as reported by the box. ``sigma`` [m]: of its residuals, None if not reported."""
+    """A calibrated channel of a box, as reported by the box.
+
+    ``sigma`` [m] of its residuals and ``reference_sigma`` [m] of the ``reference`` instrument are None if not reported.
+    """
 
     name: str
     serial: str
     date: str
     temperature: str
     sigma: float | None = None
+    reference: str = ""
+    reference_sigma: float | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +118,10 @@ def sensor_facts(recordings: Sequence[Recording]) -> Facts:
             f"calibrated {sensor.date or 'on an unknown date'}",
             sensor.temperature,
             "" if sensor.sigma is None else f"residuals of {UM.text(sensor.sigma, '.1f')}",
+            f"against {sensor.reference or 'a reference that is not named'}",
+            "of unknown uncertainty"
+            if sensor.reference_sigma is None
+            else f"± {UM.text(2.0 * sensor.reference_sigma, '.1f')} (k = 2)",
         )
         facts.append((f"sensor {sensor.name}", ", ".join(filter(None, words))))
     return tuple(facts) + more(len(sensors))

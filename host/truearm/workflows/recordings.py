@@ -59,13 +59,15 @@ def sensors_of(document: Mapping[str, Any]) -> list[Sensor]:
                 temperature = calibration.get("temperature_mdegc")
                 name = one_line(str(channel.get("name", ""))[:40])
                 degc = f"at {temperature // 100 / 10:.1f} °C" if type(temperature) is int else ""
-                found.append(Sensor(name, serial, date, degc, _sigma(calibration)))
+                reference = one_line(str(calibration.get("reference") or "")[:80])
+                sigmas = _sigma(calibration, "sigma"), _sigma(calibration, "reference_sigma")
+                found.append(Sensor(name, serial, date, degc, sigmas[0], reference, sigmas[1]))
     return found
 
 
-def _sigma(calibration: Mapping[str, Any]) -> float | None:
-    """Return the standard deviation [m] of a calibration's residuals; None if the box does not report it as a length."""
-    pair = calibration.get("sigma")
+def _sigma(calibration: Mapping[str, Any], key: str) -> float | None:
+    """Return a standard deviation [m] of a calibration; None if the box does not report it as a length."""
+    pair = calibration.get(key)
     if calibration.get("unit") != "m" or not (isinstance(pair, list) and len(pair) == 2):
         return None
     mantissa, exponent = pair
