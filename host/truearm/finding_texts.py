@@ -11,14 +11,16 @@ from typing import NamedTuple
 
 
 class Severity(StrEnum):
-    """How much a finding matters.
+    """What a finding is.
 
-    The command ends because of it, the result must not be used, the user must look at it, a remark, what to do next.
+    The command ends because of it, the result must not be used, the user must look at it, the answer, a remark, what to
+    do next.
     """
 
     ERROR = "error"
     REFUSAL = "refusal"
     WARNING = "warning"
+    RESULT = "result"
     NOTE = "note"
     ADVICE = "advice"
 
@@ -31,7 +33,7 @@ class Statement(NamedTuple):
     remedy: str = ""
 
 
-ERROR, REFUSAL, WARNING, NOTE, ADVICE = Severity
+ERROR, REFUSAL, WARNING, RESULT, NOTE, ADVICE = Severity
 
 MORE_POSES = "Measure more poses, in more of the workspace"
 SHARED = "This is the error in what the rows measure. Errors that all rows share do not show in it."
@@ -45,14 +47,14 @@ PROPOSAL = "[: {@hold_out} {fraction:g}][ {@seed} {seed}][ holds out {rows:#row}
 IDENTIFICATION: Mapping[str, Statement] = {
     # the verdict
     "better": Statement(
-        NOTE,
+        RESULT,
         "Usable: the mean error of {n:#pose} {by} is {after}, and {before} with the nominal robot.",
     ),
     "held-out": Statement(
-        NOTE, "Usable: the RMS of {n:#held-out row} is {after}, and {before} with the nominal robot."
+        RESULT, "Usable: the RMS of {n:#held-out row} is {after}, and {before} with the nominal robot."
     ),
     "unjudged": Statement(
-        NOTE,
+        RESULT,
         "Usable, but not judged by poses that were not fitted: the RMS of the fitted rows is {after}, and {before} with the nominal robot.",
     ),
     "no-gain": Statement(
@@ -188,7 +190,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     # the error of the tool
     "tool-error": Statement(
-        NOTE,
+        RESULT,
         "Tool error predicted from the sigmas: {rms} RMS over {n:#pose}[{relative:!} (excluding the pose of the base)], at most {largest}, at {row}.",
     ),
     "tool-error-unpredictable": Statement(
@@ -196,12 +198,12 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The tool error cannot be predicted: unidentifiable or weakly identifiable combinations would move the tool.",
     ),
     "tool-error-shown": Statement(
-        NOTE,
+        RESULT,
         f"{{because}}. Expect errors of {{error}}[ (95 %: {{range}})], the mean of {{n:#pose}} {{by}}. {SHARED}",
         BY_SIGMAS,
     ),
     "tool-error-by-sigmas": Statement(
-        NOTE,
+        RESULT,
         f"{{because}}. Expect tool errors of {{tool}} RMS over {{tool_n:#pose}}, as the sigmas predict: the rows show only part of the tool's error. {SHOWN}",
     ),
     "tool-error-systematic": Statement(
@@ -215,7 +217,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     # what was identified
     "identified": Statement(
-        NOTE,
+        RESULT,
         "{robot}: {rank} of {n_free:#parameter} identified from {rows} fitted[, {held_out} held out][; {unseen:#combination is|combinations are} unidentifiable, and no prediction for such poses depends on {unseen:?it|them}][; {weak:#combination is|combinations are} weakly identifiable].",
     ),
     "held-frames": Statement(
@@ -280,11 +282,11 @@ IDENTIFICATION: Mapping[str, Statement] = {
         f"No row with {{names}} is left in the fit.[{{proposed:!}} If you did not intend this, hold out others]{PROPOSAL}[{{proposed:!}}.]",
     ),
     "rig-from-held-out": Statement(
-        NOTE, "{n:#unknown of the rig was|unknowns of the rig were} estimated from the held-out rows themselves."
+        NOTE, "{n:#unknown of the rig was|unknowns of the rig were} estimated from the rows that judge."
     ),
     "rows-not-judged": Statement(
         NOTE,
-        "{n:#held-out row is|held-out rows are} not judged: unknowns of the rig fit such rows exactly.",
+        "{n:#row is|rows are} not judged: unknowns of the rig fit such rows exactly.",
     ),
     "no-row-judged": Statement(
         WARNING,
@@ -316,10 +318,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "Measure poses with other gravity torques if you use them.",
     ),
     "sag-of-payloads": Statement(NOTE, "The sag of the joints depends on the payload, which was {masses} kg."),
-    "sag-of-payload": Statement(
-        NOTE,
-        "The sag of the joints holds for the payload of these rows, {mass} kg: it is the same in all of them.",
-    ),
+    "sag-of-payload": Statement(NOTE, "The sag of the joints holds for the payload of the calibration[, {masses} kg]."),
     "law-noise": Statement(NOTE, "Noise learned from the residuals: {terms}."),
     # what to do next
     "measure-next": Statement(
@@ -412,8 +411,451 @@ PROGRAMS: Mapping[str, Statement] = {
     code: Statement(REFUSAL, f"[its {{subject}}: ]{clause}") for code, clause in REASONS.items()
 }
 
+RELABEL = "Decide what was mounted with truearm session relabel."
+WAIT = "Wait longer at each pose ({@dwell_s} of the plan)."
+LINK = "Close other programs that use the port, use a shorter USB cable, or a faster computer."
+
+SESSION: Mapping[str, Statement] = {
+    # the verdict
+    "session-usable": Statement(
+        RESULT,
+        "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{both:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)].",
+    ),
+    "no-samples": Statement(REFUSAL, "Not usable: the box sent no sample.", "Check it with truearm box test."),
+    "no-joint-readings": Statement(
+        REFUSAL,
+        "Not usable: no joint readings[; the robot sent {bytes:#byte that is no reading|bytes that are no readings}].",
+        "Add them with truearm session add-joints.",
+    ),
+    "no-box-clock": Statement(
+        REFUSAL,
+        "Not usable: the box answered no clock request, so its samples cannot be placed in time.",
+        "Check it with truearm box test, and record again.",
+    ),
+    "no-stops": Statement(REFUSAL, "Not usable: the robot never stood still.", WAIT),
+    "session-not-evaluated": Statement(
+        WARNING,
+        "Not evaluated: {dwells:#stop} and no observation, because {reason}.",
+        "Give {@rig} to truearm identify.",
+    ),
+    "no-observations": Statement(
+        REFUSAL,
+        "Not usable: no observation[ from {dwells:#dwell}][ ({planned:#pose} planned)][, none from {passes:#pass|passes} along lines].",
+    ),
+    "recording": Statement(
+        RESULT,
+        "{file}: {duration:.1f}[, {streams}][, {readings:#joint reading}][; clock error at most {clock:.0f}].",
+    ),
+    # the file
+    "session-incomplete": Statement(
+        WARNING,
+        "The file is incomplete: what followed is lost, or its recorder is still running.",
+        "Save what it holds with truearm session recover.",
+    ),
+    "session-damaged": Statement(
+        WARNING,
+        "Damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.",
+    ),
+    "session-headers-damaged": Statement(
+        WARNING,
+        "Damaged: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong.",
+        "Copy the file again.",
+    ),
+    "session-recovered": Statement(NOTE, "Recovered from {source}: {lost:#message is|messages are} known to be lost."),
+    "joints-added": Statement(
+        NOTE,
+        "The joint readings were added from {source}: their arrival was not observed. Controller time: {time}; its error is unknown.",
+    ),
+    "foreign-datagrams": Statement(
+        WARNING,
+        "{n:#datagram|datagrams} from other addresses than the robot's not stored.",
+        "Stop the program that sends them, or use another port.",
+    ),
+    "session-made": Statement(
+        NOTE, "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}]."
+    ),
+    # what did not arrive
+    "nothing-lost": Statement(NOTE, "Nothing lost, nothing duplicated, no restart."),
+    "lost-on-link": Statement(WARNING, "{frames_lost:#frame} and {samples_lost:#sample} lost on the link.", LINK),
+    "lost-in-box": Statement(
+        WARNING,
+        "{samples_overrun:#sample} overrun in the box ({overruns} by its own count), {dropped:#frame} dropped by it.",
+        "Record with a lower {@rate}, or use a faster computer.",
+    ),
+    "converter-faults": Statement(
+        WARNING,
+        "The converter had faults in {converter_faults:#block}, {crc_errors:#damaged frame} and {converter_resets:#reset by itself|resets by itself}.",
+        "Check its plug and its supply with truearm box test.",
+    ),
+    "missing-stop-pulses": Statement(
+        WARNING,
+        "{missing_stops:#interrogation} of the magnetostrictive head without a stop pulse.",
+        "Bring the magnet closer to the rod.",
+    ),
+    "thermometer-errors": Statement(
+        WARNING,
+        "{thermometer_errors:#reading} of a thermometer failed.",
+        "Check its plug; fit a smaller pull-up resistor for a long cable.",
+    ),
+    "box-restarted": Statement(
+        WARNING, "{restarts:#restart} of the box.", "Check its plug and the supply of the USB port."
+    ),
+    "box-silent": Statement(
+        WARNING,
+        "The box was silent from {periods}; {missing:#sample is|samples are} missing by the nominal rate.",
+        LINK,
+    ),
+    "clock-unanswered": Statement(NOTE, "{sync_unanswered:#clock request} unanswered."),
+    "not-frames": Statement(
+        NOTE,
+        "{console_runs:#run} of bytes that are no frame ({console_bytes:#byte}; runs of text: {console_text_runs}).",
+    ),
+    "odd-frames": Statement(
+        NOTE,
+        "Odd frames: {frames_duplicated} duplicated, {frames_late} late, {frames_malformed} malformed, {frames_unknown} of unknown types, {blocks_without_ident} of a stream that the box never described; {bad_frames} bad ones received by the box, {short_writes} sent in pieces.",
+    ),
+    "box-counters": Statement(NOTE, "By the box's count: {counts}."),
+    "frames": Statement(NOTE, "{frames:#frame} received, {samples:#sample} in {blocks:#block}."),
+    "heartbeats": Statement(
+        NOTE,
+        "{heartbeats:#heartbeat} of the box[; longest loop {loop_max_us} µs][; longest garbage collection {gc_max_us} µs][; least free heap {heap_free_min} bytes][; {others}].",
+    ),
+    "temperature": Statement(NOTE, "Temperature: {ranges}."),
+    # time
+    "box-clock": Statement(
+        NOTE,
+        "Clock, segment {segment}: host − box {offset:.6f} s; the host counts {rate}[ (varies by {varies:.3f})]. Error at most {bound:.1f}; of this, {half_asymmetry:.1f} is half the shortest round trip, because the two directions may differ. {exchanges:#exchange} ({rejected} rejected) in {windows:#window}[; neighbouring windows differ by {spread:.2f} (RMS)]; round trip {rtt_min:.1f} (shortest), {rtt_median:.1f} (median).",
+    ),
+    "clock-stepped": Statement(
+        WARNING,
+        "The clock of the host or of the box was set or slewed: host − box changed by {change:+.1f} between {begin:.3f} s and {end:.3f} s of the box's clock.",
+    ),
+    "robot-clock": Statement(
+        NOTE,
+        "Clock of the robot: the host counts {rate}[; neighbouring windows differ by {spread:.1f} (RMS)]; readings arrive {jitter:.0f} later than the fastest one (mean); a constant latency cannot be determined.",
+    ),
+    "trigger": Statement(
+        NOTE,
+        "Trigger on input {input}[{inverted:!}, inverted][{in_use:!}, in use][{arrivals:!}, not used, because arrivals are more accurate]: {used} of {edges} edges agree[; {unseen} not visible in any reading][; {unclear} with several possible matches][; {rejected} contradicting the others][; {stray:#change} of the input without an edge]. Error of robot to box at most {to_box:.0f} (median), of robot to host at most {bound:.0f}, without a filter of the input; shortest latency of the link {shortest_latency:.0f}[; falling edges are delayed by {least:.0f} to {most:.0f} more than rising ones].",
+    ),
+    "trigger-unseen": Statement(
+        WARNING,
+        "No input of the robot follows the box's trigger ({edges:#edge}).",
+        "Check its wire, and that the readings contain the inputs.",
+    ),
+    # the robot
+    "joint-readings": Statement(
+        NOTE,
+        "{readings:#reading} of {joints:#joint} at {rate_hz:.2f} Hz; {late} late, {duplicated} duplicated, none lost.",
+    ),
+    "joint-readings-lost": Statement(
+        WARNING,
+        "{readings:#reading} of {joints:#joint}:[ {lost} lost,] {gaps:#gap}, {malformed} malformed, {restarts:#restart} ({late} late, {duplicated} duplicated); dwells in gaps are rejected.",
+        "Connect the robot by a cable, or let it send fewer readings per second.",
+    ),
+    # dwells and passes
+    "rejected-too-short": Statement(WARNING, "{rejected} rejected: too short.", WAIT),
+    "rejected-still-moving": Statement(WARNING, "{rejected} rejected: the joints still moved.", WAIT),
+    "rejected-ringing": Statement(
+        WARNING, "{rejected} rejected: the bar's length still oscillated.", "Drive slower, or wait longer at each pose."
+    ),
+    "rejected-drift": Statement(
+        WARNING, "{rejected} rejected: the bar's length still changed.", "Clean the seats of the balls, or wait longer."
+    ),
+    "rejected-gap": Statement(WARNING, "{rejected} rejected: samples are missing."),
+    "rejected-rail": Statement(
+        WARNING,
+        "{rejected} rejected: the sensor was saturated, or the converter had a fault.",
+        "Check its plug with truearm box test.",
+    ),
+    "rejected-out-of-travel": Statement(
+        WARNING,
+        "{rejected} rejected: the bar was detached, or at the end of its travel.",
+        "Seat the bar, or plan poses within its travel.",
+    ),
+    "rejected-noisy": Statement(
+        WARNING,
+        "{rejected} rejected: five times as noisy as the others.",
+        "Check the plug, and what shakes the table.",
+    ),
+    "rejected-no-samples": Statement(
+        WARNING, "{rejected} rejected: no samples.", "Check the sensor's plug with truearm box test."
+    ),
+    "rejected-no-clock": Statement(WARNING, "{rejected} rejected: the box answered no clock request.", LINK),
+    "rejected-clock": Statement(
+        WARNING, "{rejected} rejected: the error of the box's clock is not known well enough.", LINK
+    ),
+    "rejected-off-plan": Statement(
+        NOTE, "{rejected} rejected: the robot stood where the plan has no pose, probably between two poses."
+    ),
+    "rejected-no-plan-match": Statement(
+        WARNING, "{rejected} rejected: nothing says which bar, chuck and sphere were mounted.", RELABEL
+    ),
+    "rejected-ambiguous": Statement(
+        WARNING,
+        "{rejected} rejected: the plan has this line with different devices, and no confirmation tells which.",
+        "Confirm what is mounted while you record.",
+    ),
+    "rejected-too-long": Statement(WARNING, "{rejected} rejected: too long.", "Drive the line faster."),
+    "rejected-out-of-range": Statement(
+        WARNING, "{rejected} rejected: the device was out of its range.", "Drive the line closer to the rod."
+    ),
+    "rejected-no-stop-pulses": Statement(
+        WARNING, "{rejected} rejected: no stop pulses.", "Bring the magnet closer to the rod."
+    ),
+    "rejected-not-along-the-line": Statement(
+        WARNING, "{rejected} rejected: not along the line.", "Check which line the plan and the rig name."
+    ),
+    "pass-timing": Statement(
+        NOTE,
+        "Each point of a line uses {window:.2f} of samples; its time is known to {time:.0f} ({distance:.0f} at this speed). A constant delay remains, which identify estimates from lines driven there and back.",
+    ),
+    "stops": Statement(
+        NOTE,
+        "Stops:[ settled after {median:.2f} (median), {longest:.2f} (longest);] {stops} for mounting[; events: {events}].",
+    ),
+}
+
+RMS_ERRORS = "{after} RMS, and {before} without the calibration"
+MORE_VARIED = "Identify from more varied poses."
+CHECK_ROBOT = "Check that these measurements are of this robot, with this rig, and in these units"
+
+VALIDATION: Mapping[str, Statement] = {
+    # the verdict
+    "validation-holds": Statement(
+        RESULT,
+        f"The calibration holds: errors of {RMS_ERRORS}, in {{n:#row}}. They are consistent with declared noise and the calibration's uncertainty ({{expected:.3f}}).",
+    ),
+    "validation-uncertain": Statement(
+        WARNING,
+        f"The calibration holds, but its uncertainty here is {{parameters:.3f}}: errors of {RMS_ERRORS}, in {{n:#row}}.",
+        MORE_VARIED,
+    ),
+    "validation-changed": Statement(
+        WARNING,
+        f"The calibration helps, but {{unexplained:.3f}} RMS is unexplained[, most of it in {{region}}]: errors of {RMS_ERRORS}, in {{n:#row}}. Declared noise and the calibration's uncertainty explain {{expected:.3f}}. The arm, its tool or its load has changed, the rig is not as described, here or in the identification, or the arm has errors that the parameters do not model.",
+    ),
+    "validation-unjudged": Statement(
+        WARNING,
+        f"The calibration helps, but these rows cannot show how accurate it is: errors of {RMS_ERRORS}, in {{n:#row}}.",
+        "Declare the noise in the rig, or measure more rows.",
+    ),
+    "validation-no-help": Statement(
+        REFUSAL,
+        f"The calibration does not help here: errors of {RMS_ERRORS}, in {{n:#row}}.",
+        f"{CHECK_ROBOT}, or identify again, from measurements of this place and tool.",
+    ),
+    "validation-implausible": Statement(
+        REFUSAL, f"Errors of {RMS_ERRORS}: more than those of any plausible arm.", f"{CHECK_ROBOT}."
+    ),
+    # its limits
+    "rig-missing": Statement(
+        WARNING,
+        "No rig was given, but the identification used one ({rig}). What it says of the fixtures and of the points on the end is not used here.",
+        "Give the rig of these measurements.",
+    ),
+    "rows-unseen": Statement(
+        WARNING,
+        "{n:#row depends|rows depend} on combinations of parameters that the identification could not determine, such as the pose of base or tool, or a joint that did not move.",
+        MORE_VARIED,
+    ),
+    "regions-worse": Statement(WARNING, "Worse than without the calibration: {regions}."),
+    "few-rows": Statement(
+        WARNING,
+        "{n:#row} cannot show how accurate the calibration is at other poses.",
+        "Validate with {enough} or more.",
+    ),
+    "rows-were-fitted": Statement(
+        WARNING,
+        "The identification used these rows too, so this verdict proves little.",
+        "Validate with other measurements.",
+    ),
+    # notes
+    "validation-regions": Statement(
+        NOTE,
+        '"Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.',
+    ),
+    "validation-expected": Statement(
+        NOTE, '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.'
+    ),
+    "validation-chi2": Statement(
+        NOTE, "χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %)."
+    ),
+    "rig-kept": Statement(NOTE, "{n:#unknown} of the rig held as identified."),
+}
+
+NO_FIXTURES = "because the positions of the {items} are unknown"
+NO_POSE = "because such observations cannot determine it in any pose"
+MEASURE_ITEMS = "Measure the {items}, write them into the rig with their standard deviations, and identify again."
+OTHER_KIND = "To determine it, use another kind of observation."
+BASE_HELD = "The pose of the base ({names}) was held at its nominal value"
+BASE_MOVES = "An error in it moves and turns all targets together, as one body"
+TOOL_HELD = "The mounting of the tool ({names}) was held at its nominal value"
+TOOL_MOVES = "An error in it is the same offset in the end's frame at every pose"
+
+CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
+    "base-held": Statement(WARNING, f"{BASE_HELD}, {NO_POSE}. {BASE_MOVES}.", OTHER_KIND),
+    "base-held-for-rig": Statement(WARNING, f"{BASE_HELD}, {NO_FIXTURES}. {BASE_MOVES}.", MEASURE_ITEMS),
+    "tool-held": Statement(WARNING, f"{TOOL_HELD}, {NO_POSE}. {TOOL_MOVES}.", OTHER_KIND),
+    "tool-held-for-rig": Statement(WARNING, f"{TOOL_HELD}, {NO_FIXTURES}. {TOOL_MOVES}.", MEASURE_ITEMS),
+    "own-frames-next": Statement(
+        ADVICE,
+        "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}.",
+    ),
+    "null-space-moves-end": Statement(
+        WARNING,
+        "Unidentifiable combinations of parameters move the end (weights in m, rad and 1): {terms}[; and {more} more]. Their nominal values are used.",
+        "Measure what the lines “Next:” of truearm identify propose.",
+    ),
+    "sag-at-payload": Statement(
+        NOTE, "The sag of the joints holds for a payload of {mass:g} kg[; it was measured under {masses} kg]."
+    ),
+    "sag-at-each-payload": Statement(
+        NOTE, "The sag of the joints holds for the payload of each row[; it was measured under {masses} kg]."
+    ),
+    "other-payload": Statement(
+        WARNING,
+        "{n} of {rows:#row have|rows have} another payload ({payload} kg) than the rows of the calibration ({masses} kg), which does not know how a payload acts on the robot.",
+        "Identify with rows under different payloads.",
+    ),
+}
+
+MAP: Mapping[str, Statement] = {
+    "map-error": Statement(
+        RESULT,
+        "Error without calibration: {least:.3f} to {most:.3f}, RMS {rms:.3f}, over {cells:#cell} of {cell:g}.",
+    ),
+    "task-place": Statement(
+        RESULT, "Best place for a task of {task} mm: {place}; error at most {most:.3f}, RMS {rms:.3f}."
+    ),
+    "task-nowhere": Statement(
+        REFUSAL,
+        "A task of {task} mm fits nowhere in the part of this section that the arm reaches.",
+        "Give a smaller task, a larger {@within}, or another section with {@at}.",
+    ),
+    "map-sigma": Statement(
+        RESULT,
+        "Error with calibration, from the parameters' covariance: {least:.3f} to {most:.3f} (standard deviation[, relative to {relative_to}]).",
+    ),
+    "map-sigma-unknown": Statement(WARNING, "Error with calibration: unknown in {n} of {cells:#cell}."),
+    "cells-outside": Statement(
+        WARNING,
+        'In {n:#cell} a joint is outside the readings that the calibration was identified from ("covered" is 0 in the table; pale in the picture).',
+    ),
+    "joints-outside": Statement(
+        WARNING,
+        "Outside in every cell: {joints}.",
+        "Give other readings with {@at}, or the other {@elbow}, or neither.",
+    ),
+}
+
+MOUNTINGS = "robot's base in frame {base_frame}: {base}; frame {end_frame} relative to the nominal one: {end}."
+TARGETS = "Targets are poses of {end_frame} in {base_frame}"
+
+CORRECTION: Mapping[str, Statement] = {
+    # the verdict
+    "corrected": Statement(
+        RESULT,
+        "{n:#target} corrected: by the identified robot, the errors of {point} are {before} RMS before and {after} after. Its own uncertainty is not included.",
+    ),
+    "partly-corrected": Statement(
+        WARNING,
+        "{n:#target} corrected, but {refused:#move} not: by the identified robot, the errors of {point} are {before} RMS before and {after} after, at the corrected ones.",
+    ),
+    # before the program is run
+    "correction-worse": Statement(
+        WARNING,
+        "The corrected targets are farther off than the uncorrected ones, {after} RMS and not {before}.",
+        "Use another {@method}.",
+    ),
+    "fit-not-converged": Statement(
+        WARNING,
+        "The fit of this result did not converge.",
+        "Check the result with truearm report before you use the corrected targets.",
+    ),
+    "range-unknown": Statement(
+        WARNING,
+        "The result does not say which joint readings it was identified from.",
+        "Identify again, so that targets outside them can be named.",
+    ),
+    "targets-outside": Statement(
+        WARNING,
+        "{n:#target} outside the joint readings that the calibration was identified from, in {joints}: {places}.[{curves:!} Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected.]",
+    ),
+    "moves-bent": Statement(
+        WARNING,
+        "{n:#straight move} will deviate from a straight path by more than {limit:.1f}: {places}. The largest deviation is {worst:.2f} ({place}).",
+        "Add targets between the ends.",
+    ),
+    "moves-blocked": Statement(
+        WARNING,
+        "{n:#straight move} may pass a joint limit, a singularity or another configuration between the ends: {places}.",
+    ),
+    "moves-unchecked": Statement(
+        WARNING,
+        "{n:#straight move was|straight moves were} not checked between the ends, because the program does not say at which joints it starts.",
+        "Begin the program with a joint move.",
+    ),
+    "home-decides": Statement(
+        WARNING,
+        "The program does not determine the position from which the robot moves to line {lines}. The arm's configuration there is the one nearest to {@home}.",
+    ),
+    "configuration-data": Statement(
+        WARNING,
+        "The configuration data of {n:#robtarget differs|robtargets differ} from the quarter turns of the axes by this model: {details}.",
+        "Correct the data before you run the program, or the controller may stop.",
+    ),
+    "other-configurations": Statement(
+        WARNING,
+        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}, and the expected error is between {least} and {most}.",
+    ),
+    # frames, and what is left as it is
+    "targets-in-own-frames": Statement(
+        NOTE,
+        f"Targets are in the robot's own base and flange frames. These mountings are not corrected: {MOUNTINGS}",
+    ),
+    "mountings-nominal": Statement(
+        NOTE,
+        f"{TARGETS}. The mountings of robot and tool were held at their nominal values, so they are not corrected.",
+    ),
+    "mountings-corrected": Statement(
+        NOTE, f"{TARGETS}. The mountings are corrected as far as they were identified: {MOUNTINGS}"
+    ),
+    "controller-frames": Statement(NOTE, "The controller's base is {base}. Its flange is {flange}."),
+    "routines-absent": Statement(
+        WARNING,
+        "None of the files defines {names}: taken not to displace the program and not to change its data.",
+        "Give {@strict} if that may be wrong.",
+    ),
+    "joint-moves-kept": Statement(NOTE, "{n:#move} to joint values kept as {n:?it is|they are}."),
+    "moves-in-texts": Statement(WARNING, "{n:#text} with moves, such as in {place}: texts are not corrected."),
+}
+
+EXPORT: Mapping[str, Statement] = {
+    "exported-whole": Statement(RESULT, "The file holds everything that was identified; no refit was needed."),
+    "exported-in-part": Statement(
+        RESULT, "Error of what the file cannot hold: {left:.3f} RMS ({largest:.3f} at most), {left_turn:.4f} RMS."
+    ),
+    "exported-refitted": Statement(
+        RESULT,
+        "The file differs from the identified robot by {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}.",
+    ),
+    "format-lacks": Statement(WARNING, "The format {format} has no place for {names}."),
+    "file-with-mountings": Statement(RESULT, f"Mountings, which the file contains: {MOUNTINGS}"),
+    "file-without-mountings": Statement(RESULT, f"Mountings, which the file does not contain: {MOUNTINGS}"),
+    "refit-next": Statement(
+        ADVICE, "For the best fit where you work, give {@over} FILE, a plan or a table of poses there."
+    ),
+}
+
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,
     **PROGRAMS,
     **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
+    **SESSION,
+    **VALIDATION,
+    **CALIBRATION,
+    **MAP,
+    **CORRECTION,
+    **EXPORT,
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any
@@ -50,6 +50,23 @@ class Finding:
     def entry(self) -> dict[str, Any]:
         """Return the finding as JSON."""
         return {"code": self.code, "severity": self.severity.value, "text": self.text(), "values": dict(self.values)}
+
+
+def ordered(findings: Sequence[Finding], simulated: bool = False) -> list[Finding]:
+    """Return the verdict, which is the first of the findings, and the others by severity; before it that data are simulated."""
+    severities = list(Severity)
+    others = sorted(findings[1:], key=lambda finding: severities.index(finding.severity))
+    return [*([Finding("simulated")] if simulated else []), *findings[:1], *others]
+
+
+def entries(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+    """Return findings as JSON."""
+    return [finding.entry() for finding in findings]
+
+
+def findings_of(document: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings of a JSON document."""
+    return [Finding(entry["code"], entry["values"]) for entry in document["findings"]]
 
 
 def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], str] = str) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
+from tests.host.findings_bench import listed
 from tests.host.ros_bags import joint_state, write_bag
 
 from truearm.cli.main import main
@@ -99,13 +100,10 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
     for name in ("session", "session-end"):
         for key in ("utc_ns", "monotonic_ns"):
             assert new.metadata[name][key] == old.metadata[name][key]
-    assert main(["inspect", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert (
-        "added afterwards from joints.csv; their arrival was not observed. Controller time: utc; its error is unknown"
-        in said
-    )
-    assert "later than the fastest one" not in said  # what would be said of arrivals
+    assert main(["inspect", str(out), "--json"]) == 0
+    findings = listed(json.loads(capsys.readouterr().out))
+    assert findings["joints-added"] == {"source": "joints.csv", "time": "utc"}
+    assert "robot-clock" not in findings  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]
     assert others == list(old.messages())
     assert all(json.loads(message.data)["arrival"] is False for message in new.messages({"/robot/joints"}))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from tests.end_to_end.conftest import record_session
+from tests.host.findings_bench import listed
 
 from truearm.cli.main import main
 from truearm.files.rig_file import write_rig
@@ -57,7 +58,7 @@ def test_another_day_of_the_same_robot_holds_in_every_region(said, folder):
     assert all(region["rms_after_mm"] < 0.25 * region["rms_before_mm"] for region in regions.values())
     assert found["identified_from"] == []
     lines = said("validate", folder / "result.json", folder / "friday.mcap").splitlines()
-    assert lines[-1] == found["verdict"]
+    assert found["verdict"].startswith(lines[1])
     assert any(line.startswith("bar=bar61") for line in lines)
 
 
@@ -65,11 +66,11 @@ def test_a_robot_that_has_changed_since_is_found_out(said, folder):
     """2 mrad at the elbow of an arm of 0.9 m are about a millimetre."""
     found = judged(said, folder, "changed.mcap")
     assert found["rms_after_mm"] > 0.4
-    assert "has changed" in found["verdict"]
+    assert "validation-changed" in listed(found)
 
 
 def test_the_session_that_it_was_identified_from_proves_little(said, folder):
-    assert "this verdict proves little" in judged(said, folder, "monday.mcap")["verdict"]
+    assert "rows-were-fitted" in listed(judged(said, folder, "monday.mcap"))
 
 
 def test_what_sessions_measured_counts_in_a_plan(said, folder):

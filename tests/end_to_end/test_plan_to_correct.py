@@ -16,6 +16,7 @@ from tests.end_to_end.conftest import truearm, truearm_process
 from tests.end_to_end.test_real_time import Simulator
 from tests.host import plan_bench as bench
 from tests.host.correct_bench import visited
+from tests.host.findings_bench import listed
 from tests.host.target_bench import driven, miss, rapid, script, table
 
 from truearm.cli.main import main
@@ -175,7 +176,7 @@ def judged(walk, other):
     assert told["rms_before_mm"] > 3.0 * told["rms_after_mm"]  # base and tool placed: the arm's own error is left
     # 25 rows: σ of their RMS is 14 %
     assert told["rms_after_mm"] < 1.4 * told["expected"]["rms_mm"] < 0.25
-    assert told["verdict"].startswith("The calibration holds")
+    assert {"validation-holds", "validation-uncertain"} & set(listed(told))
 
 
 def corrected(walk):

@@ -1,12 +1,13 @@
 """The box's trigger output at a robot's input, from the random times to the robot's clock, compared with the simulator's truth."""
 
-import re
+import json
 from functools import partial
 
 import cbor2
 import numpy as np
 import pytest
 from tests.end_to_end.conftest import interpreter, truearm
+from tests.host.findings_bench import listed
 
 from truearm.record.recorder import RecordOptions, record
 from truearm.record.session_writer import SessionWriter
@@ -95,11 +96,9 @@ def test_edges_tie_the_robot_to_the_box_whatever_its_input_does(session):
 
 def test_inspect_shows_it(session):
     path, *_ = session
-    said = truearm("inspect", path).stdout
-    assert f"trigger on input {INPUT} (inverted, in use)" in said
-    found = re.search(r"error of robot to box at most (\d+) µs \(median\), of robot to host at most (\d+) µs", said)
-    assert int(found[1]) <= 70 < int(found[2])
-    assert "edges agree" in said
+    trigger = listed(json.loads(truearm("inspect", path, "--json").stdout))["trigger"]
+    assert (trigger["input"], trigger["inverted"], trigger["in_use"]) == (INPUT, True, True)
+    assert trigger["to_box"]["us"] <= 70.0 < trigger["bound"]["us"]
 
 
 @pytest.mark.soak

@@ -1,6 +1,11 @@
-"""What truearm states about a result, by code."""
+"""What truearm states, by code."""
 
 from truearm.report.result_findings import result_findings
+
+
+def listed(document):
+    """The values of the findings of a JSON document by code; of several with one code the last."""
+    return {entry["code"]: entry["values"] for entry in document["findings"]}
 
 
 def stated(document):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, damped
 from scipy.spatial.transform import Rotation
+from tests.host.findings_bench import listed
 from tests.host.result_schema import signed
 from tests.host.target_bench import driven, miss, rapid, script, table
 
@@ -18,6 +19,7 @@ from truearm.cli import main as cli
 from truearm.files.observation_table import read_table
 from truearm.files.robot_file import load_robot
 from truearm.files.target_table import parse_targets
+from truearm.findings import Finding
 from truearm.model.chain import forward, joint_jacobian
 from truearm.model.robot_mounting import mountings
 from truearm.types import Plan
@@ -175,8 +177,7 @@ def test_a_configuration_that_nothing_determines_is_refused(bench, tmp_path, cap
         assert configurations["correction_spread_mm"] > 0.1
         assert configurations["expected_min_mm"] < configurations["expected_max_mm"]
         assert configurations["expected_min_mm"] <= expected * 1.001 <= configurations["expected_max_mm"] * 1.002
-        (sentence,) = (note for note in document["notes"] if "the expected error is between" in note)
-        assert f"{configurations['expected_max_mm']:.3f} mm" in sentence
+        assert listed(document)["other-configurations"]["most"] == {"mm": configurations["expected_max_mm"]}
 
 
 def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
@@ -187,7 +188,7 @@ def test_screen_page_and_document_have_the_same_error(bench, tmp_path, capsys):
         (tmp_path / "t.csv").write_text(table(bench.targets @ offset, bench.q))
         arguments = ("correct", bench.folder / "result.json", tmp_path / "t.csv", "--tool", tool, "--force")
         files = ("--out", tmp_path / "o.csv", "--report", tmp_path / "r.html")
-        _, said, _ = run(capsys, *arguments, *files)
+        _, said, _ = run(capsys, *arguments, *files, "--details")
         _, document, _ = run(capsys, *arguments, *files, "--json")
         document = json.loads(document)
         errors = [one["error_before_mm"] for one in document["targets"]]
@@ -207,18 +208,21 @@ def test_a_correction_that_makes_it_worse_is_a_warning(bench, tmp_path, capsys):
     arguments = ("correct", bench.folder / "result.json", bench.folder / "targets.csv", "--method", "offsets", "--json")
     _, helped, _ = run(capsys, *arguments, "--out", tmp_path / "a.csv")
     _, worse, _ = run(capsys, *arguments, "--out", tmp_path / "b.csv", "--own-frames")
-    warned = [any("farther off" in text for text in json.loads(said)["warnings"]) for said in (helped, worse)]
+    warned = ["correction-worse" in listed(json.loads(said)) for said in (helped, worse)]
     assert warned == [False, True]
 
 
 def test_own_frames_leave_the_mountings_out(bench, capsys):
     out = bench.folder / "own.csv"
     code, said, _ = run(
-        capsys, "correct", bench.folder / "result.json", bench.folder / "targets.csv", "--out", out, "--own-frames"
+        capsys,
+        *("correct", bench.folder / "result.json", bench.folder / "targets.csv"),
+        *("--out", out, "--own-frames", "--json"),
     )
     assert code == 0
-    assert "these mountings are not corrected" in said
-    assert "robot's base in frame chuck_fixture: x, y, z 1" in said
+    values = listed(json.loads(said))["targets-in-own-frames"]
+    assert values["base_frame"] == "chuck_fixture"
+    said = f"{values['base']} {values['end']}"
     found = read_calibration(bench.folder / "result.json")
     expected = mountings(found.chain, found.nominal, found.identified)
     printed = re.findall(r"x, y, z (.*?) mm; rotation vector (.*?) deg", said)
@@ -394,7 +398,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     code, said, err = run(capsys, *given, tmp_path / "o.script", "--partial", "--mark")
     assert code == 4, err
     assert said.startswith("1 move not corrected:\n")
-    assert "None of the files defines grip: taken not to displace the program" in said
+    assert Finding("routines-absent", {"names": ["grip"]}).text()[:50] in said
     out = (tmp_path / "o.script").read_bytes().decode("latin-1")
     assert [row for row in out.splitlines() if "# truearm: not corrected" in row] == [
         "  movel(get_target_tcp_pose()) # truearm: not corrected: it is computed at run time"
@@ -419,7 +423,7 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
     (tmp_path / "cell" / "notes.txt").write_text("no program")
     out = tmp_path / "corrected"
     given = ("correct", bench.folder / "result.json", tmp_path / "cell", *FRAMES[:4], "--home", home(bench), "--out")
-    code, said, err = run(capsys, *given, out)
+    code, said, err = run(capsys, *given, out, "--details")
     assert code == 0, err
     assert "a/Data.mod:2" in said
     after = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}

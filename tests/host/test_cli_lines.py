@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from line_stream import MAGNET, line_session, some_lines, true_params
+from tests.host.findings_bench import listed
 
 from truearm.files.rig_file import format_rig
 from truearm.model.rotation import rotation_vector
@@ -48,15 +49,16 @@ def said(run):
 
 
 def test_inspect_lists_the_passes(folder, said):
-    text = said("inspect", folder / "both.mcap")
-    assert "lines: 4 planned, 4 driven, " in text
-    assert "a constant delay remains" in text
-    rows = [line.split() for line in text.splitlines() if line.endswith((", y increases", ", y decreases"))]
+    text = said("inspect", folder / "both.mcap", "--details")
+    rows = [line.split() for line in text.splitlines() if line.rstrip().endswith((", y increases", ", y decreases"))]
     assert [(row[0], row[-3], row[-1]) for row in rows] == [
         *(("1", "l1,", "increases"), ("2", "l1,", "decreases")),
         *(("3", "l2,", "increases"), ("4", "l2,", "decreases")),
     ]
-    passes = json.loads(said("inspect", folder / "both.mcap", "--json"))["passes"]
+    document = json.loads(said("inspect", folder / "both.mcap", "--json"))
+    passes, findings = document["passes"], listed(document)
+    assert (findings["session-usable"]["passes"], findings["session-usable"]["planned_passes"]) == (4, 4)
+    assert "pass-timing" in findings
     assert (passes["planned"], passes["found"], passes["rejected"]) == (4, 4, {})
     assert passes["points"] == sum(row["points"] for row in passes["table"])
     assert [row["speed_m_s"] for row in passes["table"]] == pytest.approx([0.2] * 4, rel=0.01)

@@ -11,11 +11,12 @@ import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 from result_schema import signed
 
-from truearm.cli.map_text import lines
+from truearm.cli.map_text import map_findings
 from truearm.correct.error_map import ErrorMap, best_region, error_map
 from truearm.correct.model_pair import ModelPair
 from truearm.errors import RobotError
 from truearm.files.result_file import read_result
+from truearm.findings import Finding
 from truearm.model.chain import forward, joint_frames
 from truearm.model.robot import builtin_robot
 from truearm.workflows.calibration import NEAR_OBSERVED, read_calibration
@@ -105,8 +106,8 @@ def test_unseen_directions_leave_no_uncertainty_to_tell():
     found = error_map(pair, np.zeros(6), (1, 2), 0.2, np.eye(P), moving)
     assert np.isnan(found.sigma).all()
     assert np.isfinite(found.error).any()
-    said = lines(Mapped(found, None), 0.2, None)
-    assert any(line.startswith("Error with calibration: unknown in ") for line in said)
+    cells = int(np.isfinite(found.error).sum())
+    assert Finding("map-sigma-unknown", {"n": cells, "cells": cells}) in map_findings(Mapped(found, None), 0.2, None)
 
 
 def test_a_map_ends_where_the_measured_readings_end(result, tmp_path, run):
@@ -135,8 +136,8 @@ def test_a_direction_that_only_places_base_or_tool_leaves_relative_errors(result
     assert unseen_within(left_out)[1] == relative
     sigma = mapped(left_out, section).sigma
     assert np.isnan(sigma).all() if not relative else np.array_equal(sigma, within.sigma, equal_nan=True)
-    said = lines(Mapped(within, None, relative), 0.2, None)[0]
-    assert ("relative to" in said) == bool(relative)
+    (spread,) = (of.values for of in map_findings(Mapped(within, None, relative), 0.2, None) if of.code == "map-sigma")
+    assert spread["relative_to"] == list(relative)
 
 
 def test_the_best_region_is_found_by_hand_too():

@@ -8,6 +8,7 @@ import pytest
 from puma_bench import CHAIN, DESIGN, TRUTH
 from scipy.spatial.transform import Rotation
 from tests.host.controllers import Controller
+from tests.host.findings_bench import listed
 from tests.host.rapid_machine import run_rapid
 from tests.host.result_schema import signed
 from tests.host.target_bench import rapid, table
@@ -293,7 +294,7 @@ def test_a_corrected_program_on_an_arm_whose_truth_is_hidden(corrected, capsys):
         path = (forward(arm.chain, arm.truth, moves[k].path) @ tools[k])[:, :3, 3]
         chord = (path[-1] - path[0]) / np.linalg.norm(path[-1] - path[0])
         beside = np.linalg.norm(path - path[0] - np.outer((path - path[0]) @ chord, chord), axis=1).max()
-        assert beside < 1.1e-4 or "will deviate from a straight path" in " ".join(document["warnings"])
+        assert beside < 1.1e-4 or "moves-bent" in listed(document)
     assert page.read_text().count("<tr>") > 2 * len(targets) // 2
     assert not document["refused"]
 
@@ -321,7 +322,7 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
         capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "a.csv"
     )
     assert code == 0
-    assert "outside the joint readings" not in said
+    assert "outside the joint" not in " ".join(said.split())
     document["joint_range"]["lower"][1], document["joint_range"]["upper"][1] = np.deg2rad([-60.0, -20.0])
     code, said, _ = run(
         capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "b.csv", "--json"
@@ -333,11 +334,10 @@ def test_targets_outside_what_was_calibrated_are_named(bench, tmp_path, capsys):
     beyond = (joint2 < -60.0 - slack) | (joint2 > -20.0 + slack)
     assert 0 < beyond.sum() < 12
     assert outside == [f"row {k + 2}" for k in np.flatnonzero(beyond)]
-    (warning,) = [one for one in found["warnings"] if "outside the joint readings" in one]
-    assert f"{beyond.sum()} target" in warning
+    assert listed(found)["targets-outside"]["n"] == beyond.sum()
     del document["joint_range"]
-    _, said, _ = run(capsys, "correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "c.csv")
-    assert "does not say which joint readings" in said
+    given = ("correct", _written(tmp_path, document), tmp_path / "t.csv", "--out", tmp_path / "c.csv", "--json")
+    assert "range-unknown" in listed(json.loads(run(capsys, *given)[1]))
 
 
 def _written(folder, document):
@@ -413,6 +413,9 @@ def test_an_axis_just_beyond_a_quarter_turn_is_shown_on_its_side():
     q = np.radians([[-0.031, 0.0, 0.0, 89.9999, 0.0, -95.2]])
     quarters = np.array([[0.0, np.nan, np.nan, 1.0, np.nan, 0.0]])
     (note,) = configuration_notes(q, quarters, np.array([True]), [7])
-    assert "line 7: cf1 is 0, axis 1 at -0.03° needs -1" in note
-    assert "cf4 is 1, axis 4 at 89.9999° needs 0" in note
-    assert "cf6 is 0, axis 6 at -95° needs -2" in note
+    assert note.code == "configuration-data"
+    assert note.values["details"].split("; ") == [
+        "line 7: cf1 is 0, axis 1 at -0.03° needs -1",
+        "line 7: cf4 is 1, axis 4 at 89.9999° needs 0",
+        "line 7: cf6 is 0, axis 6 at -95° needs -2",
+    ]

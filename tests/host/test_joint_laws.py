@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from tests.host.findings_bench import listed
 from ur10_bench import RIG, ROBOT
 
-from truearm.cli.map_text import lines as map_lines
+from truearm.cli.map_text import map_findings
 from truearm.correct.correction import Configuration, correct
 from truearm.correct.inverse import singular_value
 from truearm.correct.model_pair import ModelPair
@@ -25,6 +26,7 @@ from truearm.files.observation_table import format_table, parse_table
 from truearm.files.result_file import format_document, parse_result
 from truearm.files.rig_file import format_rig, parse_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.findings import Finding
 from truearm.kinds.position import nearest_rotation
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
@@ -41,7 +43,7 @@ from truearm.workflows.calibration_report import write_page
 from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
 from truearm.workflows.export import ExportOptions, curve_table, exported
 from truearm.workflows.identify import IdentifyOptions, Selection, identified
-from truearm.workflows.map import MapFiles, Mapped, Section, map_files, mapped
+from truearm.workflows.map import MapFiles, Section, map_files, mapped
 from truearm.workflows.validate import validated
 
 H = 1e-30  # of a complex step
@@ -396,12 +398,10 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     due = true_points(q, np.full(50, 6.0)) - true_points(q, np.zeros(50))
     assert np.linalg.norm(due, axis=1).max() > 1e-4
     np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
-    assert "payload of 6 kg; it was measured under 0, 4 kg." in again.carrying(6.0).doubt_of_payload
+    (sag,) = again.carrying(6.0).payload_findings()
+    assert (sag.code, sag.values) == ("sag-at-payload", {"mass": 6.0, "masses": ["0", "4"]})
     judged = validated(again, RIG, table.select(np.arange(260) >= 200))
-    assert judged.document["payload"] == [
-        "The sag of the joints holds for the payload of each row; it was measured under 0, 4 kg."
-    ]
-    assert judged.document["payload"][0] in str(judged)
+    assert listed(judged.document)["sag-at-each-payload"]["masses"] == ["0", "4"]
     with pytest.raises(InputError, match="mass: -1 kg is not between 0 and 10000 kg"):
         again.carrying(-1.0)
 
@@ -432,18 +432,14 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
-        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [{"mass": ["4"]}]
+        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [{"masses": ["4"]}]
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
-    sentence = "The sag of the joints holds for the payload of the calibration, 4 kg."
-    assert again.doubt_of_payload == sentence
-    assert sentence in map_lines(
-        Mapped(mapped(again, Section(cell=0.2)), None, payload=again.doubt_of_payload), 0.2, None
-    )
-    assert validated(again, rig, without_payload(table)).document["payload"] == [sentence]
+    assert again.payload_findings() == [Finding("sag-of-payload", {"masses": ["4"]})]
+    assert "other-payload" not in listed(validated(again, rig, without_payload(table)).document)
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
     light = validated(again, rig, table.replace(payload=masses))
-    assert light.document["payload"][0] == sentence
-    assert "130 rows of 160 have another payload (0 kg) than the rows of the calibration (4 kg)" in str(light)
+    assert listed(light.document)["sag-of-payload"] == {"masses": ["4"]}
+    assert listed(light.document)["other-payload"] == {"n": 130, "rows": 160, "payload": ["0"], "masses": ["4"]}
     with pytest.raises(InputError, match="does not know how a payload acts"):
         again.carrying(2.0)
     bad = table.replace(payload=-1.0)
@@ -524,15 +520,17 @@ def test_a_map_marks_the_cells_that_are_not_covered(gap_arm, tmp_path):
     reached = ~np.isnan(everywhere.error)
     assert everywhere.outside[reached].all()  # joint 1 stands in the gap
     files = MapFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "map.csv", tmp_path / "map.svg")
-    assert "Outside in every cell: joint1. " in "\n".join(map_lines(map_files(found, files, section), 0.1, None))
+    assert Finding("joints-outside", {"joints": ["joint1"]}) in map_findings(
+        map_files(found, files, section), 0.1, None
+    )
     section = section._replace(at=(0.8, *section.at[1:]))
     some = mapped(found, section)
     q, limits = some.q[reached], np.array([found.table.q.min(axis=0), found.table.q.max(axis=0)])
     beyond = ((q < limits[0] - 0.051) | (q > limits[1] + 0.051)).any(axis=1)
     assert 0 < some.outside[reached].sum() < reached.sum()
     assert some.outside[reached][beyond].all()
-    said = map_lines(map_files(found, files._replace(force=True), section), 0.1, None)
-    assert any(f"In {some.outside[reached].sum()} cells a joint is outside the readings" in line for line in said)
+    findings = map_findings(map_files(found, files._replace(force=True), section), 0.1, None)
+    assert Finding("cells-outside", {"n": some.outside[reached].sum()}) in findings
     rows = [line.rpartition(",")[2] for line in (tmp_path / "map.csv").read_text().splitlines()]
     assert rows[0] == "covered"
     assert rows[1:] == [str(int(not one)) for one in some.outside[reached]]
@@ -644,7 +642,8 @@ def test_beyond_the_covered_range_curves_fade_to_the_geometry_and_correct_says_s
     (tmp_path / "targets.csv").write_text("\n".join(lines) + "\n")
     files = CorrectFiles(tmp_path / "result.json", RobotChoice(), tmp_path / "targets.csv", tmp_path / "corrected.csv")
     done = correct_file(found, files, CorrectOptions())
-    assert any("Error curves are unknown there" in line and "rows 3, 4, 5" in line for line in done.warnings)
+    (outside,) = [finding.values for finding in done.findings if finding.code == "targets-outside"]
+    assert (outside["curves"], outside["places"]) == (True, "rows 3, 4, 5")
 
 
 def test_a_second_day_is_validated_with_the_laws(learned_arm):

@@ -8,9 +8,10 @@ import pytest
 from browser import A4_PT, MARGIN_PT, laid_out, needs_browser, needs_printer, printed
 from report_bench import CERTIFICATE, full_page, make_page
 
-from truearm.findings import Finding
+from truearm.findings import Finding, entries
 from truearm.report import calibration_page, correction_page, gauge_page, reproduce_page, validation_page
 from truearm.report.map_picture import Cells, map_picture
+from truearm.report.validation_findings import validation_findings
 
 PHONE = 400
 LONG = "truearm report 2026-11-26-monday.result.json sessions/2026-11-26-monday.mcap --serial 2019-7 --out " + "x" * 60
@@ -58,7 +59,7 @@ def validation():
     parts = [f"radius {sign} 644 mm, z {other} 17 mm" for sign in "≤>" for other in "≤>"]
     document = {
         **numbers,
-        **{"simulated": True, "verdict": "The calibration holds: " + LONG, "without_rig": "rig.toml", "unseen": 0},
+        **{"simulated": True, "without_rig": "rig.toml", "unseen": 0},
         **{"residual_units": ["mm", "deg"], "expected": None, "placed": True, "rms_raw_mm": 1.0, "rms_raw_deg": 0.1},
         **{
             "chi2_reduced": 1.1,
@@ -66,11 +67,12 @@ def validation():
             "systematic": [],
             "without_systematic": None,
             "copies": [],
-            "payload": [LONG],
         },
         **{"settled": 21, "kept": 1, "left_out": 2, "regions": [{**numbers, "region": part} for part in parts]},
     }
-    return validation_page.render("puma560", CERTIFICATE, document, LONG)
+    document |= {"rows": 120, "better": {"mm": True, "deg": True}, "consistent": True, "identified_from": [LONG]}
+    findings = [*validation_findings(document), Finding("rig-missing", {"rig": LONG})]
+    return validation_page.render("puma560", CERTIFICATE, {**document, "findings": entries(findings)}, LONG)
 
 
 def program(n=30):
@@ -99,8 +101,7 @@ def program(n=30):
             singular_value=np.full(n, 0.12),
             moves=(one,) * 5,
             refused=(("1240", "MoveL Offs(Target_120, a, b, c), v1000, fine, tool\\WObj:=wobj0;", "a is not known"),),
-            warnings=(LONG,),
-            notes=(LONG,),
+            findings=[Finding("range-unknown"), Finding("range-unknown"), Finding("not-converged", {"message": LONG})],
             facts=(("expected error", LONG),),
             simulated=True,
         )

@@ -23,6 +23,7 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
 from truearm.errors import FindingError
+from truearm.findings import Finding
 from truearm.model.chain import forward
 from truearm.model.poses import apart
 from truearm.workflows import correct_program as correct_program_module
@@ -247,7 +248,7 @@ def test_a_configuration_that_nothing_determines_needs_home(tmp_path, program_ki
         outcome(tmp_path, text, home=None)
     assert [move.reason.code for move in caught.value.refused] == ["configuration"]
     done = outcome(tmp_path, text, home=Q[1])
-    assert "does not determine" in " ".join(done.notes)
+    assert "home-decides" in [note.code for note in done.notes]
     assert done.others.n_targets == 1
     assert done.others.shift.min() < 1e-9  # its own configuration
     assert done.others.shift.max() > 1e-4
@@ -258,7 +259,7 @@ def test_a_configuration_that_nothing_determines_needs_home(tmp_path, program_ki
 
 def test_moves_in_texts_are_not_corrected_in_silence(tmp_path):
     text = program(f"movej({six(POSES[1])})", "socket_send_string('movel(p[0.1,0.2,0.3,0,0,0])')")
-    assert "1 text with moves, such as in p.script line 3" in " ".join(outcome(tmp_path, text).notes)
+    assert Finding("moves-in-texts", {"n": 1, "place": "p.script line 3"}) in outcome(tmp_path, text).notes
 
 
 def test_quarter_turns_that_the_correction_crosses_are_written(tmp_path):

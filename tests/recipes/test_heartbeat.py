@@ -67,7 +67,7 @@ def test_the_box_sends_it_and_readers_show_it(copy, interpreter):
     assert counted == sorted(counted)
     assert counted[-1] > counted[0] >= 0
     inspected, as_json, exported = copy.run_each(
-        ("inspect", name), ("inspect", name, "--json"), ("session", "export", name, "--out", interpreter)
+        ("inspect", name, "--details"), ("inspect", name, "--json"), ("session", "export", name, "--out", interpreter)
     )
     assert [inspected.code, as_json.code, exported.code] == [0, 0, 0], exported.err
     total = json.loads(as_json.out)["losses"]["box"]["collections"]
@@ -75,6 +75,6 @@ def test_the_box_sends_it_and_readers_show_it(copy, interpreter):
         counted[-1],
         counted[-1] - counted[0],
     )  # of a boot that the session did not see, since its first heartbeat
-    assert f"{total} collections by the box's count" in " ".join(inspected.out.split())
+    assert f"{total} collections" in " ".join(inspected.out.split())
     with (copy.folder / interpreter / "box_heartbeat.csv").open() as file:
         assert [int(row["collections"]) for row in csv.DictReader(file)] == counted

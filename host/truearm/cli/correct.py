@@ -10,7 +10,7 @@ import typer
 from truearm.bounds import Within
 from truearm.cli.command import command, fill
 from truearm.cli.options import frame_of, joints_of, numbers_of, payload_of
-from truearm.cli.output import print_result
+from truearm.cli.output import print_json, print_lines
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method, methods_help, with_steps
 from truearm.errors import InputError
@@ -45,6 +45,7 @@ def correct(
     unchanged: list[str] | None = None,
     home: str | None = None,
     report: Path | None = None,
+    details: bool = False,
     allow_unusable: bool = False,
     force: bool = False,
     json: bool = False,
@@ -82,6 +83,8 @@ def correct(
         Correct the other moves of a program if some cannot be corrected; the exit code is 4.
     report : FILE
         Write a report (.html): shifts, expected errors, margins, straight moves.
+    details
+        Print every note and the errors of the first targets.
 
     Expert options
     --------------
@@ -107,9 +110,9 @@ def correct(
         Refuse targets near a singularity, where the Jacobian's smallest singular value is below SIGMA (lengths in units
         of 0.5 m).
     """
-    from truearm.cli.correct_text import lines, refused_lines
+    from truearm.cli.correct_text import refused_lines, tables
+    from truearm.cli.findings_text import show
     from truearm.files.robot_file import RobotChoice
-    from truearm.text import one_line
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.correct import CorrectFiles, CorrectOptions, correct_file
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
@@ -145,8 +148,11 @@ def correct(
         for line in refused_lines(exc.refused):
             typer.echo(line, err=True)
         raise
-    further = [] if report is None else [f"Written: {one_line(str(report))}"]
-    print_result(found.document, [*lines(found), *further], json)
+    if json:
+        print_json(found.document)
+    else:
+        print_lines(refused_lines(found.refused))
+        show(found.findings, tables(found) if details else None, (out, report))
     if found.refused:
         raise typer.Exit(ExitCode.INCOMPLETE)
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from truearm.bounds import OneOf
 from truearm.cli.command import command
 from truearm.cli.options import payload_of
-from truearm.cli.output import print_result
+from truearm.cli.output import print_json
 from truearm.export.formats import FORMATS, formats_help
 
 
@@ -56,11 +56,15 @@ def export(
         Poses over which to refit: a table or a plan (.csv). Default: random poses within the joint limits, or within
         the fitted readings if the result has joint laws.
     """
-    from truearm.cli.export_text import document, lines
+    from truearm.cli.export_text import document
+    from truearm.cli.findings_text import show
     from truearm.files.robot_file import RobotChoice
     from truearm.workflows.export import ExportOptions, export_file
 
     options = ExportOptions(format, own_frames, tuple(adjust or ()), payload_of(payload))
     found = export_file(result, RobotChoice(model, base, tip), out, options, over, curves_out, force, allow_unusable)
     written = [path for path in (out, curves_out) if path is not None]
-    print_result(document(found, written), lines(found, written, over), json)
+    if json:
+        print_json(document(found, written))
+    else:
+        show(found.findings, written=written, more="")

@@ -139,7 +139,6 @@ def identify(
     if json:
         typer.echo(format_document(document))
     else:
-        written = [path for path in (*results, table_out, report) if path is not None]
-        show_result(document, inputs, written, details)
+        show_result(document, inputs, (*results, table_out, report), details)
     if not document["usable"]:
         raise typer.Exit(ExitCode.UNUSABLE)

@@ -5,16 +5,13 @@ All of it comes from the content of result.json, so that what is printed and wha
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
-from truearm.finding_texts import Severity
-from truearm.findings import Finding
+from truearm.cli.findings_text import show, table_of
 from truearm.report.law_words import law_steps
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_findings import MAX_TERMS, has_little_freedom, result_findings
@@ -25,56 +22,16 @@ from truearm.units import SUFFIXES, UNITS, title
 
 Document = Mapping[str, Any]
 
-MAX_LINES = 15  # of the short form
 MAX_DIRECTIONS = 6
-SHORT_NOTES = ("better", "held-out", "unjudged", "identified")  # notes of the short form, and those of the tool's error
 
 
-def show_result(document: Document, inputs: Sequence[Path], written: Sequence[Path], details: bool = False) -> None:
-    """Print the findings of a result.json made from ``inputs`` and the files that were ``written``; with ``details`` all
-    of them, and the tables.
-    """
-    # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
-    width = None if sys.stdout.isatty() else 120
-    console = Console(markup=False, highlight=False, emoji=False, width=width)
+def show_result(
+    document: Document, inputs: Sequence[Path], written: Iterable[Path | None], details: bool = False
+) -> None:
+    """Print the findings of a result.json and the files that were written; with ``details`` all of them, and the tables."""
     findings = result_findings(document, {path.name: str(path) for path in inputs})
-    texts = [(finding, finding.text(_option)) for finding in findings]
-    files = [f"Written: {one_line(str(path))}" for path in written]
-    if details:
-        advice = [text for finding, text in texts if finding.severity is Severity.ADVICE]
-        for text in (text for finding, text in texts if finding.severity is not Severity.ADVICE):
-            console.print(text)
-        for table in _tables(document):
-            console.print(table)
-        lines = [*advice, *files]
-    else:
-        lines = _short(texts, console, MAX_LINES - len(files)) + files
-    for line in lines:
-        console.print(line)
-
-
-def _option(argument: str) -> str:
-    return f"--{argument.replace('_', '-')}"
-
-
-def _short(texts: Sequence[tuple[Finding, str]], console: Console, room: int) -> list[str]:
-    """Return the verdict, the error of the tool, refusals and warnings, and advice, in at most ``room`` lines."""
-    chosen = [text for finding, text in texts if _is_short(finding)]
-    hint = "Parameters, residuals and {}: --details, or --report report.html"
-    shown: list[str] = []
-    used = 1
-    for text in chosen:
-        used += len(console.render_lines(text, pad=False))
-        if used > room:
-            break
-        shown.append(text)
-    more = len(chosen) - len(shown)
-    return [*shown, hint.format(counted(more, "more finding") if more else "all notes")]
-
-
-def _is_short(finding: Finding) -> bool:
-    of_note = finding.code in SHORT_NOTES or finding.code.startswith("tool-error")
-    return of_note or finding.severity is not Severity.NOTE
+    more = "Parameters, residuals and all notes: --details, or --report report.html"
+    show(findings, _tables(document) if details else None, written, more)
 
 
 def _tables(document: Document) -> Iterator[Table | str]:
@@ -89,29 +46,12 @@ def _tables(document: Document) -> Iterator[Table | str]:
     for suffix in document["residual_units"]:
         yield _error_table(document, suffix)
         if steps := law_steps(document, suffix):
-            yield _law_table(steps, SUFFIXES[suffix].symbol)
+            yield table_of((f"joint laws [{SUFFIXES[suffix].symbol}]", "fitted, RMS", "held out, mean"), steps)
 
 
 def _parameter_table(document: Document) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter", overflow="fold")
-    for column in ("nominal", "value", "change", "sigma"):
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("unit")
-    for parameter in document["parameters"]:
-        if parameter["free"] and not parameter.get("law", False):
-            table.add_row(*parameter_cells(parameter))
-    return table
-
-
-def _law_table(steps: list[tuple[str, str, str]], unit: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column(f"joint laws [{unit}]")
-    for column in ("fitted, RMS", "held out, mean"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for step in steps:
-        table.add_row(*step)
-    return table
+    free = (parameter for parameter in document["parameters"] if parameter["free"] and not parameter.get("law", False))
+    return table_of(("parameter", "nominal", "value", "change", "sigma", "unit "), map(parameter_cells, free))
 
 
 def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
@@ -134,10 +74,7 @@ def _error_table(document: Document, suffix: str) -> Table:
     scale = SUFFIXES[suffix]
     before, after = f"rms_before_{suffix}", f"rms_after_{suffix}"
     decimals = UNITS[scale.si].decimals
-    table = Table(box=None, pad_edge=False)
-    table.add_column(title("error", scale.si))
-    for column in ("before", "after", "rows"):
-        table.add_column(column, justify="right")
+    table = table_of((title("error", scale.si), "before", "after", "rows"), ())
     entries = [entry for entry in document["observations"] if entry[after] is not None]
     says_nothing = has_little_freedom(document)
     if entries:

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from truearm.cli.command import command
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_json
 from truearm.text import one_line
 
 
@@ -15,14 +15,22 @@ from truearm.text import one_line
 def inspect(
     session: Path,
     *,
+    details: bool = False,
     json: bool = False,
     allow_damaged: bool = False,
 ) -> None:
-    """Show what is in a session: rates, gaps, losses, clock quality, dwells.
+    """Show whether a session is usable, what is in it, and what was lost.
 
     Example: truearm inspect session.mcap
+
+    Options
+    -------
+    details
+        Print rates, clocks and gaps, and tables of topics, streams, dwells and lines.
     """
-    from truearm.cli.inspect_text import lines
+    from truearm.cli.findings_text import show
+    from truearm.cli.inspect_text import tables
+    from truearm.report.session_findings import session_findings
     from truearm.session.session_file import open_session
     from truearm.workflows.inspect import describe
     from truearm.workflows.session_parts import session_parts
@@ -31,7 +39,7 @@ def inspect(
     if json:
         print_json({**first, "parts": more})
         return
-    print_lines(lines(first))
-    for document in more:
-        typer.echo(f"\n{one_line(document['file'])} continues it:")
-        print_lines(lines(document))
+    for document in (first, *more):
+        if document is not first:
+            typer.echo(f"\n{one_line(document['file'])} continues it:")
+        show(session_findings(document), tables(document) if details else None)

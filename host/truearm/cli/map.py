@@ -10,9 +10,8 @@ from typing import Annotated
 from truearm.bounds import CELL
 from truearm.cli.command import command
 from truearm.cli.options import joints_of, numbers_of, payload_of
-from truearm.cli.output import print_result
+from truearm.cli.output import print_json
 from truearm.errors import InputError
-from truearm.text import one_line
 from truearm.units import MM
 
 
@@ -72,9 +71,9 @@ def map_(
     elbow
         Configuration of the elbow. Default: as measured.
     """
-    from truearm.cli.map_text import document, lines
+    from truearm.cli.findings_text import show
+    from truearm.cli.map_text import document, map_findings
     from truearm.files.robot_file import RobotChoice
-    from truearm.findings import Finding
     from truearm.workflows.calibration import read_usable
     from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
@@ -87,17 +86,13 @@ def map_(
     stand = joints_of("--at", shown, calibration.joint_units)
     section = Section(varied, stand, None if elbow is None else elbow is Elbow.up, MM.to_si(cell_mm), own_frames)
     found = map_files(calibration, files, section, wanted)
-    written = [str(path) for path in (out, picture_out) if path is not None]
-    origin = [Finding("simulated").text()] if calibration.simulated else []
-    print_result(
-        {"simulated": calibration.simulated, **document(found, section.cell), "written": written},
-        [
-            *origin,
-            *lines(found, section.cell, task, within is not None),
-            *(f"Written: {one_line(path)}" for path in written),
-        ],
-        json,
-    )
+    written = [path for path in (out, picture_out) if path is not None]
+    findings = map_findings(found, section.cell, task, calibration.simulated)
+    if json:
+        content = document(found, section.cell, findings)
+        print_json({"simulated": calibration.simulated, **content, "written": list(map(str, written))})
+    else:
+        show(findings, written=written, more="")
 
 
 def _joints_of(text: str) -> tuple[int, int]:

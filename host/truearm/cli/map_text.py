@@ -1,75 +1,74 @@
-"""What ``truearm map`` prints."""
+"""What ``truearm map`` prints: its findings, and the same as JSON."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from truearm.correct.error_map import BestRectangle, ErrorMap
+from truearm.findings import Finding, entries, ordered
 from truearm.results import Figures
-from truearm.text import counted
+from truearm.types import Floats
 from truearm.units import MM
 from truearm.workflows.map import Mapped, axis
 
 
-def lines(mapped: Mapped, cell: float, task: str | None, within: bool = False) -> list[str]:
-    """Return the errors over the section, and the best place for a task (the option's text), sought in all of it or
-    ``within`` a part; ``cell`` [m]."""
-    found = mapped.map
-    error = MM.of(found.error[~np.isnan(found.error)])
-    rms = Figures.of(error).rms
-    sigma = MM.of(found.sigma[np.isfinite(found.sigma)])
-    frames = f", relative to {' and '.join(mapped.relative_to)}" if mapped.relative_to else ""
-    after = f"; with it {sigma.min():.3f} to {sigma.max():.3f} mm (standard deviation{frames})" if sigma.size else ""
-    text = [
-        f"{counted(error.size, 'cell')} of {MM.text(cell)}: error without calibration {error.min():.3f} to "
-        f"{error.max():.3f} mm, RMS {rms:.3f} mm{after}."
-    ]
-    if sigma.size < error.size:
-        which = "all" if not sigma.size else f"{error.size - sigma.size} of {error.size}"
-        text += [f"Error with calibration: unknown in {which} cells.", *mapped.undetermined]
-    if outside := _outside(found):
-        text.append(
-            f"In {counted(outside, 'cell')} a joint is outside the readings that the calibration was identified from "
-            '("covered" is 0 in the table; pale in the picture).'
-        )
-        if mapped.outside:
-            text.append(
-                f"Outside in every cell: {' and '.join(mapped.outside)}. Give other readings with --at, or the other --elbow, or neither."
-            )
-    if mapped.payload:
-        text.append(mapped.payload)
+def map_findings(mapped: Mapped, cell: float, task: str | None, simulated: bool = False) -> list[Finding]:
+    """Return the errors over the section, what limits them, and the best place for a task (the option's text); ``cell`` [m]."""
+    grid = mapped.map
+    error, sigma = _known(grid)
+    values = {"least": _mm(error.min()), "most": _mm(error.max()), "rms": _mm(Figures.of(error).rms)}
+    findings = [Finding("map-error", {**values, "cells": error.size, "cell": _mm(cell)})]
     if task:
-        text.append(_task_line(found, mapped.region, task, within))
-    return text
+        findings.append(_task(grid, mapped.region, task))
+    if sigma.size:
+        ends = {"least": _mm(sigma.min()), "most": _mm(sigma.max())}
+        findings.append(Finding("map-sigma", {**ends, "relative_to": list(mapped.relative_to)}))
+    if sigma.size < error.size:
+        findings.append(Finding("map-sigma-unknown", {"n": error.size - sigma.size, "cells": error.size}))
+    findings += [*mapped.undetermined, *_outside_findings(mapped), *mapped.payload]
+    return ordered(findings, simulated)
 
 
-def _outside(found: ErrorMap) -> int | None:
+def _outside_findings(mapped: Mapped) -> Iterator[Finding]:
+    if outside := _outside(mapped.map):
+        yield Finding("cells-outside", {"n": outside})
+    if mapped.outside:
+        yield Finding("joints-outside", {"joints": list(mapped.outside)})
+
+
+def _outside(grid: ErrorMap) -> int | None:
     """Return the number of reachable cells outside the fitted readings, None if unknown."""
-    return None if found.outside is None else int((found.outside & ~np.isnan(found.error)).sum())
+    return None if grid.outside is None else int((grid.outside & ~np.isnan(grid.error)).sum())
 
 
-def _task_line(found: ErrorMap, region: BestRectangle | None, task: str, within: bool) -> str:
+def _known(grid: ErrorMap) -> tuple[Floats, Floats]:
+    """Return the errors of the reachable cells, and the standard deviations that are known [m]."""
+    return grid.error[~np.isnan(grid.error)], grid.sigma[np.isfinite(grid.sigma)]
+
+
+def _task(grid: ErrorMap, region: BestRectangle | None, task: str) -> Finding:
     if region is None:
-        larger = "or a larger --within" if within else "or another section with --at"
-        return f"A task of {task} mm fits nowhere in the part of this section that the arm reaches: give a smaller task, {larger}."
-    u, v = (tuple(round(MM.of(value)) for value in span) for span in (region.u, region.v))
-    names = [axis(direction) for direction in found.axes]
-    return (
-        f"Best place for a task of {task} mm: {names[0]} {u[0]} to {u[1]}, {names[1]} {v[0]} to {v[1]} mm; error at most "
-        f"{MM.text(region.largest, '.3f')}, RMS {MM.text(region.rms, '.3f')}."
-    )
+        return Finding("task-nowhere", {"task": task})
+    names = [axis(direction) for direction in grid.axes]
+    spans = [tuple(round(MM.of(end)) for end in span) for span in (region.u, region.v)]
+    place = [f"{name} {low} to {high} mm" for name, (low, high) in zip(names, spans, strict=True)]
+    return Finding("task-place", {"task": task, "place": place, "most": _mm(region.largest), "rms": _mm(region.rms)})
 
 
-def document(mapped: Mapped, cell: float) -> dict[str, Any]:
+def _mm(length: float) -> dict[str, float]:
+    return {"mm": float(MM.of(length))}
+
+
+def document(mapped: Mapped, cell: float, findings: list[Finding]) -> dict[str, Any]:
     """The same as JSON; ``cell`` [m]. ``sigma_unknown_cells``: where combinations of parameters that were not seen move the end."""
-    found = mapped.map
-    error, sigma = MM.of(found.error[~np.isnan(found.error)]), MM.of(found.sigma[np.isfinite(found.sigma)])
+    error, sigma = map(MM.of, _known(mapped.map))
     region = mapped.region
     return {
         "cell_mm": MM.of(cell),
-        "axes": [axis(direction) for direction in found.axes],
+        "axes": [axis(direction) for direction in mapped.map.axes],
         "cells": error.size,
         "error_min_mm": error.min(),
         "error_max_mm": error.max(),
@@ -77,8 +76,7 @@ def document(mapped: Mapped, cell: float) -> dict[str, Any]:
         "sigma_min_mm": sigma.min() if sigma.size else None,
         "sigma_max_mm": sigma.max() if sigma.size else None,
         "sigma_unknown_cells": error.size - sigma.size,
-        "outside_cells": _outside(found),
-        "payload": mapped.payload or None,
+        "outside_cells": _outside(mapped.map),
         "best_region": None
         if region is None
         else {
@@ -87,4 +85,5 @@ def document(mapped: Mapped, cell: float) -> dict[str, Any]:
             "error_max_mm": MM.of(region.largest),
             "error_rms_mm": MM.of(region.rms),
         },
+        "findings": entries(findings),
     }

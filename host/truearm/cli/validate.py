@@ -11,9 +11,8 @@ import typer
 from truearm.bounds import Within
 from truearm.cli.command import command
 from truearm.cli.options import issue_of, rigs_of
-from truearm.cli.output import print_lines, warn
+from truearm.cli.output import warn
 from truearm.errors import Argument, InputError
-from truearm.text import one_line
 
 
 @command()
@@ -28,6 +27,7 @@ def validate(
     rig: list[str] | None = None,
     keep_rig: bool = False,
     report: Path | None = None,
+    details: bool = False,
     number: str = "",
     tolerance_mm: Annotated[float | None, Within(1e-3, 100.0)] = None,
     json: bool = False,
@@ -47,15 +47,22 @@ def validate(
     -------
     rig : [NAME=]FILE
         Rig (.toml). {named_rigs}. Default: the rig in each session.
+    report : FILE
+        Write a page with a certificate of the validation (.html).
+    details
+        Print every note and the errors in parts of the workspace.
+
+    Expert options
+    --------------
     keep_rig
         Hold the rig at its identified values: trackers, targets, chucks, bars, and the errors that --allow estimated
         over all rows (without @FIRST). Only if nothing was moved since.
-    report : FILE
-        Write a page with a certificate of the validation (.html).
     """
+    from truearm.cli.findings_text import show
     from truearm.files.result_file import format_document
     from truearm.files.robot_file import RobotChoice
-    from truearm.report.validation_words import validation_lines
+    from truearm.findings import findings_of
+    from truearm.report.validation_findings import error_lines
     from truearm.workflows.identify import IdentifyFiles
     from truearm.workflows.inputs import Sources
     from truearm.workflows.report import ReportFiles, validation_report
@@ -76,4 +83,4 @@ def validate(
     if json:
         typer.echo(format_document(document))
     else:
-        print_lines([*validation_lines(document), *([f"Written: {one_line(str(report))}"] if report else [])])
+        show(findings_of(document), error_lines(document) if details else None, [report], "Errors by region: --details")

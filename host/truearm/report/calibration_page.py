@@ -12,7 +12,6 @@ from typing import assert_never
 
 from truearm.estimate.law_curves import SampledCurve
 from truearm.estimate.solvers import Loss, Prior, loss_summary
-from truearm.finding_texts import Severity
 from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.report.calibration_tables import observability_table, residual_table, suspect_table
@@ -20,7 +19,7 @@ from truearm.report.certificate import Certificate, certificate_section
 from truearm.report.correlation import correlation
 from truearm.report.figures import convergences, figures_of
 from truearm.report.law_figures import law_figures
-from truearm.report.page_parts import command_block, html_page, picture, pictures, section, sentences, table_of
+from truearm.report.page_parts import command_block, finding_parts, html_page, picture, pictures, section, table_of
 from truearm.report.page_tables import fact_list, parameter_table, step_table, visibility
 from truearm.report.page_text import escape, figures, size
 from truearm.report.residual_rows import rows_by_kind, summaries
@@ -104,17 +103,13 @@ def _verdict(page: CalibrationPage) -> str:
     if page.predicted:
         more = f"by the parameters' σ, over {counted(page.predicted.n, 'pose')}; at most {size(page.predicted.largest, 'm')}"
         tiles.append(_tile("of the tool, predicted", {"m": page.predicted.rms}, more, "old"))
-    texts = [(finding.severity, finding.text()) for finding in page.findings if finding.code != "simulated"]
-    line = f'<h2 class="verdict">{escape(texts[0][1], 400)}</h2>' if texts else ""
-    doubts = [text for severity, text in texts[1:] if severity in (Severity.REFUSAL, Severity.WARNING)]
-    advice = [text for severity, text in texts[1:] if severity is Severity.ADVICE]
-    remarks = sentences(doubts, "remarks doubts", 1200) + sentences(advice, "remarks")
-    return f'<section>{line}<div class="tiles">{"".join(tiles)}</div>{remarks}</section>\n'
+    verdict, doubts, _ = finding_parts(page.findings) if page.findings else ("", "", "")
+    return f'<section>{verdict}<div class="tiles">{"".join(tiles)}</div>{doubts}</section>\n'
 
 
 def _notes(page: CalibrationPage) -> str:
-    notes = [finding.text() for finding in page.findings[1:] if finding.severity is Severity.NOTE]
-    return section("Notes", sentences(notes, "remarks", 1200)) if notes else ""
+    notes = finding_parts(page.findings)[2] if page.findings else ""
+    return section("Notes", notes) if notes else ""
 
 
 def _tile(name: str, rms: Mapping[str, float], note: str, css: str) -> str:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truearm.findings import Finding
 from truearm.report import svg
 from truearm.report.figures import Figure, drawn
-from truearm.report.page_parts import html_page, picture, pictures, section, sentences, table_of
+from truearm.report.page_parts import finding_parts, html_page, picture, pictures, section, table_of
 from truearm.report.page_tables import fact_list
 from truearm.report.page_text import ABSENT, escape, figures, number
 from truearm.types import Floats, rms, thinned
@@ -48,8 +49,7 @@ class CorrectionPage:
     singular_value: Floats
     moves: tuple[tuple[str, ...], ...]
     refused: tuple[tuple[str, ...], ...]
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: Sequence[Finding]
     facts: tuple[tuple[str, str], ...]
     simulated: bool
 
@@ -90,8 +90,8 @@ def _summary(page: CorrectionPage) -> str:
         f'<p class="small">{escape(note)}</p></div>'
         for name, value, unit, note, css in tiles
     )
-    remarks = sentences(page.warnings, "remarks doubts", 800) + sentences(page.notes, "remarks", 800)
-    return f'<section><div class="tiles">{shown}</div>{remarks}</section>\n'
+    verdict, doubts, notes = finding_parts(page.findings)
+    return f'<section>{verdict}<div class="tiles">{shown}</div>{doubts}{notes}</section>\n'
 
 
 _EXPECTED = "by the parameters' covariance and by what the calibration leaves unexplained"

@@ -40,7 +40,7 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     masses = [f"{mass:g}" for mass in sorted({payload["mass_kg"] for payload in payloads})]
     if sags and any(payload["mass_kg"] for payload in payloads):
         several = len(payloads) > 1
-        yield Finding("sag-of-payloads", {"masses": masses}) if several else Finding("sag-of-payload", {"mass": masses})
+        yield Finding("sag-of-payloads" if several else "sag-of-payload", {"masses": masses})
     noise = laws["noise"]
     terms = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:

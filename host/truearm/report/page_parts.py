@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
 
+from truearm.finding_texts import Severity
+from truearm.findings import Finding
 from truearm.report.figures import Figure
 from truearm.report.page_text import escape
 
@@ -53,6 +55,18 @@ def sentences(texts: Iterable[str], css: str, limit: int = 600) -> str:
     """Return a list of sentences, each cut at ``limit``; "" if there are none."""
     items = "".join(f"<li>{escape(text, limit)}</li>" for text in texts)
     return f'<ul class="{css}">{items}</ul>' if items else ""
+
+
+def finding_parts(findings: Sequence[Finding]) -> tuple[str, str, str]:
+    """Return the verdict as a heading, what to look at and to do, and notes, as HTML; a watermark tells that data are simulated."""
+    first, *others = [finding for finding in findings if finding.code != "simulated"]
+
+    def listed(css: str, *severities: Severity) -> str:
+        return sentences((finding.text() for finding in others if finding.severity in severities), css, 1200)
+
+    doubts = listed("remarks doubts", Severity.REFUSAL, Severity.WARNING) + listed("remarks", Severity.ADVICE)
+    heading = f'<h2 class="verdict">{escape(first.text(), 1200)}</h2>'
+    return heading, doubts, listed("remarks", Severity.RESULT, Severity.NOTE)
 
 
 def command_block(command: str) -> str:

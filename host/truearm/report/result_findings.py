@@ -9,8 +9,7 @@ from typing import Any, assert_never
 
 from truearm.estimate.outliers import MOST
 from truearm.estimate.solvers import SOLVERS, Loss, Prior
-from truearm.finding_texts import Severity
-from truearm.findings import Finding
+from truearm.findings import Finding, ordered
 from truearm.report.law_findings import law_findings
 from truearm.report.result_words import kind_name
 from truearm.results import DriftWith, ErrorForm, Gain, Unusable, chi2_text
@@ -58,9 +57,7 @@ def result_findings(document: Document, paths: Mapping[str, str] | None = None) 
         *law_findings(document),
         *_held_out(document),
     ]
-    by_weight = sorted(findings[1:], key=lambda finding: list(Severity).index(finding.severity))
-    simulated = [Finding("simulated")] if document["simulated"] else []
-    return [*simulated, findings[0], *by_weight, *_advice(document)]
+    return ordered([*findings, *_advice(document)], document["simulated"])
 
 
 # the verdict
@@ -75,8 +72,8 @@ def verdict(document: Document) -> Finding:
         return Finding("no-gain" if change["gain"] == Gain.NONE else "better", _change(change))
     judged, before = document["held_out"], document["held_out_before"]
     if judged is not None and before is not None:
-        return Finding("held-out", {"n": judged["n"], "after": _sizes(judged, "rms"), "before": _sizes(before, "rms")})
-    return Finding("unjudged", {"after": _sizes(document, "rms_after"), "before": _sizes(document, "rms_before")})
+        return Finding("held-out", {"n": judged["n"], "after": sizes(judged, "rms"), "before": sizes(before, "rms")})
+    return Finding("unjudged", {"after": sizes(document, "rms_after"), "before": sizes(document, "rms_before")})
 
 
 def _change(change: Document) -> dict[str, Any]:
@@ -85,13 +82,13 @@ def _change(change: Document) -> dict[str, Any]:
     return {
         "n": n,
         "by": "held out" if change["by"] == "held out" else "left out in turn",
-        "after": _sizes(change, "mean_after"),
-        "before": _sizes(change, "mean_before"),
+        "after": sizes(change, "mean_after"),
+        "before": sizes(change, "mean_before"),
     }
 
 
 def _unusable(because: Unusable, document: Document) -> Finding:
-    after = _sizes(document, "rms_after")
+    after = sizes(document, "rms_after")
     match because:
         case Unusable.NOT_CONVERGED:
             return Finding("not-converged", {"message": document["message"]})
@@ -136,7 +133,7 @@ def inputs(document: Document) -> Iterator[Finding]:
     if document["relabelling_search"] == "too many groups":
         yield Finding("labels-unchecked")
     for number, explanation in enumerate(explanations):
-        with_change, as_given = (_sizes(explanation, name) for name in ("rms", "rms_given"))
+        with_change, as_given = (sizes(explanation, name) for name in ("rms", "rms_given"))
         values = {
             "lead": "This explains them too" if number else "This explains the observations",
             "explanation": explanation["text"],
@@ -175,7 +172,7 @@ def _doubts(document: Document) -> Iterator[Finding]:
         values = {
             "n": bad["n"],
             "fitted": document["n_observations"],
-            "after": _sizes(bad, "rms_after", document["residual_units"]),
+            "after": sizes(bad, "rms_after", document["residual_units"]),
             "chi2": chi2_text(bad["chi2_reduced"]),
             "rows": named_rows(document["suspect"]),
             "most": MOST,
@@ -585,7 +582,7 @@ def _residuals(document: Document) -> Iterator[Finding]:
     shared = document["pose_error"]
     if shared is not None:
         yield Finding("pose-error", {"sigma": {"mm": shared["sigma_mm"]}, "n": shared["n"]})
-    before, raw = (_sizes(document, name, units) for name in ("rms_before", "rms_raw"))
+    before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
     rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
     fitted = list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
     if before == raw:
@@ -600,7 +597,7 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
     ``by_chance``: χ² is not above its band, so noise alone can leave the rest, or outliers that a robust loss weights down.
     """
     declared, unexplained = (
-        _sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
+        sizes(document, name, document["residual_units"]) for name in ("rms_declared", "rms_unexplained")
     )
     shares = {suffix: unexplained[suffix] for suffix in declared if None not in (declared[suffix], unexplained[suffix])}
     more = {suffix: value for suffix, value in shares.items() if value > 0.0}
@@ -635,7 +632,7 @@ def outliers(document: Document) -> Iterator[Finding]:
     yield Finding("outliers", {"why": None, "kept": None, "first": None, **values})
     all_rows = document["with_outliers"]
     if all_rows is not None:
-        after = _sizes(all_rows, "rms_after", document["residual_units"])
+        after = sizes(all_rows, "rms_after", document["residual_units"])
         yield Finding(
             "all-rows-fit", {"geometry": laws, "plain": not laws, "after": after, "chi2": all_rows["chi2_reduced"]}
         )
@@ -686,7 +683,7 @@ def _proposal(proposed: Document | None) -> dict[str, Any]:
     return values | {"combinations": values["combinations"] if values["combinations"] != 1 else None}
 
 
-def _sizes(entry: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) -> dict[str, float]:
+def sizes(entry: Document, name: str, units: Sequence[str] = tuple(SUFFIXES)) -> dict[str, float]:
     """Return a figure in each unit that it has."""
     return {
         suffix: entry[f"{name}_{suffix}"] for suffix in units if suffix and entry.get(f"{name}_{suffix}") is not None

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from truearm.findings import findings_of
 from truearm.report.certificate import Certificate, certificate_section
-from truearm.report.page_parts import command_block, html_page, section, sentences, table_of
+from truearm.report.page_parts import command_block, finding_parts, html_page, section, table_of
 from truearm.report.page_text import escape
-from truearm.report.validation_words import error_tables, validation_remarks
+from truearm.report.validation_findings import error_tables
 
 
 def render(robot: str, certificate: Certificate, document: Mapping[str, Any], command: str) -> str:
@@ -17,11 +18,11 @@ def render(robot: str, certificate: Certificate, document: Mapping[str, Any], co
     for titles, *rows in error_tables(document):
         cells = ([escape(cell) for cell in row] for row in rows)
         tables += table_of([escape(title) for title in titles], cells, "errors")
-    before, after = validation_remarks(document)
+    verdict, doubts, notes = finding_parts(findings_of(document))
     sections = (
         certificate_section(certificate),
-        f'<section><h2 class="verdict">{escape(document["verdict"], 1200)}</h2></section>\n',
-        section("Errors", sentences(before, "remarks doubts") + tables + sentences(after, "remarks")),
+        f"<section>{verdict}{doubts}</section>\n",
+        section("Errors", tables + notes),
         section("How it was made", command_block(command)) if command else "",
     )
     watermark = "simulated" * bool(document["simulated"])

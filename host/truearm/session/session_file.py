@@ -355,13 +355,6 @@ class IntactParts:
             self._gaps[-1] = (*self._gaps[-1][:2], now_ns)
 
 
-def words_of(at: int | None, lost_s: float, of_s: float, from_s: float) -> str:
-    """Describe a damaged place in words."""
-    if at is None:
-        return "damaged: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong"
-    return f"damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on"
-
-
 def salvage(path: Path, file: BinaryIO) -> tuple[IntactParts, bool]:
     """Return the intact parts of a file, and whether it has its end. Raises SessionError if hardly anything is intact."""
     size = os.fstat(file.fileno()).st_size

@@ -27,7 +27,6 @@ from truearm.model.rotation import rotation_vector
 from truearm.report.parameter_cells import parameter_cells
 from truearm.report.result_findings import verdict
 from truearm.results import weights_of
-from truearm.text import counted
 from truearm.types import CENTRE, MASS, CurveKnots, Floats, Law, Payload, SagMasses
 from truearm.units import DEG, MM, UNITS
 
@@ -170,41 +169,22 @@ class Calibration(Displayed):
                 out[:, law.joint] |= ~law.covers(q[:, law.joint])
         return out
 
-    @property
-    def doubt_of_payload(self) -> str:
-        """A sentence about the payload that the joints' sag holds for; "" if the result has no sag."""
-        if not any(isinstance(law, SagMasses) for law in self.stored.laws):
-            return ""
-        masses = self.payload_masses
-        if has_payload_law(self.chain):
-            measured = f"; it was measured under {masses}" if masses else ""
-            return f"The sag of the joints holds for a payload of {self.chain.payload.mass:g} kg{measured}."
-        which = f", {masses}" if masses else ""
-        return f"The sag of the joints holds for the payload of the calibration{which}."
-
-    def doubt_of_payloads(self, payloads: Sequence[Payload]) -> list[str]:
-        """Return sentences about rows under these ``payloads`` (n); empty if neither the result nor the rows show any effect.
+    def payload_findings(self, payloads: Sequence[Payload] | None = None) -> list[Finding]:
+        """Return for which payload the joints' sag holds, of the robot, or of rows under these ``payloads`` (n).
 
         A result that does not know how a payload acts predicts all rows under the payload of the calibration.
         """
-        masses = self.payload_masses
+        masses = masses_of(self.stored.payloads)
         if has_payload_law(self.chain):
-            measured = f"; it was measured under {masses}" if masses else ""
-            return [f"The sag of the joints holds for the payload of each row{measured}."]
-        doubt = [self.doubt_of_payload] if self.doubt_of_payload else []
-        others = [one for one in payloads if not any(map(one.is_like, self.stored.payloads))]
-        if self.stored.payloads and others:
-            number, have = counted(len(others), "row"), "has" if len(others) == 1 else "have"
-            doubt.append(
-                f"{number} of {len(payloads)} {have} another payload ({_masses(others)}) than the rows of the calibration "
-                f"({masses}), which does not know how a payload acts on the robot: identify with rows under different payloads."
-            )
-        return doubt
-
-    @property
-    def payload_masses(self) -> str:
-        """The payloads of the rows that were fitted, such as "0, 2.5 kg"; "" if unknown."""
-        return _masses(self.stored.payloads)
+            code = "sag-at-payload" if payloads is None else "sag-at-each-payload"
+            return [Finding(code, {"mass": self.chain.payload.mass, "masses": masses})]
+        has_sag = any(isinstance(law, SagMasses) for law in self.stored.laws)
+        findings = [Finding("sag-of-payload", {"masses": masses})] if has_sag else []
+        others = [payload for payload in payloads or () if not any(map(payload.is_like, self.stored.payloads))]
+        if payloads and masses and others:
+            values = {"n": len(others), "rows": len(payloads), "payload": masses_of(others), "masses": masses}
+            findings.append(Finding("other-payload", values))
+        return findings
 
     @property
     def chain(self) -> Chain:
@@ -320,13 +300,11 @@ def six_text(pose: Floats) -> str:
     return f"x, y, z {place} mm; rotation vector {turn} deg"
 
 
-def mounting_lines(chain: Chain, nominal: Floats, identified: Floats) -> list[str]:
-    """Format the mountings with the names of the frames between which they lie."""
+def mounting_values(chain: Chain, nominal: Floats, identified: Floats) -> dict[str, str]:
+    """Return the mountings in words, with the names of the frames between which they lie."""
     found = mountings(chain, nominal, identified)
-    return [
-        f"robot's base in frame {chain.base_frame}: {six_text(found.base)}",
-        f"frame {chain.end_frame} relative to the nominal one: {six_text(found.tool)}",
-    ]
+    poses = {"base": six_text(found.base), "end": six_text(found.tool)}
+    return {**poses, "base_frame": chain.base_frame, "end_frame": chain.end_frame}
 
 
 def check_joints(argument: str, given: Sequence[float] | None, chain: Chain) -> Floats | None:
@@ -359,10 +337,9 @@ def check_within(argument: str, q: Floats, chain: Chain, lower: Floats, upper: F
         )
 
 
-def _masses(payloads: Sequence[Payload]) -> str:
-    """Return the different masses, as "0, 2.5 kg"; "" without any payload."""
-    masses = sorted({one.mass for one in payloads})
-    return f"{', '.join(f'{mass:g}' for mass in masses)} kg" if masses else ""
+def masses_of(payloads: Sequence[Payload]) -> list[str]:
+    """Return the different masses [kg] of payloads, such as "0", "2.5"."""
+    return [f"{mass:g}" for mass in sorted({payload.mass for payload in payloads})]
 
 
 def covariance_of(stored: Result, names: Sequence[str]) -> Floats:

@@ -22,7 +22,7 @@ from truearm.results import Figures, Gain
 from truearm.text import counted
 from truearm.types import Rigs, rigs_by_name, rms
 from truearm.units import MM, PPM
-from truearm.workflows.calibration import Calibration, unusable_because
+from truearm.workflows.calibration import Calibration, masses_of, unusable_because
 from truearm.workflows.correction_findings import COVERAGE, unexplained_error
 from truearm.workflows.identify import Identification
 from truearm.workflows.validate import Measured, Validation
@@ -126,7 +126,7 @@ def validation_certificate(
 
 def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording], result: str) -> Facts:
     project, checksum = issue.project, str(calibration.document.get("checksum", ""))[:12]
-    masses = calibration.payload_masses
+    masses = ", ".join(masses_of(calibration.stored.payloads))
     return (
         ("certificate", issue.number or NOT_GIVEN),
         ("issued", f"{datetime.now(UTC):%Y-%m-%d}"),
@@ -136,7 +136,7 @@ def _what(calibration: Calibration, issue: Issue, recordings: Sequence[Recording
         ("model", calibration.chain.name),
         ("serial number", project.serial or NOT_GIVEN),
         ("controller", project.controller or NOT_GIVEN),
-        ("payload", masses or "not stated: as mounted during the measurement"),
+        ("payload", f"{masses} kg" if masses else "not stated: as mounted during the measurement"),
         ("operator", project.operator or NOT_GIVEN),
         ("software", f"truearm {__version__}"),
         (

@@ -1,13 +1,13 @@
-"""Sentences about the arm's configurations at the targets of a corrected program: what to check before it is run."""
+"""Findings about the arm's configurations at the targets of a corrected program: what to check before it is run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.text import counted, listed
+from truearm.findings import Finding
 from truearm.types import Floats
 from truearm.units import DEG
 
@@ -30,19 +30,18 @@ def _in_its_quarter(angle: float) -> str:
     return next((text for text in shown if float(text) // 90.0 == angle // 90.0), f"{angle:.3g}")
 
 
-def configuration_notes(q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[str]) -> list[str]:
-    """Return the arm configurations to check: those that only ``home`` determines, and those that contradict the
+def configuration_notes(
+    q: Floats, quarters: Floats, determined: NDArray[np.bool_], lines: Sequence[str]
+) -> Iterator[Finding]:
+    """Yield the arm configurations to check: those that only ``home`` determines, and those that contradict the
     program's own data.
 
     ``determined`` (n,): the program determines the configuration.
     """
+    if not determined.all():
+        places = [line for line, is_determined in zip(lines, determined, strict=False) if not is_determined]
+        yield Finding("home-decides", {"lines": places})
     wrong = (np.floor(q / (0.5 * np.pi)) != quarters) & ~np.isnan(quarters)
-    n = int(wrong.any(axis=1).sum())
-    check = (
-        f"The configuration data of {counted(n, 'robtarget')} {'differs' if n == 1 else 'differ'} from the quarter turns of the axes by this model: "
-        f"{'; '.join(_other_quarters(lines, q, quarters, wrong))}. Correct the data before you run the program, or the controller may stop."
-    )
-    unknown = listed([line for line, is_told in zip(lines, determined, strict=False) if not is_told])
-    return [
-        f"The program does not determine the position from which the robot moves to line {unknown}. The arm's configuration there is the one nearest to home."
-    ] * bool((~determined).any()) + [check] * bool(wrong.any())
+    if wrong.any():
+        details = "; ".join(_other_quarters(lines, q, quarters, wrong))
+        yield Finding("configuration-data", {"n": int(wrong.any(axis=1).sum()), "details": details})

@@ -19,13 +19,15 @@ from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice, load_robot
 from truearm.files.target_table import check_is_table, format_corrected, looks_like_targets, read_targets
 from truearm.finding_texts import UNDETERMINED
+from truearm.findings import Finding, ordered
 from truearm.model.chain import Chain, forward
 from truearm.model.poses import Six, frame_of, inverted
+from truearm.model.robot_mounting import mountings
 from truearm.progress import step
 from truearm.report.correction_page import render
 from truearm.report.page_parts import looks_like_page
 from truearm.types import Floats
-from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings
+from truearm.workflows.calibration import Calibration, check_joints, check_names, chosen_mountings, mounting_values
 from truearm.workflows.correct_program import (
     CalibrationFrames,
     Corrected,
@@ -33,7 +35,14 @@ from truearm.workflows.correct_program import (
     ProgramOptions,
     correct_program,
 )
-from truearm.workflows.correction_findings import CorrectedTargets, Refused, comparison, document_of, findings, warnings
+from truearm.workflows.correction_findings import (
+    CorrectedTargets,
+    Refused,
+    comparison,
+    correction_findings,
+    document_of,
+    findings,
+)
 from truearm.workflows.correction_report import page_of
 from truearm.workflows.program_files import (
     check_program_out,
@@ -45,6 +54,7 @@ from truearm.workflows.undetermined import undetermined
 
 NO_FRAME: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SHOWN = 12  # targets printed one by one
+NOTHING = 1e-7  # m, rad: less than the last digit that is printed
 
 
 class CorrectOptions(NamedTuple):
@@ -80,19 +90,14 @@ class CorrectFiles(NamedTuple):
 
 @dataclass(frozen=True)
 class CorrectedFile:
-    """A table or a program that was corrected and written to ``out``; ``places`` are its rows or lines.
+    """A table or a program that was corrected and written; ``places`` are its rows or lines.
 
-    ``document`` holds the findings as JSON (docs/reference/target-format.md); empty if it was not requested.
+    ``document`` holds all of it as JSON (docs/reference/target-format.md); empty if it was not requested.
     """
 
-    calibration: Calibration
-    own_frames: bool
-    out: Path
     correction: Correction
-    error_point: str
     places: tuple[str, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     document: Mapping[str, Any]
     refused: tuple[Refused, ...] = ()
 
@@ -125,29 +130,32 @@ def correct_file(calibration: Calibration, files: CorrectFiles, options: Correct
     correction = done.targets.correction
     places = tuple(place.partition(" ")[2] for place in done.targets.places)
     page = ""
-    said = tuple(warnings(calibration, done.targets, done.moves))
-    caveats = (*_caveats(calibration, correction.q[:SHOWN], options.own_frames), *done.notes)
+    stated = [
+        *correction_findings(calibration, done.targets, done.moves, done.refused),
+        _frames(calibration, options.own_frames),
+        *calibration.payload_findings(),
+        *undetermined(calibration, correction.q[:SHOWN], options.own_frames),
+        *done.notes,
+    ]
     configurations = None
     if done.others is not None:
-        sentence, configurations = comparison(calibration, how.pair, done.others)
-        caveats = (*caveats, sentence)
+        others, configurations = comparison(calibration, how.pair, done.others)
+        stated.append(others)
+    stated = ordered(stated, calibration.simulated)
     document: Mapping[str, Any] = {}
     if options.document or files.report is not None:
-        found = findings(calibration, how.pair, done.targets, done.moves)
-        document = document_of(found, calibration, said, caveats, done.refused, files.out.name, configurations)
+        effect = findings(calibration, how.pair, done.targets, done.moves)
+        document = document_of(effect, calibration, stated, done.refused, files.out.name, configurations)
         if files.report is not None:
             names = (files.targets.name, files.out.name, files.result.name)
-            page = render(page_of(found, calibration, names, said, caveats, done.refused))
+            page = render(page_of(effect, calibration, names, stated, done.refused))
     if programs is None:
         write_atomic(files.out, done.table)
     else:
         write_program_files(files.out, programs, done.programs)
     if files.report is not None:
         write_atomic(files.report, page)
-    point = done.targets.error_point(calibration.chain.end_frame)
-    return CorrectedFile(
-        calibration, options.own_frames, files.out, correction, point, places, caveats, said, document, done.refused
-    )
+    return CorrectedFile(correction, places, tuple(stated), document, done.refused)
 
 
 def _refuse_steps(options: CorrectOptions) -> None:
@@ -265,14 +273,10 @@ def _refuse(
         raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}{then}")
 
 
-def _caveats(calibration: Calibration, q: Floats, own_frames: bool) -> list[str]:
-    """Return caveats about the calibration for readers of the errors."""
-    caveats = []
-    if calibration.stored.status != "converged":
-        caveats.append(
-            "The fit of this result did not converge: check the result with truearm report before you use the corrected targets."
-        )
-    if calibration.doubt_of_payload:
-        caveats.append(calibration.doubt_of_payload)
-    caveats += undetermined(calibration, q, own_frames)
-    return caveats
+def _frames(calibration: Calibration, own_frames: bool) -> Finding:
+    """Return in which frames the targets are, and which mountings are corrected."""
+    frames = calibration.chain, calibration.nominal, calibration.identified
+    if own_frames:
+        return Finding("targets-in-own-frames", mounting_values(*frames))
+    is_nominal = np.allclose(mountings(*frames), np.eye(4), rtol=0.0, atol=NOTHING)
+    return Finding("mountings-nominal" if is_nominal else "mountings-corrected", mounting_values(*frames))

@@ -31,7 +31,7 @@ from truearm.errors import Argument, FindingError
 from truearm.findings import Finding
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, frame_of, inverted
-from truearm.text import counted, listed
+from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets, OtherConfigurations, Refused
@@ -117,7 +117,7 @@ class Corrected(NamedTuple):
     moves: CorrectedMoves = CorrectedMoves()
     others: OtherConfigurations | None = None
     refused: tuple[Refused, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding, ...] = ()
     programs: Mapping[str, bytes] = {}
     table: str = ""
 
@@ -455,19 +455,19 @@ def _other_configurations(how: HowCorrected, rows: NDArray[np.int_], solution: S
 
 def _notes(
     programs: Sequence[Program], names: CalibrationFrames, frames: ControllerFrames, options: ProgramOptions
-) -> Iterator[str]:
+) -> Iterator[Finding]:
     """Yield remarks about frames, routines outside of the files, and moves that are kept."""
     base, flange = frames.base.called(names.base), frames.flange.called(names.end)
-    yield f"The controller's base is {base}. Its flange is {flange}."
+    yield Finding("controller-frames", {"base": base, "flange": flange})
     absent = list(dict.fromkeys(name for program in programs for name in program.absent))
     if absent and not options.strict:
-        yield f"None of the files defines {listed(absent)}: taken not to displace the program and not to change its data."
+        yield Finding("routines-absent", {"names": absent})
     moves = [move for program in programs for move in program.moves if move.reason is None]
     n_kept = sum(goal.is_joints for move in moves for goal in move.goals)
     if n_kept and options.joint_moves is not JointMoves.CORRECT:
-        yield f"{counted(n_kept, 'move')} to joint values kept as {'it is' if n_kept == 1 else 'they are'}."
+        yield Finding("joint-moves-kept", {"n": n_kept})
     if texts := [program.where(place) for program in programs for place in program.texts]:
-        yield f"{counted(len(texts), 'text')} with moves, such as in {texts[0]}: texts are not corrected."
+        yield Finding("moves-in-texts", {"n": len(texts), "place": texts[0]})
 
 
 def _written(

@@ -1,4 +1,4 @@
-"""Compute the effect of a correction and the expected errors, as a document and as warnings.
+"""Compute the effect of a correction and the expected errors, as a document and as findings.
 
 These are shifts, expected errors, margins and straight moves.
 """
@@ -6,7 +6,7 @@ These are shifts, expected errors, margins and straight moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,9 +19,9 @@ from truearm.correct.model_pair import ModelPair
 from truearm.correct.straight_moves import StraightMoves, limit_margins
 from truearm.estimate.prediction import ParametersKnown, end_sigmas
 from truearm.files.strict_json import number_or_null
-from truearm.findings import Finding
+from truearm.findings import Finding, entries
 from truearm.model.poses import apart, inverted, position_and_rotation
-from truearm.text import counted, listed
+from truearm.text import listed
 from truearm.types import CurveKnots, Floats, rms
 from truearm.units import DEG, MM, MRAD, key, shown
 from truearm.workflows.calibration import Calibration
@@ -30,7 +30,6 @@ from truearm.workflows.undetermined import unseen_within
 STRAIGHT = 1e-4  # m: a larger deviation from a straight move gives a warning
 COVERAGE = 2.0  # k of the expanded uncertainty, about 95 % of a normal error
 RMS_OF_MEAN = math.sqrt(0.5 * math.pi)  # over the mean of |x| for normal x
-FADES = " Error curves are unknown there. Their corrections fade to zero; geometry and sag are still corrected."
 FORMAT = "truearm-correction"
 FORMAT_VERSION = 2
 
@@ -149,23 +148,21 @@ def _expected_errors(
     return COVERAGE * np.hypot(both, unexplained_error(calibration.document)), relative_to
 
 
-def comparison(calibration: Calibration, pair: ModelPair, others: OtherConfigurations) -> tuple[str, dict[str, Any]]:
-    """Compare corrections and expected errors over the arm's configurations, as a sentence and as JSON."""
+def comparison(
+    calibration: Calibration, pair: ModelPair, others: OtherConfigurations
+) -> tuple[Finding, dict[str, Any]]:
+    """Compare corrections and expected errors over the arm's configurations, as a finding and as JSON."""
     expected = _expected_errors(calibration, pair, others.q, others.tools)[0][:, 0]
     shift = float(others.shift.max(initial=0.0))
     low, high = (float(bound(expected, initial=start)) for bound, start in ((np.min, np.inf), (np.max, -np.inf)))
-    is_known = math.isfinite(low) and math.isfinite(high)
-    between = f"between {MM.text(low, '.3f')} and {MM.text(high, '.3f')}" if is_known else "unknown"
-    said = (
-        "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would "
-        f"differ by up to {MM.text(shift, '.3f')}, and the expected error is {between}."
-    )
-    return said, {
+    figures = {
         "targets": others.n_targets,
         "correction_spread_mm": float(MM.of(shift)),
         "expected_min_mm": number_or_null(MM.of(low)),
         "expected_max_mm": number_or_null(MM.of(high)),
     }
+    values = {"spread": "correction_spread_mm", "least": "expected_min_mm", "most": "expected_max_mm"}
+    return Finding("other-configurations", {name: {"mm": figures[key]} for name, key in values.items()}), figures
 
 
 def unexplained_error(document: Mapping[str, Any]) -> tuple[float, float]:
@@ -188,57 +185,60 @@ def _number(entry: Any, name: str) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-def warnings(calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves) -> list[str]:
-    """Return what the operator must know before the program is run."""
-    before, after = (rms(error[:, 0]) for error in (targets.correction.before, targets.correction.after))
-    said = [Finding("simulated").text()] if calibration.simulated else []
-    if after > before:
-        said.append(
-            f"The corrected targets are farther off than the uncorrected ones, {MM.text(after, '.4f')} RMS and not {MM.text(before, '.4f')}: use another method."
-        )
-    outside, drive = calibration.outside(targets.correction.q), moves.found
+def correction_findings(
+    calibration: Calibration, targets: CorrectedTargets, moves: CorrectedMoves, refused: Sequence[Refused] = ()
+) -> list[Finding]:
+    """Return what was corrected, and what the operator must know before the program is run."""
+    done, places = targets.correction, targets.places
+    before, after = ({"mm": float(MM.of(rms(error[:, 0])))} for error in (done.before, done.after))
+    values = {"point": targets.error_point(calibration.chain.end_frame), "before": before, "after": after}
+    code = "partly-corrected" if refused else "corrected"
+    findings = [Finding(code, {**values, "n": len(places), "refused": len(refused)})]
+    if after["mm"] > before["mm"]:
+        findings.append(Finding("correction-worse", values))
+    if calibration.stored.status != "converged":
+        findings.append(Finding("fit-not-converged"))
+    outside = calibration.outside(done.q)
     if outside is None:
-        said.append(
-            "The result does not say which joint readings it was identified from; identify again, so that targets outside them can be named."
-        )
+        findings.append(Finding("range-unknown"))
     elif (rows := np.flatnonzero(outside.any(axis=1))).size:
-        names = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
-        said.append(
-            f"{counted(rows.size, 'target')} outside the joint readings that the calibration was identified from, in {listed(names)}: "
-            f"{_several([targets.places[i] for i in rows])}.{FADES * any(isinstance(law, CurveKnots) for law in calibration.stored.laws)}"
-        )
+        joints = [calibration.chain.joints[j].name for j in np.flatnonzero(outside.any(axis=0))]
+        has_curves = any(isinstance(law, CurveKnots) for law in calibration.stored.laws)
+        where = {
+            "n": int(rows.size),
+            "joints": joints,
+            "places": _several([places[i] for i in rows]),
+            "curves": has_curves,
+        }
+        findings.append(Finding("targets-outside", where))
+    return [*findings, *_move_findings(moves)]
+
+
+def _move_findings(moves: CorrectedMoves) -> Iterator[Finding]:
+    drive = moves.found
     if drive is not None:
-        bent = np.flatnonzero(drive.deviation > STRAIGHT)
+        bent, blocked = np.flatnonzero(drive.deviation > STRAIGHT), np.flatnonzero(~drive.drivable)
         if bent.size:
             worst = int(bent[np.argmax(drive.deviation[bent])])
-            said.append(
-                f"{counted(bent.size, 'straight move')} will deviate from a straight path by more than {MM.text(STRAIGHT, '.1f')}: {_several([moves.places[i] for i in bent])}. "
-                f"The largest deviation is {MM.text(float(drive.deviation[worst]), '.2f')} ({moves.places[worst]}). Add targets between the ends."
-            )
-        blocked = np.flatnonzero(~drive.drivable)
+            values = {"limit": {"mm": MM.of(STRAIGHT)}, "worst": {"mm": float(MM.of(drive.deviation[worst]))}}
+            places = _several([moves.places[i] for i in bent])
+            yield Finding("moves-bent", {**values, "n": int(bent.size), "places": places, "place": moves.places[worst]})
         if blocked.size:
-            said.append(
-                f"{counted(blocked.size, 'straight move')} may pass a joint limit, a singularity or another configuration between the ends: "
-                f"{_several([moves.places[i] for i in blocked])}."
-            )
+            places = _several([moves.places[i] for i in blocked])
+            yield Finding("moves-blocked", {"n": int(blocked.size), "places": places})
     if moves.unchecked:
-        said.append(
-            f"{counted(moves.unchecked, 'straight move was', 'straight moves were')} not checked between the ends, because the program does not "
-            "say at which joints it starts: begin the program with a joint move."
-        )
-    return said
+        yield Finding("moves-unchecked", {"n": moves.unchecked})
 
 
 def document_of(
     found: Findings,
     calibration: Calibration,
-    said: Sequence[str],
-    notes: Sequence[str],
+    stated: Sequence[Finding],
     refused: Sequence[Refused],
     out: str,
     configurations: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the findings and warnings as JSON (docs/reference/target-format.md)."""
+    """Return a correction and its findings as JSON (docs/reference/target-format.md)."""
     return {
         **_head(calibration, out),
         "coverage_factor": COVERAGE,
@@ -246,8 +246,7 @@ def document_of(
         "unexplained_mrad": float(MRAD.of(found.unexplained[1])),
         "expected_relative_to": found.relative_to,
         "error_point": found.targets.error_point(calibration.chain.end_frame),
-        "warnings": list(said),
-        "notes": list(notes),
+        "findings": entries(stated),
         "refused": [move.entry() for move in refused],
         "configurations": configurations,
         "targets": _target_entries(found, calibration.joint_units),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from truearm.findings import Finding
 from truearm.report.correction_page import CorrectionPage
 from truearm.text import counted, one_line
 from truearm.types import Floats
@@ -19,8 +20,7 @@ def page_of(
     found: Findings,
     calibration: Calibration,
     names: tuple[str, str, str],
-    said: Sequence[str],
-    notes: Sequence[str],
+    stated: Sequence[Finding],
     refused: Sequence[Refused],
 ) -> CorrectionPage:
     """Return the page; ``names`` are those of the targets' file, of the corrected file, and of the result."""
@@ -51,8 +51,7 @@ def page_of(
         singular_value=found.singular_value,
         moves=_moves(found, units),
         refused=tuple((f"{move.file}:{move.line}", move.statement, move.reason.text()) for move in refused),
-        warnings=tuple(said),
-        notes=tuple(notes),
+        findings=stated,
         facts=facts,
         simulated=calibration.simulated,
     )

@@ -13,15 +13,15 @@ from truearm.display import Displayed
 from truearm.errors import Argument, InputError, RobotError
 from truearm.estimate.law_curves import SampledCurve, sampled_curves
 from truearm.export.formats import FORMATS
-from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, named, written
+from truearm.export.writing import FormatFit, RobotToWrite, fit_to, held, written
 from truearm.files.disk import check_writable, read_text, write_atomic
 from truearm.files.observation_table import read_table
 from truearm.files.plan_file import read_plan
 from truearm.files.robot_file import MAX_BYTES, RobotChoice
-from truearm.findings import Finding
+from truearm.findings import Finding, ordered
 from truearm.model.chain import NO_PAYLOAD, Chain
 from truearm.progress import step
-from truearm.text import counted, one_line
+from truearm.text import one_line
 from truearm.types import CurveKnots, Floats, Payload, rms, thinned
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import (
@@ -29,7 +29,7 @@ from truearm.workflows.calibration import (
     check_names,
     check_within,
     largest_readings,
-    mounting_lines,
+    mounting_values,
     read_usable,
 )
 from truearm.workflows.selection import matching
@@ -56,8 +56,8 @@ class ExportOptions(NamedTuple):
 class ExportedRobot(Displayed):
     """A calibrated robot as a file's text, and what the format cannot hold. Printing it shows the cost in mm.
 
-    ``form`` is the format, ``text`` the file's text, and ``mountings`` the poses of base and tool; if the calibration is
-    from a simulated box, a line that says so precedes them. ``fitted`` holds the written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
+    ``form`` is the format, ``text`` the file's text, and ``findings`` tell what it does not hold and where base and tool are
+    mounted. ``fitted`` holds the written parameters: its ``left`` and ``left_turn`` (n,) are the file's errors of position [m] and orientation [rad]
     against the identified robot over n poses.
 
     Examples
@@ -67,16 +67,15 @@ class ExportedRobot(Displayed):
     >>> written.missing[0]
     'joint1.gain'
     >>> print(written)  # doctest: +ELLIPSIS
-    Mountings (the file contains them):
-    ...
+    The file differs from the identified robot by ... mm RMS (... mm at most) and ... deg RMS, after a refit over 600 poses; ...
     The format urdf has no place for joint1.gain, ...
-    Refitted over 600 poses. Error without the parameters that the file cannot hold or that are not adjusted: ... mm RMS (... at most), ... deg RMS;
-    with the other parameters refitted to compensate: ... mm RMS (... at most), ... deg RMS.
+    Mountings, which the file contains: ...
+    For the best fit where you work, give over FILE, a plan or a table of poses there.
     """
 
     form: str
     text: str
-    mountings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     fitted: FormatFit
 
     @property
@@ -100,30 +99,32 @@ class ExportedRobot(Displayed):
         return float(self.fitted.left.max())
 
     def __str__(self) -> str:
-        return "\n".join([*self.mountings, *cost_lines(self)])
+        return "\n".join(finding.text() for finding in self.findings)
 
     def _headline(self) -> str:
         return f"{self.form}, {len(self.missing)} parameters without a place, {MM.of(self.rms):.3f} mm RMS"
 
 
-def cost_lines(found: ExportedRobot) -> list[str]:
-    """Describe what the file does not hold, and the resulting error."""
-    fitted = found.fitted
-    lines = [f"The format {found.form} has no place for {named(found.missing)}."] if found.missing else []
-    if fitted.refitted:
-        return [
-            *lines,
-            f"Refitted over {counted(fitted.left.size, 'pose')}. Error without the parameters that the file cannot hold or that are not adjusted: {_of(fitted.dropped, fitted.dropped_turn)};",
-            f"with the other parameters refitted to compensate: {_of(fitted.left, fitted.left_turn)}.",
-        ]
-    if found.exact:
-        return ["The file holds everything that was identified; no refit was needed."]
-    return [*lines, f"Error of what the file cannot hold: {_of(fitted.left, fitted.left_turn)}."]
-
-
-def _of(error: Floats, turn: Floats) -> str:
-    """Describe errors of position [m] and of orientation [rad]: a turn about the end itself moves it nowhere."""
-    return f"{MM.text(rms(error), '.3f')} RMS ({MM.of(error.max()):.3f} at most), {DEG.text(rms(turn), '.4f')} RMS"
+def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> list[Finding]:
+    """Return what the file does not hold, and the resulting error; ``is_default``: it was refitted over random poses."""
+    values = {
+        "n": fitted.left.size,
+        **{
+            name: {"mm": float(MM.of(rms(error)))}
+            for name, error in (("left", fitted.left), ("dropped", fitted.dropped))
+        },
+        "left_turn": {"deg": float(DEG.of(rms(fitted.left_turn)))},
+        "dropped_turn": {"deg": float(DEG.of(rms(fitted.dropped_turn)))},
+        "largest": {"mm": float(MM.of(fitted.left.max()))},
+    }
+    if fitted.exact and not fitted.refitted:
+        return [Finding("exported-whole")]
+    findings = [Finding("exported-refitted" if fitted.refitted else "exported-in-part", values)]
+    if fitted.missing:
+        findings.append(Finding("format-lacks", {"format": form, "names": list(fitted.missing)}))
+    if fitted.refitted and is_default:
+        findings.append(Finding("refit-next"))
+    return findings
 
 
 @step("exporting the robot")
@@ -191,14 +192,17 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
     Raises InputError if the format can hold nothing of what may change, or nothing worth writing.
     """
     fitted = _fitted(calibration, options, over)
-    simulated = [Finding("simulated").text()] if calibration.simulated else []
-    mountings = (*simulated, *_mountings(calibration, fitted.params, options))
+    contained = FORMATS[options.form].mountings and not options.own_frames
+    values = mounting_values(calibration.chain, calibration.nominal, fitted.params)
+    mounted = Finding("file-with-mountings" if contained else "file-without-mountings", values)
+    findings = ordered([*export_findings(options.form, fitted, over is None), mounted], calibration.simulated)
+    remarks = [*([Finding("simulated")] if calibration.simulated else []), mounted]
     robot = RobotToWrite(
         chain=calibration.chain,
         nominal=calibration.nominal,
         params=fitted.params,
         mountings=not options.own_frames,
-        comment="\n".join([MARK, *map(one_line, mountings)]),
+        comment="\n".join([MARK, *(one_line(finding.text()) for finding in remarks)]),
         urdf=_urdf_text(calibration),
     )
     try:
@@ -207,9 +211,9 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
         if not fitted.missing:
             raise
         raise RobotError(
-            f"{exc}. A file of this format would also have no place for {named(fitted.missing)}, which costs {_of(fitted.left, fitted.left_turn)}"
+            " ".join([f"{exc}.", *(finding.text() for finding in export_findings(options.form, fitted)[::-1])])
         ) from exc
-    return ExportedRobot(options.form, text, mountings, fitted)
+    return ExportedRobot(options.form, text, tuple(findings), fitted)
 
 
 def _urdf_text(calibration: Calibration) -> str | None:
@@ -273,16 +277,3 @@ def _poses_of(path: Path, chain: Chain) -> Floats:
             f"{path}: has {q.shape[1]} joints, robot {chain.name} has {len(chain.joints)}; give poses of this robot"
         )
     return q
-
-
-def _mountings(calibration: Calibration, params: Floats, options: ExportOptions) -> list[str]:
-    """Describe where the mountings are, and their values."""
-    kept = (
-        "the file contains them"
-        if FORMATS[options.form].mountings and not options.own_frames
-        else "the file does not contain them"
-    )
-    return [
-        f"Mountings ({kept}):",
-        *(f"  {one_line(line)}" for line in mounting_lines(calibration.chain, calibration.nominal, params)),
-    ]

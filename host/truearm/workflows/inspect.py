@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from truearm.errors import InputError, SessionError
 from truearm.files.strict_json import without_nan
+from truearm.findings import entries
 from truearm.progress import step
+from truearm.report.session_findings import session_findings
 from truearm.session.box_ident import recorded_ident
 from truearm.session.joint_format import parse_reading
 from truearm.text import one_line
@@ -124,7 +126,8 @@ def describe(session: Session) -> dict[str, Any]:
         "plan_poses": len(found.marks.dwells),
         **_measured(session, found),
     }
-    return without_nan(document)  # type: ignore[no-any-return]
+    document = without_nan(document)
+    return {**document, "findings": entries(session_findings(document))}
 
 
 def printable(data: bytes) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from truearm.correct.model_pair import ModelPair
 from truearm.errors import Argument, InputError
 from truearm.files.disk import check_writable, write_atomic
 from truearm.files.robot_file import RobotChoice
+from truearm.findings import Finding
 from truearm.progress import step
 from truearm.report.map_picture import Cells, map_picture
 from truearm.text import one_line
@@ -67,17 +69,16 @@ class MapFiles(NamedTuple):
 class Mapped(NamedTuple):
     """A map, and the best region for the task; None if there is no task, or no place for it.
 
-    ``relative_to``: "base", "tool", of which the observations do not determine the pose. ``payload`` is a sentence about
-    the payload that the map holds for; "" if the result has no sag. ``undetermined`` are sentences about why the error
-    with calibration is unknown in some cells. ``outside`` names the joints whose readings are outside the fitted ones in
-    every reachable cell.
+    ``relative_to``: "base", "tool", of which the observations do not determine the pose. ``payload``: which payload the
+    map holds for. ``undetermined``: why the error with calibration is unknown in some cells. ``outside`` names the joints
+    whose readings are outside the fitted ones in every reachable cell.
     """
 
     map: ErrorMap
     region: BestRectangle | None
     relative_to: tuple[str, ...] = ()
-    payload: str = ""
-    undetermined: tuple[str, ...] = ()
+    payload: Sequence[Finding] = ()
+    undetermined: Sequence[Finding] = ()
     outside: tuple[str, ...] = ()
 
 
@@ -108,10 +109,8 @@ def map_files(calibration: Calibration, files: MapFiles, section: Section, task:
         write_atomic(files.picture, _picture(found, region, calibration))
     unknown = found.q[np.isnan(found.sigma) & ~np.isnan(found.error)]
     why = undetermined(calibration, unknown[:SOME], section.own_frames) if len(unknown) else []
-    relative_to = unseen_within(calibration)[1]
-    return Mapped(
-        found, region, relative_to, calibration.doubt_of_payload, tuple(why), _outside_everywhere(calibration, found)
-    )
+    relative_to, outside = unseen_within(calibration)[1], _outside_everywhere(calibration, found)
+    return Mapped(found, region, relative_to, calibration.payload_findings(), why, outside)
 
 
 def _outside_everywhere(calibration: Calibration, found: ErrorMap) -> tuple[str, ...]:

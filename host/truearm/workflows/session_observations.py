@@ -143,16 +143,16 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 
 def observations_of_opened(session: Session, rig: Rig | None, options: SessionOptions) -> SyncResult:
     """Do the same as ``observations_of_session`` with a session that was opened with the same ``allow_damaged``."""
+    from truearm.report.session_findings import damage_finding
     from truearm.session.box_ident import recorded_ident
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
-    from truearm.session.session_file import words_of
     from truearm.workflows.temperature_warning import temperature_warning
 
     path = session.path
     if session.damage:
-        said = ", ".join(words_of(**vars(damage)) for damage in session.damage[:SAID])
-        more = f" and in {counted(len(session.damage) - SAID, 'place')} more" if len(session.damage) > SAID else ""
+        said = " ".join(damage_finding(vars(damage)).text() for damage in session.damage[:SAID])
+        more = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)
     rules = LineRules(points=options.line_points)

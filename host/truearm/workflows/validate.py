@@ -29,11 +29,12 @@ from truearm.files.result_document import copies_of, systematic_entries
 from truearm.files.result_file import Input
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import shown_or_null
+from truearm.findings import entries, findings_of
 from truearm.kinds.registry import regions as regions_of_kinds
 from truearm.kinds.table import ObservationTable
 from truearm.model.chain import forward
 from truearm.progress import step
-from truearm.report.validation_words import BY_PLACE, validation_lines, verdict
+from truearm.report.validation_findings import BY_PLACE, error_lines, validation_findings
 from truearm.results import Effect, Figures
 from truearm.types import Floats, Mask, Rig, Rigs, rms
 from truearm.units import MM, UNITS, key
@@ -124,7 +125,7 @@ class Validation(Displayed):
 
     def summary(self) -> str:
         """Return errors, what is expected, and the verdict, as ``truearm validate`` prints them."""
-        return "\n".join(validation_lines(self.document))
+        return "\n".join([*(finding.text() for finding in findings_of(self.document)), *error_lines(self.document)])
 
 
 class Measured(NamedTuple):
@@ -207,7 +208,6 @@ def validated(
         "simulated": every.simulated or calibration.simulated,
         "rows": int(judging.sum()),
         "left_out": int((~judging).sum()),
-        "payload": calibration.doubt_of_payloads(payloads_of(rig, table.select(judging))),
         "copies": copies_of(copied, every),
         "without_rig": _missing_rig(stored.inputs, rig),
         "settled": n_settled,
@@ -230,9 +230,12 @@ def validated(
         "worst_region": _worst_region(errors, judging, _named_regions(calibration, table)),
         "regions": [_region_entry(region) for region in regions],
     }
-    words = verdict(document)
+    findings = validation_findings(document, calibration.payload_findings(payloads_of(rig, table.select(judging))))
+    words = next(finding.text() for finding in findings if finding.code != "simulated")
     counts = int(judging.sum()), int((~judging).sum()), n_settled, n_unseen
-    return Validation(words, *counts, *figures, due_rms, regions, document | {"verdict": words})
+    return Validation(
+        words, *counts, *figures, due_rms, regions, {**document, "verdict": words, "findings": entries(findings)}
+    )
 
 
 def _missing_rig(inputs_then: Sequence[Input], rig: Rigs) -> str | None:

@@ -1,0 +1,69 @@
+"""What commands print: their findings, the verdict first, and the files that were written."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from truearm.finding_texts import Severity
+from truearm.findings import Finding
+from truearm.text import counted, one_line
+
+MAX_LINES = 15  # of the short form
+
+
+def show(
+    findings: Sequence[Finding],
+    tables: Iterable[Table | str] | None = None,
+    written: Iterable[Path | None] = (),
+    more: str = "All notes and tables: --details",
+) -> None:
+    """Print findings and the files that were written.
+
+    Without ``tables``, notes are left out, and what is more than MAX_LINES lines; ``more`` says where they are. With
+    them, advice follows the tables.
+    """
+    # No markup, because names come from files. Into a pipe, rich would wrap at 80 columns.
+    width = None if sys.stdout.isatty() else 120
+    console = Console(markup=False, highlight=False, emoji=False, width=width)
+    files = [f"Written: {one_line(str(path))}" for path in written if path is not None]
+    if tables is None:
+        lines = _short(findings, console, MAX_LINES - len(files), more)
+    else:
+        advice = [finding for finding in findings if finding.severity is Severity.ADVICE]
+        lines = [*(_text(finding) for finding in findings if finding not in advice), *tables, *map(_text, advice)]
+    for line in [*lines, *files]:
+        console.print(line)
+
+
+def _short(findings: Sequence[Finding], console: Console, room: int, more: str) -> list[str | Table]:
+    """Return all findings but notes, in at most ``room`` lines."""
+    texts = [_text(finding) for finding in findings if finding.severity is not Severity.NOTE]
+    shown: list[str | Table] = []
+    used = 1
+    for text in texts:
+        used += len(console.render_lines(text, pad=False))
+        if used > room:
+            break
+        shown.append(text)
+    hidden = len(texts) - len(shown)
+    return [*shown, f"{counted(hidden, 'more finding')}. {more}" if hidden else more] if more else shown
+
+
+def _text(finding: Finding) -> str:
+    return finding.text(lambda argument: f"--{argument.replace('_', '-')}")
+
+
+def table_of(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """Return a table whose first column is text and whose other columns are numbers; a title that ends in a space is text."""
+    table = Table(box=None, pad_edge=False)
+    for number, name in enumerate(titles):
+        is_text = not number or name.endswith(" ")
+        table.add_column(name.strip(), justify="left" if is_text else "right", overflow="fold", no_wrap=not is_text)
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table

@@ -1,0 +1,233 @@
+"""The findings of a session, from the content of ``truearm inspect --json``: whether it is usable, and what went wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from truearm.findings import Finding, ordered
+from truearm.session.dwells import MOUNTING, NEED_DECISION
+from truearm.session.losses import COUNTERS, EXTREMES
+from truearm.text import counted, faster, one_line
+from truearm.units import NS, UM, US
+
+Document = Mapping[str, Any]
+
+LOSSES = {  # the counters of a finding
+    "lost-on-link": ("frames_lost", "samples_lost"),
+    "lost-in-box": ("samples_overrun", "overruns", "dropped"),
+    "converter-faults": ("converter_faults", "crc_errors", "converter_resets"),
+    "missing-stop-pulses": ("missing_stops",),
+    "thermometer-errors": ("thermometer_errors",),
+    "box-restarted": ("restarts",),
+    "clock-unanswered": ("sync_unanswered",),
+    "not-frames": ("console_runs", "console_bytes", "console_text_runs"),
+    "odd-frames": (
+        *("frames_duplicated", "frames_late", "frames_malformed", "frames_unknown"),
+        *("blocks_without_ident", "bad_frames", "short_writes"),
+    ),
+}
+EXTREME_NAMES = ("loop_max_us", "gc_max_us", "heap_free_min")
+UNUSED_EDGES = ("unseen", "unclear", "rejected", "stray")
+
+
+def session_findings(document: Document) -> list[Finding]:
+    """Return the findings: the verdict, what is in the session, warnings, notes."""
+    return ordered(
+        [
+            _verdict(document),
+            _recording(document),
+            *_file(document),
+            *_losses(document["losses"]),
+            *_clock(document["clock"]),
+            *_robot(document),
+            *_rejected(document),
+            *_passes(document["passes"]),
+            *_notes(document),
+        ]
+    )
+
+
+def _verdict(document: Document) -> Finding:
+    """Return whether the session gives observations, or why not."""
+    dwells, passes = document["dwells"], document["passes"]
+    robot = document["robot"]
+    n_dwells = dwells["found"] - dwells["mountings"]
+    values = {
+        "observations": dwells["observations"],
+        "dwells": n_dwells,
+        "planned": document["plan_poses"],
+        "points": passes["points"],
+        "passes": passes["found"],
+        "planned_passes": passes["planned"],
+    }
+    if dwells["observations"] or passes["points"]:
+        return Finding("session-usable", values | {"both": bool(dwells["observations"] and passes["points"])})
+    if not document["streams"]:
+        return Finding("no-samples")
+    if not robot["readings"]:
+        return Finding("no-joint-readings", {"bytes": robot["console_bytes"]})
+    if not document["clock"]:
+        return Finding("no-box-clock")
+    if not n_dwells and not passes["planned"]:
+        return Finding("no-stops")
+    if dwells["not_paired"]:
+        return Finding("session-not-evaluated", {"dwells": n_dwells, "reason": dwells["not_paired"]})
+    return Finding("no-observations", values)
+
+
+def _recording(document: Document) -> Finding:
+    robot, bounds = document["robot"], [report["bound_ns"] for report in document["clock"]]
+    return Finding(
+        "recording",
+        {
+            "file": document["file"],
+            "duration": {"s": document["duration_s"]},
+            "streams": [
+                f"{counted(stream['samples'], 'sample')} of {stream['name']}" for stream in document["streams"]
+            ],
+            "readings": robot["readings"],
+            "clock": _us(max(bounds, default=None)),
+        },
+    )
+
+
+def _file(document: Document) -> Iterator[Finding]:
+    """Return what is missing in the file, and where it comes from."""
+    metadata = document["metadata"]
+    if document["truncated"]:
+        yield Finding("session-incomplete")
+    for damage in document["damage"]:
+        yield damage_finding(damage)
+    if recovered := metadata["recovered"]:
+        values = {"source": recovered.get("source", "?"), "lost": recovered.get("messages_lost", "?")}
+        yield Finding("session-recovered", values)
+    if added := metadata["joints-added"]:
+        yield Finding("joints-added", {"source": added.get("source", "?"), "time": added.get("time", "?")})
+    foreign = int(metadata["session-end"].get("robot_foreign", "0"))
+    if foreign:
+        yield Finding("foreign-datagrams", {"n": foreign})
+
+
+def damage_finding(damage: Mapping[str, Any]) -> Finding:
+    """Return a damaged place of a session file."""
+    return Finding("session-headers-damaged" if damage["at"] is None else "session-damaged", damage)
+
+
+def _losses(losses: Document) -> Iterator[Finding]:
+    """Return what did not arrive, by what to do about it, and the counters of the box that have no finding."""
+    counters = {**losses["box"], **losses}
+    findings = [
+        Finding(code, {name: counters.get(name, 0) for name in names})
+        for code, names in LOSSES.items()
+        if any(counters.get(name) for name in names)
+    ]
+    if losses["silences"]:
+        periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
+        findings.append(Finding("box-silent", {"periods": periods, "missing": losses["samples_missing"]}))
+    yield from findings or [Finding("nothing-lost")]
+    named = {name for names in LOSSES.values() for name in names} | {"sent"}
+    others = [f"{counters[name]} {name}" for name in COUNTERS if name not in named and counters[name]]
+    if others:
+        yield Finding("box-counters", {"counts": others})
+    if counters["heartbeats"]:
+        names = [name for _, name in EXTREMES.values()]
+        others = [f"{name} {counters[name]}" for name in names if name not in EXTREME_NAMES]
+        values = {name: counters[name] for name in ("heartbeats", *EXTREME_NAMES)}
+        yield Finding("heartbeats", {**values, "others": others})
+
+
+def _clock(reports: Iterable[Document]) -> Iterator[Finding]:
+    for report in reports:
+        yield Finding(
+            "box-clock",
+            {
+                "segment": report["segment"],
+                "offset": NS.to_si(report["offset_ns"]),
+                "rate": faster(report["rate_ppm"], 3),
+                "varies": {"ppm": report["rate_range_ppm"]} if report["windows"] > 1 else None,
+                **{name: _us(report[f"{name}_ns"]) for name in ("bound", "half_asymmetry", "spread")},
+                **{name: _us(report[f"{name}_ns"]) for name in ("rtt_min", "rtt_median")},
+                **{name: report[name] for name in ("exchanges", "rejected", "windows")},
+            },
+        )
+        for change in report["changes"]:
+            begin, end = (US.to_si(stamp) for stamp in change["device_us"])
+            yield Finding("clock-stepped", {"change": _us(change["by_ns"]), "begin": begin, "end": end})
+
+
+def _robot(document: Document) -> Iterator[Finding]:
+    robot = document["robot"]
+    if not robot["readings"]:
+        return
+    names = ("readings", "joints", "rate_hz", "lost", "gaps", "late", "duplicated", "malformed", "restarts")
+    values = {name: robot[name] for name in names}
+    is_bad = any(robot[name] for name in ("lost", "gaps", "malformed", "restarts"))
+    yield Finding("joint-readings-lost" if is_bad else "joint-readings", values)
+    for report in () if document["metadata"]["joints-added"] else robot["clock"]:
+        if report["edges"] is not None:
+            yield from _edges(report["edges"])
+        values = {"rate": faster(report["rate_ppm"], 3), "jitter": _us(report["jitter_ns"])}
+        yield Finding("robot-clock", values | {"spread": _us(report["spread_ns"])})
+
+
+def _edges(edges: Document) -> Iterator[Finding]:
+    names = ("edges", "used", "input", "in_use", "inverted", *UNUSED_EDGES)
+    values: dict[str, Any] = {name: edges[name] for name in names}
+    if not edges["used"]:
+        yield Finding("trigger-unseen", values)
+        return
+    low, high = edges["falling_later_ns"]
+    values |= {name: _us(edges[f"{name}_ns"]) for name in ("to_box", "bound", "shortest_latency")}
+    values |= {"least": _us(low), "most": _us(high), "arrivals": not edges["in_use"]}
+    yield Finding("trigger", values)
+
+
+def _rejected(document: Document) -> Iterator[Finding]:
+    """Return which dwells and passes were rejected, by reason."""
+    dwells, passes = dict(document["dwells"]["rejected"]), document["passes"]["rejected"]
+    dwells.pop(MOUNTING, None)
+    needed = sum(dwells.pop(reason, 0) for reason in NEED_DECISION)
+    if needed:
+        session, n_dwells = document["file"], document["dwells"]["found"]
+        yield Finding("doubtful-dwells", {"session": session, "n": needed, "dwells": n_dwells, "path": [session]})
+    counts = [(reason, counted(n, "dwell")) for reason, n in dwells.items()]
+    for reason, rejected in counts + [(reason, counted(n, "pass", "passes")) for reason, n in passes.items()]:
+        is_off_plan = reason == "no plan match" and document["plan_poses"]
+        code = "rejected-off-plan" if is_off_plan else f"rejected-{reason.replace(' ', '-')}"
+        yield Finding(code, {"rejected": rejected})
+
+
+def _passes(passes: Document) -> Iterator[Finding]:
+    good = [row for row in passes["table"] if not row["reason"]]
+    if good:
+        late_s = max(row["time_sigma_s"] for row in good)
+        values = {
+            "window": {"s": max(row["window_s"] for row in good)},
+            "time": {"us": US.of(late_s)},
+            "distance": {"um": UM.of(max(row["time_sigma_s"] * row["speed_m_s"] for row in good))},
+        }
+        yield Finding("pass-timing", values)
+
+
+def _notes(document: Document) -> Iterator[Finding]:
+    """Return what made the session, what it holds besides, and the temperature."""
+    session, dwells = document["metadata"]["session"], document["dwells"]
+    versions = {"version": session.get("version"), "clock": session.get("clock"), "firmware": document["firmware"]}
+    yield Finding("session-made", {**versions, "attached": document["attachments"]})
+    losses = document["losses"]
+    yield Finding("frames", {name: losses[name] for name in ("frames", "samples", "blocks")})
+    degc = document["temperature_degc"]
+    read = [("box", degc["box"]), *((one_line(name) or "unnamed", ends) for name, ends in degc["thermometers"].items())]
+    ranges = [f"{name} {ends[0]:.1f} to {ends[1]:.1f} °C" for name, ends in read if ends is not None]
+    if ranges:
+        yield Finding("temperature", {"ranges": ranges})
+    settling = sorted(row["settling_s"] for row in dwells["table"] if not row["reason"])
+    values = {"stops": dwells["mountings"], "events": [f"{n} {kind}" for kind, n in document["events"].items()]}
+    if settling:
+        values |= {"median": {"s": settling[len(settling) // 2]}, "longest": {"s": settling[-1]}}
+    yield Finding("stops", {"median": None, **values})
+
+
+def _us(time_ns: float | None) -> dict[str, float] | None:
+    return None if time_ns is None else {"us": US.of(NS.to_si(time_ns))}

@@ -1,0 +1,129 @@
+"""The findings of a validation, from its document: the verdict first; and its errors as rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from truearm.findings import Finding, ordered
+from truearm.report.result_findings import FAR_OFF, copies, sizes, systematic_findings
+from truearm.results import chi2_text
+from truearm.text import one_line
+from truearm.units import SUFFIXES, UNITS, Scale, from_shown, title
+
+Document = Mapping[str, Any]
+
+FEW_ROWS = 10  # fewer say nothing about other poses
+BY_PLACE = "radius "  # begins the name of a region of the space
+
+
+def validation_findings(document: Document, payload: Sequence[Finding] = ()) -> list[Finding]:
+    """Return the verdict, what limits it, and notes; ``payload``: the findings about the payloads of the rows."""
+    return ordered(
+        [_verdict(document), *_limits(document), *systematic_findings(document, True), *payload, *_notes(document)],
+        document["simulated"],
+    )
+
+
+def _verdict(document: Document) -> Finding:
+    """Return whether the errors are consistent with the expected ones, smaller than without the calibration, or neither."""
+    helped, units = any(document["better"].values()), document["residual_units"]
+    expected = document["expected"] or {}
+    due, noise, parameters = (sizes(expected, name, units) for name in ("rms", "by_noise", "by_parameters"))
+    values = {
+        "after": sizes(document, "rms_after", units),
+        "before": sizes(document, "rms_before", units),
+        "n": document["rows"],
+        "expected": due,
+    }
+    if document["consistent"] and due:
+        unsure = {suffix: size for suffix, size in parameters.items() if size > noise[suffix]}
+        return Finding("validation-uncertain" if unsure else "validation-holds", {**values, "parameters": unsure})
+    if not helped:
+        implausible = any(
+            from_shown(size, SUFFIXES[suffix].si) > FAR_OFF * UNITS[SUFFIXES[suffix].si].wide_sigma
+            for suffix, size in values["after"].items()
+        )
+        return Finding("validation-implausible" if implausible else "validation-no-help", values)
+    if document["consistent"] is None or not due:
+        return Finding("validation-unjudged", values)
+    unexplained = sizes(document, "unexplained", list(due))
+    return Finding("validation-changed", {**values, "unexplained": unexplained, "region": document["worst_region"]})
+
+
+def _limits(document: Document) -> Iterator[Finding]:
+    """Return what the verdict does not hold for, and why it may prove little."""
+    if document["without_rig"]:
+        yield Finding("rig-missing", {"rig": document["without_rig"]})
+    if document["unseen"]:
+        yield Finding("rows-unseen", {"n": document["unseen"]})
+    helped = [suffix for suffix, better in document["better"].items() if better]
+    worse = [region["region"] for region in document["regions"] if any(_is_worse(region, unit) for unit in helped)]
+    if worse:
+        yield Finding("regions-worse", {"regions": worse})
+    if document["consistent"] and document["rows"] < FEW_ROWS:
+        yield Finding("few-rows", {"n": document["rows"], "enough": FEW_ROWS})
+    if document["identified_from"]:
+        yield Finding("rows-were-fitted")
+    yield from copies(document)
+
+
+def _is_worse(region: Document, unit: str) -> bool:
+    before, after = region[f"rms_before_{unit}"], region[f"rms_after_{unit}"]
+    return before is not None and bool(after >= before)
+
+
+def _notes(document: Document) -> Iterator[Finding]:
+    """Return what the tables mean, and what was estimated from the rows themselves."""
+    if any(region["region"].startswith(BY_PLACE) for region in document["regions"]):
+        yield Finding("validation-regions")
+    yield Finding("validation-expected")
+    raw = sizes(document, "rms_raw", document["residual_units"])
+    yield Finding(
+        "before-placed" if document["placed"] else "before",
+        {"fitted": ["base and tool"] * document["placed"], "raw": raw},
+    )
+    if document["chi2_reduced"] is not None:
+        values = {"chi2": chi2_text(document["chi2_reduced"]), "limit": document["chi2_limit"]}
+        yield Finding("validation-chi2", values)
+    for code, n in (
+        ("rig-from-held-out", document["settled"]),
+        ("rig-kept", document["kept"]),
+        ("rows-not-judged", document["left_out"]),
+    ):
+        if n:
+            yield Finding(code, {"n": n})
+
+
+def error_tables(document: Document) -> list[list[tuple[str, ...]]]:
+    """Return a table of errors for each unit, its titles first: all rows, then the regions."""
+    return [_error_rows(document, SUFFIXES[suffix]) for suffix in document["residual_units"]]
+
+
+def _error_rows(document: Document, unit: Scale) -> list[tuple[str, ...]]:
+    due = document["expected"] if not document["unseen"] else None
+    rows: list[tuple[str, ...]] = [(title("error", unit.si), "before", "after", "expected", "rows")]
+    for figure, words in (("rms", "all, RMS"), ("mean", "all, mean"), ("max", "all, largest")):
+        predicted = due[f"rms_{unit.suffix}"] if due and figure == "rms" else None
+        rows.append(_error_row(words, document, figure, unit, predicted))
+    for region in document["regions"]:
+        if region[f"n_{unit.suffix}"]:
+            predicted = region[f"rms_expected_{unit.suffix}"]
+            rows.append(_error_row(one_line(region["region"]), region, "rms", unit, predicted))
+    return rows
+
+
+def _error_row(words: str, numbers: Document, figure: str, unit: Scale, predicted: float | None) -> tuple[str, ...]:
+    decimals = UNITS[unit.si].decimals
+    before, after = (f"{numbers[f'{figure}_{name}_{unit.suffix}']:.{decimals}f}" for name in ("before", "after"))
+    expected = "-" if predicted is None else f"{predicted:.{decimals}f}"
+    return words, before, after, expected, str(numbers[f"n_{unit.suffix}"])
+
+
+def error_lines(document: Document) -> list[str]:
+    """Return the tables of errors as text."""
+    return [
+        f"{words:<{max(len(name) for name, *_ in rows)}}{before:>12}{after:>12}{expected:>12}{n:>8}"
+        for rows in error_tables(document)
+        for words, before, after, expected, n in rows
+    ]
