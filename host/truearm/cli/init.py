@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 import sys
@@ -14,7 +13,7 @@ import typer
 
 from truearm.bounds import OneOf, Within
 from truearm.cli.command import command
-from truearm.cli.options import branch_given
+from truearm.cli.options import branch_given, numbers_of
 from truearm.cli.output import print_json, print_lines
 from truearm.errors import InputError
 from truearm.file_names import missing_file
@@ -39,8 +38,8 @@ def init(
     branch: str | None = None,
     address: str | None = None,
     box: str | None = None,
-    chucks: Annotated[int | None, PARTS] = None,
-    spheres: Annotated[int | None, PARTS] = None,
+    chucks: Annotated[int, PARTS] = 3,
+    spheres: Annotated[int, PARTS] = 3,
     bars_mm: str | None = None,
     measured_with: Annotated[str | None, OneOf((NOTHING, *INSTRUMENTS))] = None,
     minutes: Annotated[float, Within(0.0, 1000.0)] = 30.0,
@@ -48,7 +47,8 @@ def init(
 ) -> None:
     """Create a project: truearm.toml, rig.toml and a first plan.
 
-    On a terminal, truearm asks for what you do not give; Enter accepts the value in brackets. A line device and sockets are
+    On a terminal, truearm asks for robot, address and what the rig is measured with if you do not give --model; Enter accepts
+    the value in brackets. A line device and sockets are
     commented out in rig.toml: remove the "#" in front of those that you have. In this folder and below it, commands
     take missing options from truearm.toml: truearm record, truearm identify and truearm status then need none.
 
@@ -63,9 +63,9 @@ def init(
     Options
     -------
     chucks : N
-        Chucks (magnetic cups) on the table. Default: 3.
+        Chucks (magnetic cups) on the table.
     spheres : N
-        Spheres (steel balls) on the robot's end. Default: 3.
+        Spheres (steel balls) on the robot's end.
     bars_mm : MM,…
         Lengths of the bars at mid-travel. Default: two that suit the arm.
     measured_with
@@ -117,19 +117,7 @@ def init(
         address=ask(
             address, "Address of the robot's joint readings, such as rtde://192.168.0.2 (Enter for none)", _address
         ),
-        box=ask(box, "Port of the box (Enter for the one that is plugged in)", str),
-    )
-    n_chucks, n_spheres = (
-        given if given is not None else ask(None, f"How many {what}", _count(option), "3")
-        for option, given, what in (
-            ("--chucks", chucks, "chucks (magnetic cups) on the table"),
-            ("--spheres", spheres, "spheres (steel balls) on the robot's end"),
-        )
-    )
-    lengths = ask(
-        bars_mm,
-        "Lengths of the bars at mid-travel [mm], separated by commas (Enter for two that suit the arm)",
-        _lengths,
+        box=box or "",
     )
     instrument = ask(
         measured_with,
@@ -138,7 +126,7 @@ def init(
         NOTHING,
     )
     bounds = branch_given(branch or None)
-    wanted = ProjectWanted(project, lengths, instrument, n_chucks, n_spheres, minutes or None, bounds)
+    wanted = ProjectWanted(project, _lengths(bars_mm or ""), instrument, chucks, spheres, minutes or None, bounds)
     created = create(folder, wanted)
     if json:
         print_json({"written": [str(path) for path in created.written], "plan": created.plan})
@@ -154,25 +142,6 @@ def _from_folder(model: str, folder: Path) -> str:
     """A robot's file as truearm.toml names it: by its way from the project's folder; names of built-in robots as they are."""
     there = Path(model).is_file() and not Path(model).is_absolute() and not (folder / model).is_file()
     return Path(os.path.relpath(model, folder)).as_posix() if there else model
-
-
-def _number(option: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise InputError(f"{option} {text[:40]}: needs a number of 0 or more")
-    return value
-
-
-def _count(option: str) -> Callable[[str], int]:
-    def read(text: str) -> int:
-        if not (text.isdecimal() and PARTS.least <= int(text) <= PARTS.most):
-            raise InputError(f"{option} {text[:40]}: needs a number from {PARTS.least:g} to {PARTS.most:g}")
-        return int(text)
-
-    return read
 
 
 def _model(text: str) -> str:
@@ -226,7 +195,7 @@ def _instrument(text: str) -> str:
 
 
 def _lengths(text: str) -> tuple[float, ...]:
-    values = [_number("--bars-mm", word) for word in text.split(",")] if text else []
+    values = (numbers_of("--bars-mm", text) or ()) if text else ()
     for value in values:
         if not SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM:
             raise InputError(f"--bars-mm {text[:40]}: give lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm")

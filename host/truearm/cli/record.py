@@ -62,8 +62,7 @@ def record(
     out : FILE
         File to write: a session (.mcap); not with --resume.
     resume : FILE
-        Continue this session in a further file beside it, with its plan, rig, rate and robot. A folder that holds one
-        session is accepted too.
+        Continue this session in a further file beside it, with its plan, rig, rate and robot.
     address : URL
         Source of the robot's joint readings: {sources}. Without it, dwells are found from the sensor alone.
     rig : FILE

@@ -109,8 +109,7 @@ def is_part(path: Path, inputs: list[Path]) -> bool:
 
 
 def earlier(path: Path) -> Earlier:
-    """Return the data of the session to which ``path`` belongs: one of its parts or the folder that contains nothing
-    else.
+    """Return the data of the session to which ``path`` belongs, one of its parts.
 
     A part without its end (the recorder was killed) is read as far as possible. Raises InputError, SessionError; also
     for a session that is still being written, because two recorders would take box and robot from each other.
@@ -190,22 +189,12 @@ def open_finished(path: Path, allow_damaged: bool = False) -> Session:
 
 
 def _first(path: Path) -> Path:
-    if path.is_dir():
-        firsts = [p for p in sorted(path.glob(f"*{SUFFIX}")) if _number(p) == 1]
-        if len(firsts) != 1:
-            raise InputError(Argument("resume"), f" {path}: holds {len(firsts)} sessions; name the one to continue")
-        return firsts[0]
-    if not path.exists():
+    if not path.is_file():
         raise InputError(Argument("resume"), f" {path}: no such file; record a new session with ", Argument("out"))
     part = _opened(path)
     of = Path(part.metadata.get(SETUP, {}).get("of", "")).name
     first = path.with_name(of) if of else path
     return first if first.is_file() and _goes_on(part, _opened(first)) else path
-
-
-def _number(path: Path) -> int:
-    """Return a part's number, 1 for a first part."""
-    return 1 if first_stem(path) == path.stem else int(path.stem.rpartition(".")[2])
 
 
 def _opened(path: Path) -> Session:
