@@ -51,6 +51,37 @@ def test_correction(folder, tmp_path, capsys):
     more = ("--allow-unusable", "--home", "20,-30,150,0,20,0", "--out", tmp_path / "c.csv", "--report", page)
     assert "SIMULATED" in run(capsys, "correct", folder / "result.json", targets, *more)
     assert WATERMARK in page.read_text()
+    assert [row["simulated"] for row in csv.DictReader((tmp_path / "c.csv").open())] == ["yes"]
+    again = ("--allow-unusable", "--out", tmp_path / "again.csv")  # the table has the joints
+    assert "SIMULATED" in run(capsys, "correct", folder / "result.json", tmp_path / "c.csv", *again)
+
+
+PROGRAMS = {
+    "p.mod": (
+        "MODULE m\n  CONST robtarget p1:=[[500,150,300],[0,0,1,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\n"
+        "  PROC main()\n    MoveL p1,v100,fine,tool0;\n  ENDPROC\nENDMODULE",
+        "!",
+    ),
+    "p.script": ("def p():\n  movel(p[0.5,0.15,0.3,0,3.1,0], a=1.2, v=0.25)\nend\n", "#"),
+}
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_corrected_program(folder, tmp_path, capsys, name):
+    """Its last line is a comment; further lines have their numbers."""
+    program, sign = PROGRAMS[name]
+    (tmp_path / name).write_text(program)
+    poses = ("--work=0,0,0,0,0,0", "--flange=0,0,0,0,0,0", *["--tool=0,0,0,0,0,0"] * (sign == "#"))
+    more = ("--allow-unusable", "--home", "20,-30,150,0,20,0", *poses, "--out", tmp_path / f"c{name}")
+    run(capsys, "correct", folder / "result.json", tmp_path / name, *more)
+    *lines, last = (tmp_path / f"c{name}").read_text().splitlines()
+    assert len(lines) == len(program.splitlines())
+    assert last.startswith(f"{sign} truearm: SIMULATED")
+
+
+def test_session(capsys):
+    assert "SIMULATED" in run(capsys, "inspect", SESSION)
+    assert json.loads(run(capsys, "inspect", SESSION, "--json"))["simulated"] is True
 
 
 def test_map_and_exported_robot(folder, tmp_path, capsys):

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any
 
+from truearm.findings import Finding
 from truearm.text import counted
 from truearm.units import MM, MRAD, MS, UM, S, Scale
 
@@ -13,6 +14,8 @@ from truearm.units import MM, MRAD, MS, UM, S, Scale
 def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """The lines to print; every figure with its interval of 95 %."""
     of, settling, noise = document["repeatability"], document["settling"], document["noise"]
+    if document["simulated"]:
+        yield Finding("simulated").text()
     yield (
         f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses, in {document['sides']} combinations of pose and approach direction, "
         f"bar {document['bar']} (in brackets: 95 % intervals)"
@@ -53,6 +56,8 @@ def lines(document: Mapping[str, Any], name: str) -> Iterator[str]:
 def remarks(document: Mapping[str, Any], name: str) -> Iterator[str]:
     """What stands at the head of the noise file."""
     noise = document["noise"]
+    if document["simulated"]:
+        yield Finding("simulated").text()
     yield f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses; intervals of 95 %"
     for joint, sigma in zip(document["joints"], noise["joint_sigma_si"], strict=True):
         yield f"{joint}: {_range(sigma, MRAD)}"

@@ -30,7 +30,8 @@ ROWS = 10_000  # that are written at a time
 NAME = Key("name", IDENTIFIER)
 XYZ = tuple(Key(name, Number("m")) for name in "xyz")
 TURN = tuple(Key(name, Number("rad")) for name in ("rx", "ry", "rz"))
-RESULTS = re.compile(r"(before|after)_(mm|deg)|told_.*|x_.*")  # truearm's columns in a table that is corrected again
+# truearm's columns in a table that is corrected again
+RESULTS = re.compile(r"(before|after)_(mm|deg)|simulated|told_.*|x_.*")
 
 
 class Targets(NamedTuple):
@@ -120,9 +121,17 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
 
 
 def format_corrected(
-    targets: Targets, commanded: Floats, q: Floats, before: Floats, after: Floats, joint_units: Sequence[str]
+    targets: Targets,
+    commanded: Floats,
+    q: Floats,
+    before: Floats,
+    after: Floats,
+    joint_units: Sequence[str],
+    simulated: bool = False,
 ) -> str:
     """Return the table for a controller: false targets, corrected joint readings, errors [mm, deg] before and after.
+
+    A table of a simulated calibration has a column ``simulated``, as a table of observations.
 
     Positions and joints are written to 1e-7 mm and 1e-9 deg, finer than any controller accepts.
     """
@@ -131,6 +140,7 @@ def format_corrected(
     columns += [(key(f"q{i}", unit), "%.9f") for i, unit in enumerate(joint_units, start=1)]
     columns += [("before_mm", "%.6f"), ("after_mm", "%.6f")]
     columns += [("before_deg", "%.6f"), ("after_deg", "%.6f")] * targets.oriented
+    columns += [("simulated", "yes")] * simulated
     titles, formats = (",".join(column) for column in zip(*columns, strict=True))
     errors = np.stack([before, after], axis=1)
     parts = [MM.of(commanded[:, :3, 3])]

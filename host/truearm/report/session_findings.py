@@ -44,7 +44,8 @@ def session_findings(document: Document) -> list[Finding]:
             *_rejected(document),
             *_passes(document["passes"]),
             *_notes(document),
-        ]
+        ],
+        document["simulated"],
     )
 
 

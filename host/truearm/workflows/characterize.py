@@ -154,6 +154,7 @@ def characterized(
     document = {
         "session": parts[0].name,
         "parts": len(parts),
+        "simulated": any(result.table.simulated for result in results),
         "bar": bar,
         "joints": [one_line(joint.name) for joint in chain.joints],
         "dwells": len(found.dwells),

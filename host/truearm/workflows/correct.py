@@ -203,7 +203,7 @@ def _how(calibration: Calibration, options: CorrectOptions) -> HowCorrected:
     taken_out = chosen_mountings(calibration, options.own_frames)
     pair = ModelPair(calibration.chain, calibration.nominal, calibration.identified, taken_out)
     home = check_joints("home", options.home, calibration.chain)
-    return HowCorrected(pair, options.method, options.steps, home, options.margin)
+    return HowCorrected(pair, options.method, options.steps, home, options.margin, calibration.simulated)
 
 
 def _corrected(
@@ -236,7 +236,7 @@ def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Co
         )
     done, commanded = _corrected(how, targets.pose, options, targets.source, targets.q_start, targets.oriented)
     _refuse(done, targets.source, TargetError)
-    text = format_corrected(targets, commanded, done.q, done.before, done.after, units)
+    text = format_corrected(targets, commanded, done.q, done.before, done.after, units, how.simulated)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
     corrected = CorrectedTargets(rows, np.zeros(len(rows), dtype=bool), targets.pose, commanded, tools, done)

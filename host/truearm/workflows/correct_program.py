@@ -18,7 +18,7 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import CONFIGURED, Joints, changed_files, changes_of, marks_of
+from truearm.correct.programs.corrected_text import CONFIGURED, Joints, changed_files, changes_of, marks_of, remarks_of
 from truearm.correct.programs.data import Place
 from truearm.correct.programs.languages import ProgramLanguage, read_programs
 from truearm.correct.programs.order import preceding
@@ -98,6 +98,7 @@ class HowCorrected(NamedTuple):
     steps: int
     home: Floats | None
     margin: float
+    simulated: bool = False  # the calibration
 
     def correct(self, ends: Floats, configuration: Configuration, oriented: bool = True) -> Correction:
         """Return the correction of poses (n, 4, 4) of the end."""
@@ -199,7 +200,7 @@ def correct_program(
         raise ProgramRefused((none,), refused)
     if refused and not options.partial:
         raise ProgramRefused(_refusal(title, n_moves, refused), refused)
-    written = _written(censuses, solution, language, surroundings, options)
+    written = _written(censuses, solution, language, surroundings, options, simulated=how.simulated)
     labels, rows = [_label(programs, *place) for place in places], np.array(list(places.values()))
     posed = rows < solution.n_poses
     lines = [label.removeprefix("line ") for label, is_pose in zip(labels, posed, strict=True) if is_pose]
@@ -476,12 +477,15 @@ def _written(
     language: ProgramLanguage,
     surroundings: Surroundings,
     options: ProgramOptions,
+    *,
+    simulated: bool,
 ) -> dict[str, bytes]:
     """Return the corrected files, read again and compared. Raises FindingError for a fault in them."""
     files: dict[str, bytes] = {}
     change = solution.wanted, solution.joints, options.joint_moves is JointMoves.CORRECT
     for census in censuses:
         changes = changes_of(census, *change) + (marks_of(census.program) if options.mark else [])
+        changes += remarks_of(census.program, changes, Finding("simulated").text()) if simulated else []
         names = [source.name for source in census.program.files]
         files |= zip(names, changed_files(census.program, changes), strict=True)
     again = read_programs(language, [Source(name, data) for name, data in files.items()], surroundings)

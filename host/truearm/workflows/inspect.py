@@ -112,6 +112,7 @@ def describe(session: Session) -> dict[str, Any]:
         },
         "attachments": sorted(session.attachments),
         "topics": {name: _topic(name, topic) for name, topic in sorted(contents.topics.items())},
+        "simulated": any(ident.simulated for ident in found.idents.values()),
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),
         "streams": [_stream(stream, found) for stream in found.streams],
         "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),

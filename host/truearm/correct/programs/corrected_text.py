@@ -108,6 +108,18 @@ def marks_of(program: Program) -> list[Change]:
     ]
 
 
+def remarks_of(program: Program, changes: Iterable[Change], remark: str) -> list[Change]:
+    """Return a comment at the end of each changed file. Fanuc's LS has none there."""
+    remarks = []
+    for file in sorted({change.file for change in changes} if program.language != "ls" else ()):
+        data = program.files[file].data
+        newline = "\r\n" if b"\r\n" in data else "\n"
+        before = "" if data.endswith(b"\n") else newline
+        text = f"{before}{COMMENTS[program.language]} truearm: {remark}{newline}"
+        remarks.append(Change(file, len(data), len(data), text))
+    return remarks
+
+
 def changed_files(program: Program, changes: Iterable[Change]) -> list[bytes]:
     """Return the files of a program with changes of their text. Raises ValueError if two of them overlap."""
     by_file: list[list[tuple[int, int, str]]] = [[] for _ in program.files]
