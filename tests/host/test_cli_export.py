@@ -47,9 +47,11 @@ def test_through_an_exported_urdf_the_true_robot_lands_within_half_a_millimetre(
     fitted, judged = q[::2], q[1::2]
     write_table(tmp_path / "region.csv", seats(fitted), ("rad",) * 6)
     out = tmp_path / "puma.urdf"
-    code, said, err = run("export", result, "--format", "urdf", "--out", out, "--over", tmp_path / "region.csv")
+    code, said, err = run(
+        "export", result, "--format", "urdf", "--out", out, "--over", tmp_path / "region.csv", "--json"
+    )
     assert code == 0, err
-    assert "a refit over 100 poses" in said
+    assert listed(json.loads(said))["exported-refitted"]["n"] == 100
     chain = load_robot(str(out)).chain
     targets = forward(CHAIN, DESIGN, judged)
     found = inverse(chain, chain.params_nominal, targets, judged)

@@ -11,7 +11,7 @@ import pytest
 from command_line import Run, told
 from puma_bench import CHAIN, SIGMA
 from result_schema import check_schema
-from tests.host.findings_bench import stated
+from tests.host.findings_bench import listed, stated
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
@@ -106,10 +106,11 @@ def test_a_validation_names_what_is_off_and_no_option_that_it_does_not_have(run:
     write_table(tmp_path / "clean.csv", worlds.clean(worlds.plan(), np.random.default_rng(2)), CHAIN.joint_units)
     files = ["--rig", folder / "rig.toml"]
     run("identify", tmp_path / "clean.csv", "--model", "puma560", *files, "--out", tmp_path / "result.json")
-    outcome = run("validate", tmp_path / "result.json", folder / "poses.csv", *files)
-    assert f"Systematic error: chuck.{chuck} is off by 0." in outcome.out
-    assert "Correct the error at its source, or judge the result by rows without it." in outcome.out
-    assert "allow" not in outcome.out
+    given = ("validate", tmp_path / "result.json", folder / "poses.csv", *files)
+    findings = listed(json.loads(run(*given, "--json").out))
+    assert findings["systematic-offset"]["what"] == f"chuck.{chuck}"
+    assert "systematic-here" in findings
+    assert "allow" not in run(*given).out
 
 
 def test_a_fit_that_did_not_converge_is_not_tested(run: Run, slip) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, RIG, TRUTH, random_poses
 from result_schema import check_schema
+from tests.host.findings_bench import listed
 
 from truearm.extend import add_kind
 from truearm.files.observation_table import read_table
@@ -68,10 +69,11 @@ def test_inclinations_are_identified_and_judged_in_degrees(table, run):
     errors = (folder / "r.html").read_text().partition("<h2>Parameters</h2>")[0]
     assert not re.search(r"\bmm\b", re.sub(r"<style>.*?</style>", "", errors, flags=re.S))
 
-    code, text, err = run("validate", folder / "r.json", table, "--rig", folder / "rig.toml")
+    code, text, err = run("validate", folder / "r.json", table, "--rig", folder / "rig.toml", "--details")
     assert code == 0, err
-    assert re.search(r"^error \[deg\] +without +with +expected +rows$", text, re.M)
-    assert re.search(r"consistent with declared noise and the calibration's uncertainty \(0\.\d{4} deg\)", text)
+    assert re.search(r"^error \[deg\] +before +after +expected +rows$", text, re.M)
+    judged = json.loads(run("validate", folder / "r.json", table, "--rig", folder / "rig.toml", "--json").out)
+    assert list(listed(judged)["validation-holds"]["expected"]) == ["deg"]
     assert "error [mm]" not in text
     assert "place=near" in text
 
