@@ -65,18 +65,3 @@ def skip_chip_level(items, reason):
         parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
         if "tests/chip/" in item.nodeid or "chip" in parameters:
             item.add_marker(pytest.mark.skip(reason=reason))
-
-
-@pytest.fixture
-def complaints(monkeypatch):
-    """Return the findings with which commands end, in order."""
-    from truearm.cli import main as cli
-
-    findings, complain = [], cli._complain
-
-    def keep(message, finding=None, arguments=()):
-        findings.append(finding)
-        complain(message, finding, arguments)
-
-    monkeypatch.setattr(cli, "_complain", keep)
-    return findings

@@ -4,23 +4,40 @@ from contextlib import contextmanager
 
 import pytest
 
+from truearm.cli import main as cli
 from truearm.errors import TruearmError
+from truearm.finding_texts import ERRORS
+
+findings = []  # with which commands ended in this process
+_complain = cli._complain
+
+
+def _kept(message, finding=None, arguments=()):
+    findings.append(finding)
+    _complain(message, finding, arguments)
+
+
+cli._complain = _kept
 
 
 @contextmanager
-def refused(code, *words, **values):
-    """Expect an error with this code, these words in its values, and these values: equal, or part of a text."""
+def refused(*expected, **values):
+    """Expect an error as ``check`` describes it."""
     with pytest.raises(TruearmError) as caught:
         yield caught
-    check(caught.value.finding, code, *words, **values)
+    check(caught.value.finding, str(caught.value), *expected, **values)
 
 
-def check(finding, code, *words, **values):
-    """Check a finding as ``refused`` checks that of an error."""
-    assert finding is not None
-    assert finding.code == code, finding
-    shown = "\n".join(map(str, finding.values.values()))
-    assert [word for word in words if str(word) not in shown] == [], finding
+def ended(err, *expected, **values):
+    """Check the error with which the last command ended in this process, and which it printed on standard error."""
+    check(findings[-1], err, *expected, **values)
+
+
+def check(finding, text, *expected, **values):
+    """Check an error: the code or words of its text that are expected, and values: equal, or part of a text."""
+    assert finding is not None, text
+    for word in expected:
+        assert finding.code == word if word in ERRORS else str(word) in text, (finding, text)
     for name, value in values.items():
         actual = finding.values[name]
         assert value == actual or (isinstance(actual, str) and str(value) in actual), finding

@@ -293,7 +293,7 @@ def read_session(
     if not file.exists():
         raise missing_file(file)
     if not is_session(file):
-        raise SessionError(f"{file}: is not a session (.mcap); use read_table for tables")
+        raise SessionError("not-a-session", place=file)
     lost: list[str] = []
     parts, rigs = tuple(session_parts(file)), {} if rig is None else _read_rigs(rig)
     sources = Sources(
@@ -521,12 +521,10 @@ def plan_ball_bar(
     8
     """
     if (poses is None) == (minutes is None):
-        raise InputError("poses, minutes: give one of them as the budget")
+        raise InputError("exclusive", first="poses", second="minutes")
     chosen = options or BallBarOptions()
     if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
-        raise InputError(
-            f"result: belongs to robot {result.chain.name}; its parameters differ from those of {robot.chain.name}; give the robot of the result"
-        )
+        raise InputError("other-robot", place="result", robot=result.chain.name)
     known = plan.known_of(robot, rig if isinstance(rig, Rig) else read_rig(rig), result)
     return plan.planned_ball_bar(known, Budget(poses, minutes), plan.with_reserve(chosen, result))
 
@@ -716,9 +714,9 @@ def _check_rigid(name: str, poses: NDArray[np.float64]) -> None:
 def _table(name: str, value: ObservationTable, robot: Robot) -> ObservationTable:
     joints = len(robot.chain.joints)
     if value.q.shape[1] != joints:
-        raise InputError(f"{name}: has {value.q.shape[1]} joints, robot {robot.chain.name} has {joints}")
+        raise InputError("joint-count", place=name, joints=value.q.shape[1], expected=joints)
     if not len(value):
-        raise InputError(f"{name}: has no rows")
+        raise InputError("no-rows", place=name)
     try:
         observation_table.check_values(value, robot.chain.joint_units)
     except TableError as exc:
@@ -756,7 +754,7 @@ def _mask(hold_out: NDArray[np.bool_], table: ObservationTable) -> NDArray[np.bo
     if hold_out.shape != (len(table),):
         raise InputError(f"hold_out: must be one bool per row, {len(table)} in all; its shape is {hold_out.shape}")
     if hold_out.all():
-        raise InputError("hold_out: names every row; nothing would be left to fit")
+        raise InputError("nothing-left", what="observations", place="hold_out")
     return hold_out
 
 

@@ -45,7 +45,7 @@ class Displayed:
         try:
             from pandas import DataFrame
         except ImportError:
-            raise InputError("to_pandas needs pandas, which is not installed: pip install pandas") from None
+            raise InputError("missing-package", place="to_pandas", package="pandas", install="pandas") from None
         return DataFrame(self._flat())
 
     def _flat(self) -> dict[str, NDArray[Any]]:

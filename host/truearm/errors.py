@@ -42,7 +42,7 @@ from truearm.finding_texts import ERRORS
 from truearm.findings import Argument as Argument
 from truearm.findings import Finding
 
-_JSON = (str, int, float, list, tuple, dict, type(None))
+_JSON = (Argument, int, float, list, tuple, dict, type(None))  # other values become texts
 _PLACE = re.compile(r"(?:([^;]*?): )?(.*)", re.DOTALL)  # "PLACE: REASON", the place without a remedy
 
 

@@ -356,6 +356,84 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "unreadable-file": ("{place}: cannot be read: {reason}", ""),
     "not-text": ("{place}: is not UTF-8 text[ (at byte {byte})]", "save it as UTF-8"),
     "too-large": ("[{place}: ]has more than {most}, the maximum", "check that it is the right file, or split it"),
+    "file-exists": ("{place}: exists", "choose another name[{may_force:!} or give {@force}]"),
+    "foreign-file": (
+        "{place}: exists and is not a file that this command writes",
+        "give another name, or remove it",
+    ),
+    "foreign-folder": ("{place}: holds other files", "give a new or empty folder"),
+    "missing-folder": ("{place}: the folder {folder} does not exist", "create it first"),
+    "used-twice": ("{place}: is already an input or output of this command", "give each file once"),
+    "wrong-suffix": ("{place}: has the name of another kind of file", "give a name that ends in {suffixes}"),
+    "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
+    "no-file-name": ("-: is not a file name", "give a file[; {@as_json} prints {what} to standard output]"),
+    # names and options
+    "unknown-choice": ("{place}: {value!r} is not one of {names}", ""),
+    "unknown-robot": (
+        "there is no built-in robot {value!r}, and it is no .toml or .urdf file",
+        "[did you mean {meant}?||use one of {names}]",
+    ),
+    "not-in-rig": (
+        "{place}: {what} {name!r} is not in the rig[, which has {names}]",
+        "correct the name, or give a rig that has it",
+    ),
+    "given-twice": ("{place}: {what} is given twice", "keep one"),
+    "exclusive": ("{first} and {second} exclude each other", "give one of them"),
+    "needs-option": ("{place} needs {needed}", ""),
+    "no-effect": ("{place} has no effect: {reason}", "leave it out"),
+    "no-terminal": ("there is no terminal to ask questions on", "give {option}"),
+    "wrong-form": ("{place} {value}: needs {form}", ""),
+    "missing-package": ("{place} needs the package {package}", "install it: pip install '{install}'"),
+    # tables
+    "no-rows": ("{place}: has no rows", "write one row for each measurement, pose or target below the header"),
+    "missing-column": (
+        "[{place}: ]has no column {column}[ (its header begins with {header})]",
+        "[expected a header such as {example}||check that it is the right file, and its first row a header]",
+    ),
+    "unknown-column": ("{place}: is not a known column", "{remedy}"),
+    "missing-unit": ("{place}: has no unit", "name it one of {names}"),
+    "wrong-unit": ("{place}: unit {unit!r} does not fit", "use one of {names}"),
+    # robots and results
+    "joint-count": (
+        "{place}: has {joints} joints, the robot has {expected}",
+        "give the robot that was measured",
+    ),
+    "other-robot": (
+        "{place}: belongs to [robot {robot}||a robot with {difference}]",
+        "give the robot that it was identified with, its file as {@robot}",
+    ),
+    "unusable-result": (
+        "{place}: the fit is not usable ({reason})",
+        "correct its inputs and identify again (truearm report says why), or give {@allow_unusable}",
+    ),
+    "nothing-left": ("[{place}: ]no {what} are left to fit", "hold out, leave out or freeze fewer"),
+    # sessions and projects
+    "not-a-session": ("{place}: is not an MCAP file", "give a session (.mcap) recorded by truearm record"),
+    "damaged-session": (
+        "{place}: is damaged {where}",
+        "copy it again from where it was recorded, or, to use the intact part, give {@allow_damaged}",
+    ),
+    "incomplete-session": (
+        "{place}: is incomplete: the recorder was killed or is still running",
+        "repair it with truearm session recover, or give {@allow_damaged}",
+    ),
+    "no-rig": ("{place}: was recorded without a rig", "give one as {@rig}"),
+    "no-joint-readings": ("{place}: no joint readings", "add them with truearm session add-joints"),
+    "nothing-to-undo": ("{place}: nothing was relabelled; there is nothing to undo", ""),
+    "no-project": ("no {file} here or in a folder above", "create one with truearm init"),
+    # box and robot
+    "no-box": ("{place}: not found", "plug the box in"),
+    "several-boxes": ("{boxes:#box is|boxes are} plugged in: {boxes}", "name one with {@box}"),
+    "not-an-address": ("{address!r} is not an address", "write {example}"),
+    "no-answer": (
+        "{place}: no answer to {request!r} in {seconds:g} s",
+        "is this a truearm box, and is its firmware running?",
+    ),
+    "old-firmware": ("[{place}: ]the box {reason}", "update its firmware with truearm box flash"),
+    # plans
+    "out-of-reach": ("{reason}", "ask for {remedy}"),
+    "no-path": ("no collision-free path to {place} was found", "try another {@seed}"),
+    "small-budget": ("a budget of {minutes:g} min is too small: {reason}", "give more minutes"),
 }
 
 # why a move of a program is not corrected: clauses, about its tool or the like if the values have a subject

@@ -9,6 +9,7 @@ import pytest
 from tests.end_to_end.conftest import record_session
 from tests.host.findings_bench import listed
 from tests.host.ros_bags import joint_state, write_bag
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import InputError
@@ -165,14 +166,14 @@ class TestWhatIsWrong:
         assert "bag.mcap: " in self.fails(capsys, out, recorded.bare, bag, "--joints", ",".join(NAMES))
 
     def test_a_session_that_is_none(self, table, out, capsys):
-        assert "is not an MCAP file" in self.fails(capsys, out, table, table)
+        ended(self.fails(capsys, out, table, table), "not-a-session")
 
     def test_no_output_over_an_input(self, recorded, table, out, capsys):
         table.rename(out)
-        assert "is already an input" in self.fails(capsys, out, recorded.bare, out)
-        assert "is not a file that this command writes" in self.fails(capsys, out, recorded.bare, recorded.bare)
+        ended(self.fails(capsys, out, recorded.bare, out), "used-twice")
+        ended(self.fails(capsys, out, recorded.bare, recorded.bare), "foreign-file")
         out.write_bytes(recorded.bare.read_bytes())
-        assert "exists; choose another name" in self.fails(capsys, out, recorded.bare, recorded.bare)
+        ended(self.fails(capsys, out, recorded.bare, recorded.bare), "file-exists")
 
 
 PANDA = str(Path(__file__).parents[1] / "data" / "mukca" / "panda.urdf")

@@ -5,6 +5,7 @@ import json
 import numpy as np
 from tests.end_to_end.conftest import truearm, truearm_process
 from tests.end_to_end.test_real_time import Simulator
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.session.session_file import open_session
@@ -40,5 +41,5 @@ def test_rtde_from_the_simulator_to_the_dwell(tmp_path):
 
 def test_another_kind_of_robot_is_refused(tmp_path, capsys):
     assert main(["simulate", "--protocol", "kuka", "--out", str(tmp_path / "x")]) == 2
-    assert "--protocol 'kuka' is not known; it is one of lines, rtde" in capsys.readouterr().err
+    ended(capsys.readouterr().err, "unknown-choice", place="protocol", value="kuka")
     assert not (tmp_path / "x").exists()

@@ -5,6 +5,8 @@ import sys
 from collections.abc import Callable
 from typing import NamedTuple
 
+from tests.refusals import check
+
 from truearm.findings import Finding
 
 
@@ -25,14 +27,16 @@ def process(*arguments: object) -> Outcome:
     """Run the command as the shell starts it."""
     command = [sys.executable, "-m", "truearm", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    return Outcome(done.returncode, done.stdout, done.stderr)
+    outcome = Outcome(done.returncode, done.stdout, done.stderr)
+    outcome.finding = Finding("process")  # it has no other than its text
+    return outcome
 
 
-def told(outcome: Outcome, message: str) -> None:
-    """Check for exit code 2, nothing on stdout, and one line on stderr that contains the message."""
+def told(outcome: Outcome, *expected: object, **values: object) -> None:
+    """Check for exit code 2, nothing on stdout, one line on stderr, and an error as ``check`` describes it."""
     assert (outcome.code, outcome.out) == (2, "")
     assert outcome.err.startswith("truearm: ")
     assert outcome.err.count("\n") == 1
     assert outcome.err.endswith("\n")
-    assert message in outcome.err
+    check(outcome.finding, outcome.err, *expected, **values)
     assert "Traceback" not in outcome.err

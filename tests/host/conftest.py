@@ -13,25 +13,25 @@ import pytest
 from command_line import Outcome, Run
 from identify_bench import SIGMA, exact_lengths
 from record_box import Lab
+from tests.refusals import findings
 
 from truearm.cli import main as cli
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
-from truearm.findings import Finding
 from truearm.kinds.table import ObservationTable
 from truearm.types import Rig
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], complaints: list[Finding]) -> Run:
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
     """Return the real main() with arguments; it returns the exit code and the output."""
 
     def call(*arguments: object) -> Outcome:
-        complaints.clear()
+        findings.clear()
         code = cli.main([str(a) for a in arguments])
         captured = capsys.readouterr()
         outcome = Outcome(code, captured.out, captured.err)
-        outcome.finding = complaints[-1] if complaints else None
+        outcome.finding = findings[-1] if findings else None
         return outcome
 
     return call

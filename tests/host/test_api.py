@@ -362,7 +362,7 @@ def test_columns_become_a_data_frame(table, result, monkeypatch):
 
 def test_without_pandas_the_message_says_so(table, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="needs pandas, which is not installed: pip install pandas"):
+    with pytest.raises(InputError, match="pip install 'pandas'"):
         table.to_pandas()
 
 
@@ -432,7 +432,7 @@ WRONG = {
         "result: must be a Calibration (see identify or read_result)",
     ),
     "result's file": (lambda f, r, t, g, c: truearm.read_result(f / "rig.toml"), InputError, "rig.toml"),
-    "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "poses, minutes: give one"),
+    "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "poses and minutes exclude each other"),
     "poses": (
         lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]),
         InputError,

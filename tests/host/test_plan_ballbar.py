@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from tests.host import plan_bench as bench
+from tests.refusals import refused
 
 from truearm.errors import PlanError
 from truearm.estimate.identify import identify
@@ -250,7 +251,7 @@ def test_what_cannot_be_planned_is_said():
     site, known = bench.site("irb120"), bench.known("irb120")
     with pytest.raises(PlanError, match="budget"):
         plan_ballbar(site, known, all_pairings(known.rig), Wanted(), Pace())
-    with pytest.raises(PlanError, match="bars 'b9': is not in the rig; use one of bar25, bar32"):
+    with refused("not-in-rig", place="bars", name="b9", names=["bar25", "bar32"]):
         all_pairings(known.rig, ["b9"])
 
 

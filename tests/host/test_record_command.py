@@ -13,6 +13,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_robot
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import InputError
@@ -143,10 +144,10 @@ class TestRefused:
             (["--duration-s", "-1"], "--duration-s -1 is not a duration"),
             (["--duration-s", "inf"], "--duration-s must be a finite number"),
             (["--mounted", "bar46"], "is not KEY=NAME"),
-            (["--mounted", "bar=a,bar=b"], "bar is named twice"),
-            (["--plan", "none.csv"], "no such file"),
-            (["--rig", "none.toml"], "no such file"),
-            (["--box", "ftp://x"], "is not a device"),
+            (["--mounted", "bar=a,bar=b"], "given-twice"),
+            (["--plan", "none.csv"], "missing-file"),
+            (["--rig", "none.toml"], "missing-file"),
+            (["--box", "ftp://x"], "not-an-address"),
             (["--address", "x:1"], "is not the address of a robot"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -158,7 +159,7 @@ class TestRefused:
             with suppress(ConnectionRefusedError):  # the box was opened already, and nobody comes twice
                 socket.create_connection(("127.0.0.1", int(device.rsplit(":", 1)[1]))).close()
         complaint = capsys.readouterr().err
-        assert says in complaint
+        ended(complaint, says)
         assert complaint.count("\n") == 1
         assert not (tmp_path / "s.mcap").exists()
 
@@ -176,7 +177,7 @@ class TestRefused:
         assert out.read_bytes() == EARLIER
         out.write_text("precious")
         assert main([*record, "--force"]) == 2
-        assert "is not a file that this command writes" in capsys.readouterr().err
+        ended(capsys.readouterr().err, "foreign-file")
         assert out.read_text() == "precious"
 
     def test_no_file_to_write(self, tmp_path, capsys):
@@ -185,14 +186,14 @@ class TestRefused:
         (tmp_path / "folder.mcap").mkdir()
         for name in ("null.mcap", "folder.mcap"):
             assert main(["record", "--box", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
-            assert "give the name of a file to write" in capsys.readouterr().err
+            ended(capsys.readouterr().err, "not-a-file")
         assert (tmp_path / "null.mcap").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):
         (tmp_path / "s.mcap").write_bytes(EARLIER)
         arguments = ["--box", str(tmp_path / "none"), "--out", str(tmp_path / "s.mcap"), "--force"]
         assert main(["record", *arguments]) == 1
-        assert "not found; plug the box in" in capsys.readouterr().err
+        ended(capsys.readouterr().err, "link-lost", reason="not found")
         assert (tmp_path / "s.mcap").read_bytes() == EARLIER
 
     def test_a_box_that_says_nothing_leaves_no_file(self, tmp_path, capsys, monkeypatch):

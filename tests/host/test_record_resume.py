@@ -8,6 +8,7 @@ import pytest
 from record_files import events
 from record_real import box_on_a_socket
 from test_record_command import CALIBRATED, RIG
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.files.plan_file import write_plan
@@ -66,7 +67,7 @@ class TestEarlier:
             writer.tick(2_000_000_000)  # writes what it has
             assert main(["record", "--resume", str(first), "--box", "/dev/nothing"]) == 2
             said = capsys.readouterr().err
-            assert "s.2.mcap: is still being written; end the recording first" in said
+            ended(said, "in-use", place="s.2.mcap")
         assert earlier(first).part == 3
 
     def test_a_session_that_is_still_being_written_is_not_overwritten(self, tmp_path, capsys):
@@ -76,12 +77,12 @@ class TestEarlier:
             writer.tick(2_000_000_000)
             before = out.read_bytes()
             assert main(["record", "--out", str(out), "--force", "--box", "/dev/nothing"]) == 2
-            assert "s.mcap: is still being written; end that recording first" in capsys.readouterr().err
+            ended(capsys.readouterr().err, "in-use", place="s.mcap")
             assert out.read_bytes() == before
             assert main(["identify", str(out), "--model", "puma560"]) == 2
-            assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
+            ended(capsys.readouterr().err, "in-use", place="s.mcap")
             assert main(["session", "export", str(out), "--out", str(tmp_path / "tables")]) == 2
-            assert "s.mcap: is still being written; end the recording first" in capsys.readouterr().err
+            ended(capsys.readouterr().err, "in-use", place="s.mcap")
 
     def test_a_part_of_a_session_that_was_overwritten_is_not_of_this_one(self, tmp_path):
         """Recorded again under the old name (--force): what lay beside it is neither read with it nor in its way."""
@@ -132,7 +133,7 @@ class TestEarlier:
         path = session(tmp_path / "s.mcap")
         for options in ([], ["--resume", str(path), "--out", str(tmp_path / "t.mcap")]):
             assert main(["record", "--box", "/dev/none", *options]) == 2
-            assert "--out FILE for a new session, or --resume FILE" in capsys.readouterr().err
+            ended(capsys.readouterr().err, "exclusive", first="out", second="resume")
 
     def test_a_plan_that_is_none(self, tmp_path, capsys):
         path = session(tmp_path / "s.mcap", rows=[{"q": "x"}])

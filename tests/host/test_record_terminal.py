@@ -19,6 +19,7 @@ import pytest
 from record_files import events
 from record_real import PATIENCE_S, box_on_a_socket
 from test_record_command import CALIBRATED
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.session.session_file import open_session
@@ -236,10 +237,8 @@ class TestWhichBox:
         monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: ports)
         assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 2
         complaint = capsys.readouterr().err
-        assert (
-            "2 boxes are plugged in: /dev/ttyACM0 (truearm, serial E1), /dev/ttyACM1 (truearm, serial E2); name one"
-            in complaint
-        )
+        boxes = ["/dev/ttyACM0 (truearm, serial E1)", "/dev/ttyACM1 (truearm, serial E2)"]
+        ended(complaint, "several-boxes", boxes=boxes)
         assert complaint.count("\n") == 1
 
     def test_none(self, tmp_path, monkeypatch, capsys):

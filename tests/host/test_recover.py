@@ -15,6 +15,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Chunk
 from mcap.stream_reader import breakup_chunk
 from test_session import written
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.errors import SessionError
@@ -176,7 +177,7 @@ class TestRefusals:
         if linked:
             out = tmp_path / "link.mcap"
             out.symlink_to(cut)
-        assert "already an input" in self.refused(capsys, cut, "--out", out, "--force")
+        ended(self.refused(capsys, cut, "--out", out, "--force"), "used-twice")
         assert cut.read_bytes() == before
 
     @pytest.mark.parametrize("size", [0, 3, 8, 60])
@@ -198,7 +199,7 @@ class TestRefusals:
         assert sorted(tmp_path.glob(".truearm-*")) == sorted([at_work, tmp_path / ".truearm-mine"])
 
     def test_no_file(self, tmp_path, capsys):
-        assert "no such file" in self.refused(capsys, tmp_path / "none.mcap")
+        ended(self.refused(capsys, tmp_path / "none.mcap"), "missing-file")
         for nameless in ("", "/"):
             assert "is not a regular file" in self.refused(capsys, nameless)
 

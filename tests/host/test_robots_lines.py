@@ -154,17 +154,17 @@ class TestCsv:
     @pytest.mark.parametrize(
         ("header", "says"),
         [
-            ("seq,q1_rad", "no column t_s"),
+            ("seq,q1_rad", "has no column t_s"),
             ("t_s", "columns of q are needed"),
             ("t_s,q2_rad", "columns of q are needed"),
             ("t_s,q1_rad,q2_rad,q1_cmd_rad", "columns of q_cmd are needed"),
-            ("t_s,q1_rad,q1_deg", "given twice"),
-            ("t_s,t_ms,q1_rad", "given twice"),
-            ("t_s,q1_grad", "'q1_grad' is not known"),
-            ("t_s,q1", "'q1' is not known"),
-            ("t_s,q1_rad,qd1_rad", "'qd1_rad' is not known"),
-            ("t_s,q1_rad,q1_rad_s", "'q1_rad_s' is not known"),
-            ("t_s,q0_rad", "'q0_rad' is not known"),
+            ("t_s,q1_rad,q1_deg", "is given twice"),
+            ("t_s,t_ms,q1_rad", "is given twice"),
+            ("t_s,q1_grad", "'q1_grad'"),
+            ("t_s,q1", "'q1'"),
+            ("t_s,q1_rad,qd1_rad", "'qd1_rad'"),
+            ("t_s,q1_rad,q1_rad_s", "'q1_rad_s'"),
+            ("t_s,q0_rad", "'q0_rad'"),
             ("t_s," + ",".join(f"q{i}_rad" for i in range(1, 34)), "columns of q are needed"),
             ("t_s," + ",".join(f"x_{i}" for i in range(300)), "301 columns"),
         ],
@@ -257,7 +257,7 @@ class TestTcp:
         peer = Peer(b"t_s,q1_degrees\n1,90\n")
         got, end = all_of(open_source(f"lines+tcp://{peer.address}", HostClock()))
         assert got.startswith(b"t_s,q1_degrees\n")
-        assert "'q1_degrees' is not known" in str(end)
+        assert "'q1_degrees'" in str(end)
 
 
 @contextmanager
@@ -487,8 +487,8 @@ class TestTable:
     @pytest.mark.parametrize(
         ("text", "says"),
         [
-            ("", "no column t_s"),
-            ("a,b\n1,2\n", "column 'a' is not known"),
+            ("", "has no column t_s"),
+            ("a,b\n1,2\n", "column 'a'"),
             ("t_s,q1_rad\n1,2,3\n", "row 2: is not a reading: it needs 2 numbers"),
             ("t_s,q1_rad\n1,2\n\n2,x\n", "row 4: is not a reading"),
             ("t_s,q1_rad\n-1,2\n", "row 2: is not a reading"),

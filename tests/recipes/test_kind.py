@@ -131,7 +131,7 @@ def test_it_judges_a_calibration(copy):
 
 WRONG = {
     "no reading": ("inclinometer,i1,\n", RIG, "row 2: an inclinometer row needs inclination_deg or inclination_rad"),
-    "unknown": ("inclinometer,i7,3\n", RIG, "column inclinometer: 'i7' is not in the rig (it has i1, i2)"),
+    "unknown": ("inclinometer,i7,3\n", RIG, "inclinometer 'i7' is not in the rig, which has i1, i2"),
     "too large": ("inclinometer,i1,91\n", RIG, "column inclination_deg: '91' is too large"),
     "misspelt key": (
         "inclinometer,i1,3\n",

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from tests.refusals import refused
 
-from truearm.errors import PlanError
 from truearm.model.chain import point_forward
 from truearm.types import Plan
 from truearm_sim import sensors
@@ -201,5 +201,5 @@ def test_the_truth_is_what_was_asked_for():
 
 def test_a_plan_for_another_rig_is_refused():
     plan = Plan(PLAN.q[:1], *(np.array(["x"]) for _ in range(4)))
-    with pytest.raises(PlanError, match="pose 0 column bar: 'x' is not in the rig"):
+    with refused("not-in-rig", place="pose 0", what="bar", name="x"):
         World(1, plan)

@@ -90,9 +90,7 @@ class BoxControl:
         """Ask for the ident. Raises LinkError if the box does not answer, ProtocolError if it speaks another protocol."""
         self._send(wire.IDENTIFY, (), lambda: self._identified == self._awaited, RETRY_NS, retries)
         if self.ident is None:
-            raise ProtocolError(
-                f"{self._link.name}: the box answers but does not identify itself; update its firmware with truearm box flash"
-            )
+            raise ProtocolError("old-firmware", place=self._link.name, reason="answers but does not identify itself")
         return self.ident
 
     def command(self, kind: int, *arguments: Any, retry_ns: int = RETRY_NS, retries: int = RETRIES) -> bytes:
@@ -161,12 +159,10 @@ class BoxControl:
             document = load_document(data)
         except cbor2.CBORError as exc:
             raise ProtocolError(
-                f"{self._link.name}: the box's {what} cannot be decoded ({exc}); update its firmware with truearm box flash"
+                "old-firmware", place=self._link.name, reason=f"sends a {what} that cannot be decoded ({exc})"
             ) from exc
         if not isinstance(document, dict) or not all(isinstance(key, str) for key in document):
-            raise ProtocolError(
-                f"{self._link.name}: the box's {what} is not a table; update its firmware with truearm box flash"
-            )
+            raise ProtocolError("old-firmware", place=self._link.name, reason=f"sends a {what} that is not a table")
         return document
 
     def _send(
@@ -186,10 +182,7 @@ class BoxControl:
                     self._check_refused(NAMES[kind])
                     if answered():
                         return
-        raise NoAnswer(
-            f"{self._link.name}: no answer to {NAMES[kind]!r} in {retries * retry_ns / SECOND:g} s; "
-            "is this a truearm box, and is its firmware running?"
-        )
+        raise NoAnswer("no-answer", place=self._link.name, request=NAMES[kind], seconds=retries * retry_ns / SECOND)
 
     def _check_refused(self, name: str) -> None:
         if self._error is not None:

@@ -28,7 +28,7 @@ def read_references(path: Path) -> list[float]:
         Column(name, at, unit) for at, name in enumerate(header) for unit in UNITS if name == f"reference_{unit}"
     ]
     if len(columns) != 1:
-        raise TableError(f"{path}: needs one column named reference_mm, reference_um or reference_in")
+        raise TableError("missing-column", place=path, column="reference_mm, reference_um or reference_in")
     if not 1 <= len(rows) <= MAX_REFERENCES:
         raise TableError(f"{path}: has {len(rows)} references; 1 to {MAX_REFERENCES} are possible")
     return [float(value) for value in numbers(rows, columns[0], str(path), MAX_METRES, required=True)]

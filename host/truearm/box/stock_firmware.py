@@ -43,9 +43,7 @@ def tool(name: str) -> list[str]:
     module = name.replace("-", "_")
     if importlib.util.find_spec(module) is not None:
         return [sys.executable, "-m", module]
-    raise InputError(
-        f"copying the firmware to a stock MicroPython needs {name}; install it: pip install 'truearm[stock]'"
-    )
+    raise InputError("missing-package", place="a stock MicroPython", package=name, install="truearm[stock]")
 
 
 def lay_out(folder: Path, firmware: Path, wire: Path, compiler: Sequence[str]) -> list[Path]:

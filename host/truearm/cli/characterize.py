@@ -53,7 +53,7 @@ def characterize(
     from truearm.workflows.characterize import CharacterizeFiles, characterize_files
 
     if out == Path("-"):
-        raise InputError("--out -: is not a file name; --json prints to standard output")
+        raise InputError("no-file-name", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
     name = one_line(session.name)
     files = fill(CharacterizeFiles, locals(), robot=RobotChoice(model, base, tip))

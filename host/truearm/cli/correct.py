@@ -118,7 +118,7 @@ def correct(
     from truearm.workflows.correct_program import ProgramOptions, ProgramRefused
 
     if mark and not partial:
-        raise InputError("--mark needs --partial: it marks what --partial leaves uncorrected")
+        raise InputError("needs-option", place="--mark", needed="--partial")
     shown = numbers_of("--home", home)
     works, tools = _named("--work", work), _named("--tool", tool)
     own_work, own_tool = works.pop("", None), tools.pop("", None)
@@ -167,6 +167,6 @@ def _named(option: str, given: list[str] | None) -> dict[str, Six]:
                 f"{option} {text[:60]}: {name[:40]!r} is not a name of a tool or work object; use letters, digits and _"
             )
         if name.lower() in found:
-            raise InputError(f"{option} {text[:60]}: is given twice; give it once")
+            raise InputError("given-twice", place=f"{option} {text[:60]}", what="it")
         found[name.lower()] = frame_of(option, pose)
     return found

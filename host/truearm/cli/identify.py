@@ -124,7 +124,7 @@ def identify(
     from truearm.workflows.selection import held_out_fraction
 
     if typed(context, "seed") is not None and all(held_out_fraction(text) is None for text in hold_out or ()):
-        raise InputError("--seed draws a fraction to hold out, such as --hold-out 0.2; without one, leave it out")
+        raise InputError("needs-option", place="--seed", needed="a fraction to hold out, such as --hold-out 0.2")
     sources = Sources(tuple(inputs), rigs_of(rig), noise, allow_damaged, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     results = [] if out is None else [out]

@@ -200,5 +200,5 @@ def _lengths(text: str) -> tuple[float, ...]:
         if not SHORTEST_BAR_MM <= value <= LONGEST_BAR_MM:
             raise InputError(f"--bars-mm {text[:40]}: give lengths from {SHORTEST_BAR_MM:g} to {LONGEST_BAR_MM:g} mm")
     if len(set(values)) < len(values):
-        raise InputError(f"--bars-mm {text[:40]}: a length is given twice; give each once")
+        raise InputError("given-twice", place=f"--bars-mm {text[:40]}", what="a length")
     return tuple(map(MM.to_si, values))

@@ -78,7 +78,7 @@ def map_(
     from truearm.workflows.map import MapFiles, MapTask, Section, map_files
 
     if task is None and within is not None:
-        raise InputError("--within needs --task WxH: it says where the task may be placed")
+        raise InputError("needs-option", place="--within", needed="--task WxH")
     varied, shown = _joints_of(vary), numbers_of("--at", at)
     wanted = None if task is None else MapTask(_size_of(task), None if within is None else _span_of(within))
     files = MapFiles(result, RobotChoice(model, base, tip), out, picture_out, force)
@@ -98,7 +98,7 @@ def map_(
 def _joints_of(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"([1-9][0-9]?),([1-9][0-9]?)", text)
     if match is None:
-        raise InputError(f"--vary {text[:40]}: needs two joints, such as 2,3")
+        raise InputError("wrong-form", place="--vary", value=text[:40], form="two joints, such as 2,3")
     return int(match[1]), int(match[2])
 
 
@@ -117,7 +117,7 @@ def _span_of(text: str) -> tuple[float, float, float, float]:
 def _size_of(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"([0-9]{1,6}(?:\.[0-9]{1,6})?)x([0-9]{1,6}(?:\.[0-9]{1,6})?)", text)
     if match is None or min(float(match[1]), float(match[2])) <= 0.0:
-        raise InputError(f"--task {text[:40]}: needs width and height in mm, such as 300x200")
+        raise InputError("wrong-form", place="--task", value=text[:40], form="width and height in mm, such as 300x200")
     return MM.to_si(float(match[1])), MM.to_si(float(match[2]))
 
 

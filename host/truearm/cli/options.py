@@ -174,7 +174,9 @@ def numbers_of(option: str, text: str | None, count: int | None = None) -> tuple
     except ValueError:
         values = ()
     if not values or (count is not None and (len(values) != count or not all(map(math.isfinite, values)))):
-        raise InputError(f"{option} {text[:60]}: needs {count or 'one or more'} numbers, separated by commas")
+        raise InputError(
+            "wrong-form", place=option, value=text[:60], form=f"{count or 'one or more'} numbers, separated by commas"
+        )
     return values
 
 
@@ -184,7 +186,9 @@ def payload_of(text: str | None) -> Payload:
 
     mass, *centre = numbers_of("--payload", text) or (0.0,)
     if len(centre) not in (0, 3):
-        raise InputError(f"--payload {(text or '')[:60]}: needs KG, or KG,X,Y,Z with the centre in mm")
+        raise InputError(
+            "wrong-form", place="--payload", value=(text or "")[:60], form="KG, or KG,X,Y,Z with the centre in mm"
+        )
     x, y, z = map(MM.to_si, centre or (0.0, 0.0, 0.0))
     return Payload(mass, (x, y, z))
 
@@ -197,7 +201,10 @@ def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], t
         spans = []
     if not spans or not all(low < high and math.isfinite(high - low) for low, high in spans):
         raise InputError(
-            f"{option} {text[:60]!r}: needs LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas"
+            "wrong-form",
+            place=option,
+            value=text[:60],
+            form=f"LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas",
         )
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
@@ -208,7 +215,7 @@ def joints_of(option: str, shown: Sequence[float] | None, units: Sequence[str]) 
         return None
     if len(shown) != len(units) or not all(map(math.isfinite, shown)):
         text = ",".join(f"{value:g}" for value in shown)
-        raise InputError(f"{option} {text[:60]}: needs {len(units)} numbers, separated by commas")
+        raise InputError("wrong-form", place=option, value=text[:60], form=f"{len(units)} numbers, separated by commas")
     return tuple(from_shown(value, unit) for value, unit in zip(shown, units, strict=True))
 
 
@@ -216,7 +223,7 @@ def frame_of(option: str, text: str | None) -> Six:
     """Return position [m] and rotation vector [rad] of an option in mm and deg; zeros if not given. Raises InputError."""
     x, y, z, rx, ry, rz = numbers_of(option, text, 6) or (0.0,) * 6
     if max(map(abs, (x, y, z))) > LARGEST_MM or max(map(abs, (rx, ry, rz))) > LARGEST_DEG:
-        raise InputError(f"{option} {text}: needs x, y, z in mm and a rotation vector in deg")
+        raise InputError("wrong-form", place=option, value=text, form="x, y, z in mm and a rotation vector in deg")
     return MM.to_si(x), MM.to_si(y), MM.to_si(z), DEG.to_si(rx), DEG.to_si(ry), DEG.to_si(rz)
 
 

@@ -49,7 +49,9 @@ def _region_of(text: str | None) -> Region | None:
         return None
     lower, upper = spans_of("--region", text, MM)
     if len(lower) != 3:
-        raise InputError(f"--region {text[:60]!r}: needs LOW:HIGH in mm for x, y and z, separated by commas")
+        raise InputError(
+            "wrong-form", place="--region", value=text[:60], form="LOW:HIGH in mm for x, y and z, separated by commas"
+        )
     return Region(np.array(lower), np.array(upper))
 
 

@@ -61,7 +61,7 @@ def relabel(
 
     if undo:
         if trust is not None:
-            raise InputError("--undo undoes a decision and --trust makes one; give one of them")
+            raise InputError("exclusive", first="--undo", second="--trust")
         document = undo_labels(session)
     else:
         ask = _ask if may_ask() and not json else None

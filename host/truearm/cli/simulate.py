@@ -148,9 +148,7 @@ def simulate(
         faults=tuple(fault or ()),
     )
     if rate is not None and not fast:
-        raise InputError(
-            "--rate has no effect without --fast: in real time, truearm record --rate sets it; leave it out"
-        )
+        raise InputError("needs-option", place="--rate", needed="--fast")
     if stage and fast:
         raise InputError("--stage waits for what you type, in real time: leave out --fast")
     if stage:

@@ -29,7 +29,7 @@ def status(*, json: bool = False) -> None:
 
     file = find_project(Path.cwd())
     if file is None:
-        raise InputError(f"no {FILE} here or in a folder above; create one with truearm init")
+        raise InputError("no-project", file=FILE)
     state = state_of(file)
     print_result(_document(state), _lines(state), json)
 

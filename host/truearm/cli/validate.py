@@ -72,7 +72,7 @@ def validate(
     choice = RobotChoice(model, base, tip)
     if report is None:
         if number or tolerance_mm is not None:
-            raise InputError("the details of a certificate need a page; give ", Argument("report"))
+            raise InputError("needs-option", place="the details of a certificate", needed=Argument("report"))
         document = validate_files(result, choice, sources, keep_rig).document
     else:
         command_line = shlex.join(["truearm", *(context.obj or [])])

@@ -127,7 +127,7 @@ def identify(
     held = held & ~left_out
     fitted = ~(held | left_out)
     if not fitted.any():
-        raise ProblemError("no observations are left to fit; hold out fewer")
+        raise ProblemError("nothing-left", what="observations")
     modelled = modelled_of(chain, rig, table, options.effects)
     problem = build_problem(chain, rig, table.select(fitted), prior_sigma, [one.select(fitted) for one in modelled])
     columns = problem.columns(free)
@@ -307,7 +307,7 @@ def _check_choice(solver: str, loss: str, damping: str) -> None:
         ("damping", damping, DAMPINGS),
     ):
         if given not in known:
-            raise ProblemError(f"{what} {given!r} is not known; use {', '.join(known)}")
+            raise ProblemError("unknown-choice", place=what, value=given, names=list(known))
     if loss != Loss.LINEAR and not SOLVERS[solver].has_loss:
         raise ProblemError(f"solver {solver} has no robust loss; use {' or '.join(with_loss())}, or loss linear")
     if damping != "scaled" and solver != "lm":

@@ -192,11 +192,9 @@ FORMATS: dict[str, Callable[[Path, Placement], Tables]] = {
 def check_format(name: str) -> None:
     """Raise InputError for an unknown format, or one whose library is missing."""
     if name not in FORMATS:
-        raise InputError(Argument("format"), f" {name[:40]!r} is not one of {', '.join(FORMATS)}")
+        raise InputError("unknown-choice", place=Argument("format"), value=name[:40], names=list(FORMATS))
     if name == "parquet":
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError as exc:
-            raise InputError(
-                Argument("format"), " parquet needs pyarrow: pip install 'truearm[parquet]', or give csv or npz"
-            ) from exc
+            raise InputError("missing-package", place="parquet", package="pyarrow", install="truearm[parquet]") from exc

@@ -82,7 +82,7 @@ def read_cells(text: str, name: str) -> tuple[list[str], list[Row]]:
         )
     rows = read_rows(text, name)
     if not rows:
-        raise TableError(f"{name}: is empty; a table needs a header row and rows below it")
+        raise TableError("no-rows", place=name)
     header = rows[0].cells
     if len(header) > MAX_COLUMNS:
         raise TableError(f"{name}: has {len(header)} columns; the maximum is {MAX_COLUMNS}")

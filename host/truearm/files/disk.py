@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from truearm.errors import Argument, InputError, TruearmError, WriteError
+from truearm.errors import InputError, TruearmError, WriteError
 from truearm.file_names import DISK_FAILED, open_input, reading, system_reason
 from truearm.schema import load_toml
 
@@ -96,7 +96,7 @@ def write_atomic(path: Path, text: str | bytes | Iterator[str]) -> None:
 def check_new_folder(path: Path, source: Path) -> None:
     """Raise InputError if ``path`` cannot become a new folder, or would be within the folder ``source``."""
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise InputError(f"{path}: exists; give the name of a new folder")
+        raise InputError("file-exists", place=path)
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} does not exist or cannot be written; choose another one")
     if _real(path).is_relative_to(_real(source)):
@@ -164,21 +164,21 @@ def check_writable(
     try:
         _check_writable(path, inputs, ours)
         if path.exists() and not force:
-            raise InputError(f"{path}: exists; choose another name or give ", Argument("force"))
+            raise InputError("file-exists", place=path, may_force=True)
     except OSError as exc:  # a name that is too long, or a folder without permission
         raise InputError(f"{path}: cannot be written: {system_reason(exc)}") from exc
     if suffixes and path.suffix and path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: would be written as {suffixes[0]}; give a name that ends in {' or '.join(suffixes)}")
+        raise InputError("wrong-suffix", place=path, suffixes=" or ".join(suffixes))
 
 
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
     if path.is_dir():
-        raise InputError(f"{path}: is a directory; give the name of a file to write")
+        raise InputError("not-a-file", place=path)
     _check_regular(path)
     if any(same_file(path, other) for other in inputs):
-        raise InputError(f"{path}: is already an input or output of this command; give another name")
+        raise InputError("used-twice", place=path)
     if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+        raise InputError("missing-folder", place=path, folder=path.parent)
     if not os.access(path.parent, os.W_OK):
         raise InputError(
             f"{path}: the folder {path.parent} cannot be written; choose another folder, or change its permissions"
@@ -186,9 +186,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
     if ours is not None and path.exists():
         with path.open("rb") as file:
             if not ours(file.read(1024)):
-                raise InputError(
-                    f"{path}: exists and is not a file that this command writes; give another name, or remove it"
-                )
+                raise InputError("foreign-file", place=path)
 
 
 def same_file(a: Path, b: Path) -> bool:
@@ -241,7 +239,7 @@ def own_folder(path: Path, mark: str) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not (path / mark).exists() and any(path.iterdir()):
-            raise InputError(f"{path}: holds other files; give a new or empty folder as ", Argument("out"))
+            raise InputError("foreign-folder", place=path)
         (path / mark).touch()
     except OSError as exc:
         raise _failure(f"{path}: cannot be used as a folder", exc) from exc
@@ -251,4 +249,4 @@ def _check_regular(path: Path) -> None:
     if path.is_symlink() and not path.exists() and _real(path).is_symlink():
         raise InputError(f"{path}: is a symbolic link loop; give another name")
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a regular file; give the name of a file to write")
+        raise InputError("not-a-file", place=path)

@@ -105,9 +105,7 @@ def check_against_rigs(noise: NoiseFile, rigs: Rigs) -> None:
     known = {bar for rig in rigs_by_name(rigs).values() for bar in rig.bars}
     for bar in noise.bar_sigma:
         if bar not in known:
-            raise RigError(
-                f"{noise.name}: bar {bar!r} is not in the rig, which has {', '.join(sorted(known)) or 'none'}"
-            )
+            raise RigError("not-in-rig", place=noise.name, what="bar", name=bar, names=sorted(known))
 
 
 def format_noise(noise: NoiseFile, remarks: list[str], prismatic: bool) -> str:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from truearm.errors import TableError
 from truearm.kinds import registry
 from truearm.schema import quoted
-from truearm.text import counted, page
+from truearm.text import page
 from truearm.units import SUFFIXES, named, suffixes
 
 COLUMNS = page("Observations, rigs and robots as files")
@@ -38,25 +38,22 @@ def read_header(header: list[str], name: str) -> dict[str, Column]:
     Columns x_… other than x_m and x_mm are skipped, as is note.
     """
     if not difflib.get_close_matches("kind", [title.lower() for title in header]):
-        raise TableError(
-            f"{name}: has no column 'kind' (its header begins with {quoted(header[0])}), so it is no table of observations; "
-            "give a table (.csv) that has one, or a session (.mcap) if the command reads sessions"
-        )
+        raise TableError("missing-column", place=name, column="kind", header=quoted(header[0]))
     columns: dict[str, Column] = {}
     seen: set[str] = set()
     for position, title in enumerate(header):
         where = f"{name} column {position + 1} ({quoted(title)})"
         if title in seen:
-            raise TableError(f"{where}: appears twice in the header; keep one")
+            raise TableError("given-twice", place=where, what="it")
         seen.add(title)
         if title == "note" or (title.startswith("x_") and title not in MEASURED_X):
             continue
         quantity, unit = _quantity(title, where)
         if quantity in columns:
-            raise TableError(f"{where}: {quantity} is given twice, also as {columns[quantity].name}; keep one")
+            raise TableError("given-twice", place=where, what=quantity)
         columns[quantity] = Column(title, position, unit)
     if "kind" not in columns:
-        raise TableError(f"{name}: has no column 'kind' (ball_bar, line, ...); is the first row a header?")
+        raise TableError("missing-column", place=name, column="kind")
     return columns
 
 
@@ -79,14 +76,12 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     longest_first = sorted(map(re.escape, number_units()), key=len, reverse=True)
     match = re.fullmatch(rf"(qd?(?=[1-9])|{'|'.join(longest_first)})([0-9]{{0,3}})(?:_(\w*))?", title)
     if match is None or (match[2] != "") != (match[1] in JOINTS):
-        raise TableError(f"{where}: is not a known column; {_suggestion(title)}")
+        raise TableError("unknown-column", place=where, remedy=_suggestion(title))
     quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
     if not unit and "" not in known:
-        raise TableError(f"{where}: has no unit; name it {' or '.join(named(quantity, u) for u in known)}")
+        raise TableError("missing-unit", place=where, names=[named(quantity, u) for u in known])
     if unit not in known:
-        raise TableError(
-            f"{where}: unit {quoted(unit)} is not known; use {' or '.join(named(quantity, u) for u in known)}"
-        )
+        raise TableError("wrong-unit", place=where, unit=unit, names=[named(quantity, u) for u in known])
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 
@@ -109,14 +104,11 @@ def joint_columns(columns: dict[str, Column], joint_units: Sequence[str] | None,
     """Return the joint columns in joint order, checked against the robot."""
     joints = _numbered(columns, "q", name)
     if not joints:
-        raise TableError(f"{name}: has no joint columns; name them q1_rad, q2_rad, ... (or q1_deg, ...)")
+        raise TableError("missing-column", place=name, column="q1_rad")
     if joint_units is None:
         return joints
     if len(joints) != len(joint_units):
-        raise TableError(
-            f"{name}: has {counted(len(joints), 'joint column')}, the robot has {len(joint_units)} joints; "
-            "give the robot that was measured"
-        )
+        raise TableError("joint-count", place=name, joints=len(joints), expected=len(joint_units))
     for joint, unit in zip(joints, joint_units, strict=True):
         if base_unit(joint.unit) != unit:
             allowed = "rad or deg (it turns)" if unit == "rad" else "m or mm (it slides)"

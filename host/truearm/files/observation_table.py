@@ -58,7 +58,7 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
     columns = read_header(header, name)
     joints = joint_columns(columns, joint_units, name)
     if not rows:
-        raise TableError(f"{name}: has a header but no rows; write one row per observation below it")
+        raise TableError("no-rows", place=name)
     kind = _kinds(rows, columns["kind"], name)
     names = {column: identifiers(rows, columns.get(column), name) for column in registry.identifiers()}
     measured = {quantity.field: _measured(rows, columns, quantity, name) for quantity in registry.quantities()}
@@ -231,11 +231,7 @@ def check_against_rig(table: ObservationTable, rig: Rig) -> None:
     for column, known in registry.rig_names(rig).items():
         for identifier, source in zip(table[column], table.source, strict=True):
             if identifier and identifier not in known:
-                has = f"it has {', '.join(sorted(known))}" if known else f"it has no {column}"
-                raise TableError(
-                    f"{source} column {column}: {quoted(str(identifier))} is not in the rig ({has}); give a rig that has it as ",
-                    Argument("rig"),
-                )
+                raise TableError("not-in-rig", place=source, what=column, name=identifier, names=sorted(known))
     for key, kind in registry.kinds().items():
         rows, points = table.kind == key, kind.points(rig)
         nameless = np.flatnonzero(rows & (table[kind.point] == "")) if len(points) > 1 else np.zeros(0, int)

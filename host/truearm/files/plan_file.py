@@ -65,7 +65,7 @@ def parse_plan(text: str, name: str) -> Plan:
             f"or {','.join(_names(True, False))},q1_rad,..., with or without {ROBOT} before the joints"
         )
     if len(rows) == 1:
-        raise PlanError(f"{name}: has a header but no poses; make a plan with truearm plan")
+        raise PlanError("no-rows", place=name)
     for pose, row in enumerate(rows[1:]):
         check_width(row, len(header), name, PlanError)
         _check_names(dict(zip(names, row.cells, strict=False)), pose, f"{name} row {row.number}")
@@ -102,7 +102,7 @@ def _check_names(cells: dict[str, str], pose: int, where: str) -> None:
         raise PlanError(f"{where} column {ROBOT}: has more than {MAX_ROBOT} characters")
     move = cells.get("move") or Move.DWELL
     if move not in tuple(Move):
-        raise PlanError(f"{where} column move: {move[:40]!r} is not one of {', '.join(Move)}")
+        raise PlanError("unknown-choice", place=f"{where} column move", value=move[:40], names=list(Move))
     for name in (*IDS, *LINE_MOUNTED):
         cell = cells.get(name, "")
         if not NAME.fullmatch(cell) and (cell or name in _required(Move(move))):
@@ -158,9 +158,8 @@ def check_against_rig(plan: Plan, rig: Rig, name: str) -> None:
         for pose, identifier in enumerate(getattr(plan, column)):
             chosen = column == "target" and plan.move[pose] == Move.LINE and len(known) > 1
             if identifier not in known and (identifier or chosen):
-                names = ", ".join(sorted(known)) or "none"
                 raise PlanError(
-                    f"{name} pose {pose} column {column}: {str(identifier)!r} is not in the rig (it has {names}); give the rig of this plan"
+                    "not-in-rig", place=f"{name} pose {pose}", what=column, name=identifier, names=sorted(known)
                 )
 
 

@@ -79,10 +79,8 @@ def robot_file(robot: str) -> Path | None:
         of_maker = [names for maker, names in ROBOTS_OF.items() if maker in word]
         meant = difflib.get_close_matches(word, builtin_names(), n=1) or of_maker
         if meant and not path.suffix:
-            raise RobotError(f"there is no built-in robot {robot!r}; did you mean {meant[0]}?")
-        raise RobotError(
-            f"{robot!r} is neither a built-in robot ({', '.join(builtin_names())}) nor a .toml or .urdf file"
-        )
+            raise RobotError("unknown-robot", value=robot, names=list(builtin_names()), meant=meant[0])
+        raise RobotError("unknown-robot", value=robot, names=list(builtin_names()))
     return path
 
 

@@ -67,7 +67,7 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
     """Parse the text of a table of targets; ``name`` stands for the file in messages. Raises TargetError or TableError."""
     header, rows = read_cells(text, name)
     if not rows:
-        raise TargetError(f"{name}: has a header but no targets; write one row per target below it")
+        raise TargetError("no-rows", place=name)
     if len(rows) > MAX_TARGETS:
         raise TargetError(f"{name}: has {len(rows)} targets, the maximum is {MAX_TARGETS}; split it")
     joints = [Key(f"q{i}", Number(unit)) for i, unit in enumerate(joint_units, start=1)]
@@ -75,7 +75,7 @@ def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:
     xyz = _together(rows, columns, XYZ, name)
     turn = _together(rows, columns, TURN, name)
     if xyz is None:
-        raise TargetError(f"{name}: has no columns x_mm, y_mm, z_mm (or x_m, y_m, z_m)")
+        raise TargetError("missing-column", place=name, column="x_mm", example="x_mm,y_mm,z_mm")
     return Targets(
         pose=pose_of(xyz, np.zeros_like(xyz) if turn is None else turn),
         oriented=turn is not None,
@@ -94,13 +94,13 @@ def _columns(header: list[str], name: str, joints: Sequence[Key]) -> dict[str, C
         spellings = [spelled for spelled, key in keys.items() if key.name == quantity]
         if title not in keys:
             if spellings and unit in SUFFIXES:
-                raise TargetError(f"{where}: unit {unit} does not fit {quantity}; name it {' or '.join(spellings)}")
+                raise TargetError("wrong-unit", place=where, unit=unit, names=spellings)
             if title == "note" or RESULTS.fullmatch(title):
                 continue
-            raise TargetError(f"{where}: is not a known column; {hint(title, list(keys))}")
+            raise TargetError("unknown-column", place=where, remedy=hint(title, list(keys)))
         key = keys[title]
         if key.name in columns:
-            raise TargetError(f"{where}: {key.name} is given twice; keep one")
+            raise TargetError("given-twice", place=where, what=key.name)
         columns[key.name] = Column(title, position, key.spellings[title])
     return columns
 
@@ -114,7 +114,7 @@ def _together(rows: list[Row], columns: dict[str, Column], keys: Sequence[Key], 
         unit = next(columns[key.name].unit for key in keys if key.name in columns)
         written = ({suffix: title for title, suffix in key.spellings.items()} for key in keys)
         titles = ", ".join(of.get(unit, next(iter(of.values()))) for of in written)
-        raise TargetError(f"{name}: has no column {missing[0].name}; give all of {titles}, or none of them")
+        raise TargetError("missing-column", place=name, column=missing[0].name, example=titles)
     largest = [UNITS[SUFFIXES[columns[key.name].unit].si].largest for key in keys]
     both = zip(keys, largest, strict=True)
     return np.stack([numbers(rows, columns[key.name], name, most, required=True) for key, most in both], axis=1)

@@ -58,8 +58,7 @@ def look_up(scope: Scope, rows: Indices, what: str, known: Mapping[str, Any]) ->
         label = next(iter(known)) if name == "" and len(known) == 1 else str(name)
         if label not in known:
             source = scope.table.source[rows[int(np.argmax(which == i))]]
-            have = ", ".join(sorted(known)) or "none"
-            raise ProblemError(f"{source}: {what} {label!r} is not in the rig, which has {have}")
+            raise ProblemError("not-in-rig", place=source, what=what, name=label, names=sorted(known))
         labels.append(label)
     return labels, which
 

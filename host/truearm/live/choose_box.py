@@ -33,7 +33,7 @@ def choose_box(device: str | None, output: TextIO) -> str:
         return boxes[0].device
     listed = [f"{one_line(box.device)} ({_words(box.product, box.serial)})" for box in boxes]
     if not (sys.stdin.isatty() and output.isatty()):
-        raise InputError(f"{len(boxes)} boxes are plugged in: {', '.join(listed)}; name one with ", Argument("box"))
+        raise InputError("several-boxes", boxes=listed)
     return boxes[_ask(listed, output)].device
 
 
@@ -49,6 +49,6 @@ def _ask(listed: list[str], output: TextIO) -> int:
         print(f"1 to {len(listed)}: ", end="", file=output, flush=True)
         answer = sys.stdin.readline()
         if not answer:
-            raise InputError("no box was chosen; name it with ", Argument("box"))
+            raise InputError("no-terminal", option=Argument("box"))
         if answer.strip().isdecimal() and 1 <= int(answer) <= len(listed):
             return int(answer) - 1

@@ -19,7 +19,7 @@ def parse_mounted(text: str) -> dict[str, str]:
                 f"mounted: {entry[:40]!r} is not KEY=NAME, such as bar=bar46; KEY is {', '.join(MOUNTABLE[:-1])} or {MOUNTABLE[-1]}"
             )
         if key in mounting:
-            raise InputError(f"mounted: {key} is named twice")
+            raise InputError("given-twice", place="mounted", what=key)
         mounting[key] = name
     return mounting
 
@@ -28,5 +28,4 @@ def check_mounted(mounting: Mapping[str, str], rig: Rig, name: str) -> None:
     """Raise InputError for a part that the rig called ``name`` does not have; a rig without lines accepts any."""
     for key, names in rig.mounted().items():
         if key in mounting and (names or key in BAR_MOUNTED) and mounting[key] not in names:
-            listed = ", ".join(sorted(names)) or "none"
-            raise InputError(f"mounted: {key} {mounting[key][:40]!r} is not in {name} (it has {listed})")
+            raise InputError("not-in-rig", place="mounted", what=key, name=mounting[key][:40], names=sorted(names))

@@ -95,7 +95,7 @@ def all_pairings(rig: Rig, bars: Sequence[str] = ()) -> list[Pairing]:
         raise PlanError("the rig needs at least one chuck, one sphere and one bar")
     missing = [bar for bar in bars if bar not in rig.bars]
     if missing:
-        raise PlanError(Argument("bars"), f" {missing[0]!r}: is not in the rig; use one of {', '.join(rig.bars)}")
+        raise PlanError("not-in-rig", place=Argument("bars"), what="bar", name=missing[0], names=list(rig.bars))
     return [Pairing(bar, c, s) for bar in (bars or rig.bars) for c in rig.chucks for s in rig.spheres]
 
 
@@ -112,7 +112,7 @@ def plan_ballbar(
     Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
-        raise PlanError("give one budget, either a number of poses or minutes")
+        raise PlanError("exclusive", first="poses", second="minutes")
     if (wanted.n_poses or 0) > wanted.n_candidates:
         raise PlanError(
             f"{wanted.n_poses} poses cannot be chosen from {wanted.n_candidates} candidates; ask for fewer ",
@@ -250,9 +250,7 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
         step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
         n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
     if best is None:
-        raise PlanError(
-            f"a budget of {minutes:g} min is too small: mounting one pairing takes {pace.mount:g} s; give more minutes"
-        )
+        raise PlanError("small-budget", reason=f"mounting one pairing takes {pace.mount:g} s", minutes=minutes)
     return best
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import Argument, PlanError
+from truearm.errors import PlanError
 from truearm.estimate.information import of_rows
 from truearm.estimate.problem import settled
 from truearm.estimate.whitened_rows import whitened_blocks
@@ -74,7 +74,7 @@ def plan_lines(
     Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """
     if (wanted.n_lines is None) == (wanted.minutes is None):
-        raise PlanError("give one budget, either a number of lines or minutes")
+        raise PlanError("exclusive", first="lines", second="minutes")
     point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
     n = wanted.n_lines or _most(wanted)
     many = max(wanted.n_candidates, n if wanted.n_lines else 1)
@@ -230,7 +230,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         if stops:
             via = way_without_bar(site, stops[-1].q, q[0], seed=number)
             if via is None:
-                raise PlanError(f"no collision-free path to line {name} was found; try another ", Argument("seed"))
+                raise PlanError("no-path", place=f"line {name}")
             way = [*via, q[0]]
         first = len(stops)
         for place in way:

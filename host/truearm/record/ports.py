@@ -63,7 +63,7 @@ class BoxPort:
         if self._identity is not None:
             names = [port.device for port in usb_ports() if _identity(port) == self._identity]
             if not names:
-                raise LinkError(f"{self.device}: not found; plug the box in")
+                raise LinkError("no-box", place=self.device)
             self.device = names[0]
         return SerialLink(self.device, self._clock)
 

@@ -243,9 +243,7 @@ class _Recorder:
 
     def _ident(self) -> Ident:
         if self._box.ident is None:
-            raise ProtocolError(
-                f"{self._link.name}: the box answers but does not identify itself; update its firmware with truearm box flash"
-            )
+            raise ProtocolError("old-firmware", place=self._link.name, reason="answers but does not identify itself")
         return self._box.ident
 
     def _check_end(self) -> None:
@@ -359,10 +357,7 @@ class _Recorder:
             if answer is not None:
                 break
         else:
-            raise LinkError(
-                f"{self._link.name}: no answer to {name!r} in {retries * RETRY_NS / SECOND:g} s; "
-                "is this a truearm box, and is its firmware running?"
-            )
+            raise LinkError("no-answer", place=self._link.name, request=name, seconds=retries * RETRY_NS / SECOND)
         if answer.error is not None and not may_fail:
             raise ProtocolError(
                 f"{self._link.name}: the box refuses {' '.join([name, *map(str, arguments)])!r}: {answer.error}"

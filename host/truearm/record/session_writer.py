@@ -45,7 +45,7 @@ from typing import Any, BinaryIO, NamedTuple, assert_never
 from mcap.writer import CompressionType, Writer
 
 from truearm import __version__
-from truearm.errors import Argument, InputError, LinkError, WriteError
+from truearm.errors import InputError, LinkError, WriteError
 from truearm.files.write_lock import hold
 from truearm.record.file_watch import FileLoss, content_crc, copy_open_file, file_loss, rescued_file
 from truearm.record.links import Clock
@@ -307,12 +307,12 @@ class SessionWriter:
             self._new = not (self._overwrite and self.path.exists())
             file = self.path.open("x+b" if self._new else "r+b" if self._held else "w+b")
         except FileExistsError as exc:
-            raise InputError(f"{self.path}: exists; choose another name or give ", Argument("force")) from exc
+            raise InputError("file-exists", place=self.path, may_force=True) from exc
         except OSError as exc:
             raise InputError(f"{self.path}: cannot be written: {exc.strerror}") from exc
         if not hold(file) and not self._new:
             file.close()
-            raise InputError(f"{self.path}: is still being written; end that recording first, or give another name")
+            raise InputError("in-use", place=self.path)
         return file
 
     def _flushed(self) -> None:

@@ -119,7 +119,7 @@ def decode_ident(data: bytes) -> Ident:
         document = load_document(data)
     except cbor2.CBORError as exc:
         raise ProtocolError(
-            f"the box's description of itself cannot be decoded ({exc}); update its firmware with truearm box flash"
+            "old-firmware", reason=f"sends a description of itself that cannot be decoded ({exc})"
         ) from exc
     return parse_ident(document)
 
@@ -145,9 +145,7 @@ def parse_ident(document: object) -> Ident:
     try:
         return _ident(_plain(_typed(document, dict, "document")))
     except _Wrong as exc:
-        raise ProtocolError(
-            f"the box's description of itself: {exc}; update its firmware with truearm box flash"
-        ) from exc
+        raise ProtocolError("old-firmware", reason=f"sends a wrong description of itself: {exc}") from exc
 
 
 def parse_ident_json(text: str) -> Ident:

@@ -72,7 +72,7 @@ def has_footer(file: BinaryIO, size: int) -> bool:
 
 
 def damaged(path: Path, at: int) -> NoReturn:
-    raise SessionError(f"{path}: is damaged at byte {at}; ", *ADVICE)
+    raise SessionError("damaged-session", place=path, where=f"at byte {at}")
 
 
 def body_of(path: Path, file: BinaryIO, at: int, length: int, limit: int) -> bytes:

@@ -39,11 +39,10 @@ from mcap.records import Statistics
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor
 
-from truearm.errors import Argument, SessionError
+from truearm.errors import SessionError
 from truearm.file_names import open_input
 from truearm.progress import step
 from truearm.session.message_columns import (
-    ADVICE,
     CHANNELS,
     MAX_ATTACHMENT_BYTES,
     MAX_CHANNELS,
@@ -134,7 +133,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
     with open_input(path) as file:
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             if not has_footer(file, os.fstat(file.fileno()).st_size):
-                raise SessionError(f"{path}: is not an MCAP file; give a session recorded by truearm record")
+                raise SessionError("not-a-session", place=path)
             if not allow_damaged:
                 damaged(path, 0)
             return _salvaged(path, file, known_damaged=True)
@@ -147,10 +146,7 @@ def open_session(path: Path | str, allow_damaged: bool = False) -> Session:
         if allow_damaged and not proven:
             return _salvaged(path, file, known_damaged=False)
     if session.truncated and not allow_damaged:
-        raise SessionError(
-            f"{path}: is incomplete: the recorder was killed or is still running; repair it with truearm session recover, or give ",
-            Argument("allow_damaged"),
-        )
+        raise SessionError("incomplete-session", place=path)
     return session
 
 
@@ -233,7 +229,7 @@ def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
         crc = zlib.crc32(block, crc)
         left -= len(block)
     if crc != written:
-        raise SessionError(f"{path}: is damaged: its CRC does not match; ", *ADVICE)
+        raise SessionError("damaged-session", place=path, where="somewhere: its CRC does not match")
     return True
 
 
@@ -247,7 +243,7 @@ def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, 
             except UNREADABLE:
                 damaged(path, at)
             if counted != n_chunks:
-                raise SessionError(f"{path}: is damaged: {n_chunks} of {counted} chunks were found; ", *ADVICE)
+                raise SessionError("damaged-session", place=path, where=f": {n_chunks} of {counted} chunks were found")
 
 
 def _without_torn_chunk(path: Path, file: BinaryIO, last: tuple[int, int], end: int) -> int:

@@ -61,7 +61,7 @@ def add_joints_file(wanted: AddJoints, force: bool = False) -> int:
 def joint_names(joints: str | None, robot: RobotChoice) -> list[str]:
     """Return the joints' names from the base on; [] if none were given. Raises InputError."""
     if joints is not None and robot.robot is not None:
-        raise InputError(Argument("joints"), " and ", Argument("robot"), " both name the joints; give one of them")
+        raise InputError("exclusive", first=Argument("joints"), second=Argument("robot"))
     if robot.robot is not None:
         return [joint.name for joint in robot.load().chain.joints]
     names = [] if joints is None else [name.strip() for name in joints.split(",")]

@@ -213,7 +213,7 @@ def read_calibration(result: Path, choice: RobotChoice = DEFAULT) -> Calibration
     name, base, tip = choice
     if name is None:
         if frames.name not in builtin_names():
-            raise InputError(f"{result}: belongs to robot {frames.name[:60]!r}; give its file as ", Argument("robot"))
+            raise InputError("other-robot", place=result, robot=frames.name[:60])
         name = frames.name
     base, tip = frames_of(name, base, tip, stored)
     called = name if choice.robot else f"{name} (built-in, because no other was given)"
@@ -228,10 +228,7 @@ def read_usable(result: Path, choice: RobotChoice = DEFAULT, allow_unusable: boo
     calibration = read_calibration(result, choice)
     because = unusable_because(calibration)
     if because and not allow_unusable:
-        raise InputError(
-            f"{result}: the fit is not usable ({because}); correct its inputs and identify again (truearm report says why), or give ",
-            Argument("allow_unusable"),
-        )
+        raise InputError("unusable-result", place=result, reason=because)
     return calibration
 
 
@@ -265,7 +262,7 @@ def calibration_of(stored: Result, robot: Robot, called: str, result: str) -> Ca
     if not np.allclose(nominal, chain.params_nominal, rtol=0.0, atol=1e-9):
         at = int(np.argmax(np.abs(nominal - chain.params_nominal)))
         raise InputError(
-            f"{result}: was identified from another value of {names[at]} than robot {called} has; give the robot it was identified with"
+            "other-robot", place=result, difference=f"another value of {names[at]} than robot {called} has"
         )
     if not np.isfinite(identified).all() or not np.abs(identified).max() < 1e4:
         raise InputError(f"{result}: a parameter's value is missing or implausible; identify again")
@@ -285,7 +282,7 @@ def _laws_of(stored: Result, robot: Robot, result: str) -> tuple[Law, ...]:
 def check_names(*paths: Path | None) -> None:
     """Raise InputError for "-": these arguments cannot be standard input or standard output."""
     if Path("-") in paths:
-        raise InputError("-: is not a file name; standard input and output are not used, give files")
+        raise InputError("no-file-name")
 
 
 def chosen_mountings(calibration: Calibration, own_frames: bool) -> Mountings:

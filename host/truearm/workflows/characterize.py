@@ -183,9 +183,7 @@ def _synced(part: Part, chain: Chain, rig: Rig, bands: Sequence[float]) -> tuple
     result = observations(part.messages, rig, ident=part.ident, name=part.name, labels=part.labels)
     n_joints = result.table.q.shape[1]
     if len(result.table) and n_joints != len(chain.joints):
-        raise InputError(
-            f"{part.name}: its robot has {n_joints} joints, the robot given has {len(chain.joints)}; give the robot that was recorded"
-        )
+        raise InputError("joint-count", place=part.name, joints=n_joints, expected=len(chain.joints))
     found = visits(result, rig, bands)
     if not found.dwells:  # without a robot the number of joints is unknown
         none = np.zeros((0, len(chain.joints)))

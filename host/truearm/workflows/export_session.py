@@ -82,9 +82,9 @@ def export_session_files(wanted: ExportSession) -> dict[str, dict[str, Any]]:
 def _check_folder(out: Path) -> None:
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise InputError(f"{out}: exists and is not an empty folder; choose another name")
+            raise InputError("foreign-folder", place=out)
         if not out.parent.is_dir():
-            raise InputError(f"{out}: the folder {out.parent} does not exist; create it first")
+            raise InputError("missing-folder", place=out, folder=out.parent)
     except OSError as exc:
         raise InputError(f"{out}: cannot be used as a folder: {exc.strerror}") from exc
 

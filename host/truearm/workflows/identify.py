@@ -277,7 +277,7 @@ def identified(
     if selection.held_out is not None:
         unused |= selection.held_out
     if unused.all():
-        raise ProblemError("no observations are left to fit; hold out or leave out fewer")
+        raise ProblemError("nothing-left", what="observations")
     check_rows(chain, table, ~unused)
     fitted = table.select(~unused)
     effects = tuple(map(parse_effect, options.allow))

@@ -81,16 +81,16 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
     A repeated input would make its sigmas too small. Raises InputError.
     """
     if Path("-") in sources.inputs:
-        raise InputError("-: standard input is not read; save the data to a file first")
+        raise InputError("no-file-name")
     if any(path == Path("-") for path, *_ in outputs):
-        raise InputError("-: is not a file name; ", Argument("as_json"), " prints the result to standard output")
+        raise InputError("no-file-name", what="the result")
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
-            raise InputError(f"{path}: is given twice; its observations would count twice; give it once")
+            raise InputError("used-twice", place=path)
     for i, (path, *_) in enumerate(outputs):
         if any(same_file(path, other) for other, *_ in outputs[:i]):
-            raise InputError(f"{path}: is named for two outputs; give each its own file")
+            raise InputError("used-twice", place=path)
     for path, ours, suffix in outputs:
         check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours, suffixes=[suffix])
 
@@ -158,7 +158,7 @@ def read_sources(sources: Sources, joint_units: tuple[str, ...] | None, robot: R
     counts = tuple(one.dwells for one in read.values() if one.dwells is not None)
     if sources.line_points is not None and not any(one.lines for one in counts):
         raise InputError(
-            Argument("line_points"), " has no effect: no input is a session with passes along a line; leave it out"
+            "no-effect", place=Argument("line_points"), reason="no input is a session with passes along a line"
         )
     table = concatenate([part for part in tables if len(part)] or tables)
     if not len(table):
@@ -238,9 +238,7 @@ def _read_session(
     result = observations_of_opened(session, rig, options)
     table = result.table
     if joint_units is not None and len(table) and table.q.shape[1] != len(joint_units):
-        raise InputError(
-            f"{path}: its robot has {table.q.shape[1]} joints, the robot given has {len(joint_units)}; give the robot that was measured"
-        )
+        raise InputError("joint-count", place=path, joints=table.q.shape[1], expected=len(joint_units))
     labels = labels_of(path) is not None
     doubtful = 0
     if robot is not None and not labels:

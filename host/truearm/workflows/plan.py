@@ -389,14 +389,14 @@ def _target(known: Known, name: str | None) -> str:
 
 def _check_budget(budget: Budget, what: str) -> None:
     if (budget.n is None) == (budget.minutes is None):
-        raise InputError("give one budget, either ", Argument(what), " or ", Argument("minutes"))
+        raise InputError("exclusive", first=Argument(what), second=Argument("minutes"))
 
 
 def _check(files: PlanFiles) -> None:
     """Check that no output replaces an input or another output, and that all suffixes are known. Raises InputError."""
     outputs = files.outputs
     if Path("-") in outputs:
-        raise InputError("-: is not a file name; ", Argument("as_json"), " prints the forecast to standard output")
+        raise InputError("no-file-name", what="the forecast")
     for path in files.programs:
         check_suffix(path.suffix.lower())
     read = [*files.robot.files, files.rig, files.result, *files.measured]

@@ -57,7 +57,7 @@ def check_program_out(out: Path, programs: ProgramFiles, inputs: list[Path]) -> 
         return
     check_writable(out, inputs=inputs, suffixes=SUFFIXES[programs.language])
     if out.exists():
-        raise InputError(f"{out}: exists; give a new name, a corrected program never replaces a file")
+        raise InputError("file-exists", place=out)
 
 
 def write_program_files(out: Path, programs: ProgramFiles, contents: Mapping[str, bytes]) -> None:

@@ -220,18 +220,16 @@ def _work(request: Request) -> RecordingWork:
     from truearm.files.write_lock import is_held
 
     if (request.out is None) == (request.resume is None):
-        raise InputError(
-            "give either ", Argument("out"), " FILE for a new session, or ", Argument("resume"), " FILE to continue one"
-        )
+        raise InputError("exclusive", first=Argument("out"), second=Argument("resume"))
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out
     assert out is not None
     read = [path for path in (request.rig, request.plan) if path is not None]
     if not out.suffix:
-        raise InputError(f"{out}: give a name that ends in {SUFFIX}, by which other commands know a session")
+        raise InputError("wrong-suffix", place=out, suffixes=SUFFIX)
     check_writable(out, request.force and before is None, inputs=read, ours=looks_like_session, suffixes=[SUFFIX])
     if out.exists() and is_held(out):
-        raise InputError(f"{out}: is still being written; end that recording first, or give another name")
+        raise InputError("in-use", place=out)
     work = _with_files(RecordingWork(out, request.robot, request.osr or USUAL_OSR), request)
     if before is not None:
         work = _going_on(work, request, before)

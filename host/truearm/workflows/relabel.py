@@ -110,7 +110,7 @@ def relabel(session: Path, options: RelabelOptions) -> dict[str, Any]:
         with step(f"estimating what was mounted at {len(said)} dwells"):
             found = None if robot is None else _evidence(robot, rig, readings, said)
     if options.trust is Trust.EVIDENCE and found is None:
-        raise InputError(Argument("trust"), " evidence: give the nominal robot as ", Argument("robot"))
+        raise InputError("needs-option", place=Argument("trust"), needed=Argument("robot"))
     settled_by = _chosen(parts, said, found, options)
     chosen = [
         one if one is not None or read or not words.planned else words.planned[0]  # no reading: it gives no observation
@@ -148,7 +148,7 @@ def undo(session: Path) -> dict[str, Any]:
     paths = session_parts(session)
     before = {path: labels for path in paths if (labels := read_labels(path)) is not None}
     if not before:
-        raise InputError(f"{session}: nothing was relabelled; there is nothing to undo")
+        raise InputError("nothing-to-undo", place=session)
     for path, labels in before.items():
         write_labels(path, replace(labels, decisions=labels.decisions[:-1]))
     return {
@@ -169,7 +169,7 @@ def _read(paths: Sequence[Path], rig_file: Path | None) -> tuple[list[Relabelled
     for path in paths:
         session = open_finished(path, allow_damaged=True)
         if session.truncated:
-            raise SessionError(f"{path}: is incomplete; save its intact data with truearm session recover {path}")
+            raise SessionError("incomplete-session", place=path)
         session = open_session(path)
         rig = rig or recorded_rig(session, path)
         if not (rig.bars and rig.chucks and rig.spheres):
@@ -232,9 +232,7 @@ def _evidence(robot: Robot, rig: Rig, readings: Readings, said: Sequence[Said]) 
 def _check_joints(robot: Robot, readings: Readings) -> None:
     have, wanted = readings.q.shape[1], len(robot.chain.joints)
     if have != wanted:
-        raise InputError(
-            f"the session's robot has {have} joints, {robot.chain.name} has {wanted}; give the robot that was recorded"
-        )
+        raise InputError("joint-count", place="session", joints=have, expected=wanted)
 
 
 def _chosen(
@@ -263,7 +261,7 @@ def _asked(
     ask: Answer | None,
 ) -> Chosen:
     if ask is None:
-        raise InputError("there is no terminal to ask questions on; give ", Argument("trust"))
+        raise InputError("no-terminal", option=Argument("trust"))
     chosen: list[Pairing | None] = []
     numbers = [(part, k) for part in parts for k in range(len(part.good))]
     runs: dict[int, Run] = {}

@@ -38,9 +38,7 @@ def held_out_rows(
         also = held_out_rows(table, wanted, seed)
         held = others if also is None else others | also
         if held.all():
-            raise InputError(
-                FIT_ONLY, f" {fit_only[0]} names only rows that are held out, so none is left to fit; name others"
-            )
+            raise InputError("nothing-left", what="observations", place=FIT_ONLY)
         return held if held.any() else None
     if not wanted:
         return None
@@ -52,7 +50,7 @@ def held_out_rows(
     else:
         raise InputError(HOLD_OUT, " takes one fraction or any number of groups, not both")
     if mask.all():
-        raise InputError(HOLD_OUT, " names every row; nothing would be left to fit")
+        raise InputError("nothing-left", what="observations", place=HOLD_OUT)
     if not mask.any():
         raise InputError(HOLD_OUT, f" {wanted[0]} is less than one row of {len(table)}; take a larger fraction")
     return mask
@@ -154,7 +152,7 @@ def free_parameters(
     chosen = (matching(names, "free", free) if free else default) | matching(names, "also_free", also)
     mask: Mask = chosen & ~matching(names, "freeze", freeze)
     if not mask.any():
-        raise InputError("no parameter is left to identify; see ", Argument("free"), " and ", Argument("freeze"))
+        raise InputError("nothing-left", what="parameters")
     return mask
 
 

@@ -47,7 +47,7 @@ def joint_readings(parts: Sequence[Path], allow_damaged: bool = False) -> tuple[
             times.append(_host_seconds(columns))
             readings.append(np.column_stack(q))
     if not times:
-        raise InputError(f'{parts[0]}: no joint readings; add them with "truearm session add-joints"')
+        raise InputError("no-joint-readings", place=parts[0])
     return np.concatenate(times), np.concatenate(readings)
 
 

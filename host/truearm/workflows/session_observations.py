@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from truearm.errors import Argument, RigError, SessionError
+from truearm.errors import RigError, SessionError
 from truearm.text import counted, one_line
 from truearm.workflows.session_parts import SUFFIX
 
@@ -126,7 +126,7 @@ def recorded_rig(session: Session, path: Path) -> Rig:
     """Return the rig given to the recorder. Raises RigError if there was none, or if it is not a valid rig."""
     rig = attached_rig(session, path)
     if rig is None:
-        raise RigError(f"{path}: was recorded without a rig; give one as ", Argument("rig"))
+        raise RigError("no-rig", place=path)
     return rig
 
 

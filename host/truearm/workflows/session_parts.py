@@ -184,7 +184,7 @@ def open_finished(path: Path, allow_damaged: bool = False) -> Session:
             raise
         unfinished = True
     if unfinished:
-        raise SessionError(f"{path}: is still being written; end the recording first")
+        raise SessionError("in-use", place=path)
     return session
 
 

@@ -226,7 +226,7 @@ def _listening(
 def _spoken(protocol: str) -> tuple[str, int, float]:
     """Return the robot's protocol: scheme, default port, readings per second. Raises InputError."""
     if protocol not in PROTOCOLS:
-        raise InputError(Argument("protocol"), f" {protocol!r} is not known; it is one of {', '.join(PROTOCOLS)}")
+        raise InputError("unknown-choice", place=Argument("protocol"), value=protocol, names=list(PROTOCOLS))
     return PROTOCOLS[protocol]
 
 
@@ -301,14 +301,9 @@ def visits(options: SimulateOptions, simulated: SimulatedRobot) -> tuple[Plan, R
 
     lines, plan_file, rig_file, robot = options.lines, options.plan, options.rig, simulated.robot
     if plan_file is None and rig_file is not None:
-        raise InputError(Argument("rig"), " needs the ", Argument("plan"), " that was made for it")
+        raise InputError("needs-option", place=Argument("rig"), needed=Argument("plan"))
     if lines and plan_file is not None:
-        raise InputError(
-            Argument("lines"),
-            " draws lines itself and ",
-            Argument("plan"),
-            " reads the poses to visit: give one of them",
-        )
+        raise InputError("exclusive", first=Argument("lines"), second=Argument("plan"))
     if rig_file is not None:
         rig = read_rig(rig_file)
     else:
@@ -337,7 +332,7 @@ def hardware(level: str, say: Say, *, fast: bool = False) -> Hardware:
     from truearm_sim.vmbox import VmBox
 
     if level not in tuple(Level):
-        raise InputError(Argument("level"), f" {level!r}: choose {' or '.join(Level)}")
+        raise InputError("unknown-choice", place=Argument("level"), value=level, names=list(Level))
     match wanted := Level(level):
         case Level.VM:
             interpreter = find_interpreter()
@@ -372,5 +367,8 @@ def parse_fault(text: str) -> Fault:
         return Fault(float(seconds), kind)
     except ValueError:
         raise InputError(
-            Argument("fault"), f" {text!r}: write SECONDS:KIND, with KIND one of {', '.join(FAULTS)}"
+            "wrong-form",
+            place=Argument("fault"),
+            value=text,
+            form=f"SECONDS:KIND, with KIND one of {', '.join(FAULTS)}",
         ) from None

@@ -43,7 +43,7 @@ def readings(path: Path, options: FileOptions) -> Iterator[AddedReading]:
     damaged.
     """
     if options.columns:
-        raise InputError(Argument("columns"), ": applies to tables; a bag has no columns")
+        raise InputError("no-effect", place=Argument("columns"), reason="a bag has no columns")
     found = 0
     decoder = _decoder()
     for file in bag_files(path):
@@ -135,7 +135,7 @@ def _decoder() -> Typestore:
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as exc:
-        raise InputError("bags need the package rosbags: pip install 'truearm[ros]'") from exc
+        raise InputError("missing-package", place="a bag", package="rosbags", install="truearm[ros]") from exc
     return get_typestore(Stores.ROS2_HUMBLE)  # the message is the same in all releases
 
 

@@ -117,10 +117,10 @@ def read_columns(titles: Sequence[str]) -> Columns:
         known: dict[str, Place] | dict[int, Place] = joints[quantity] if number else single
         key = number or quantity
         if key in known:
-            raise InputError(f"column {quoted(title)}: {quantity}{number or ''} is given twice; keep one")
+            raise InputError("given-twice", place=f"column {quoted(title)}", what=f"{quantity}{number or ''}")
         known[key] = (position, scale)  # type: ignore[index]
     if "t" not in single:
-        raise InputError(f"no column t_s (the controller's time); expected a header such as {EXAMPLE}")
+        raise InputError("missing-column", column="t_s", example=EXAMPLE)
     q, q_cmd, qd = (_in_order(quantity, joints[quantity], len(joints["q"])) for quantity in joints)
     places = {name: single[name][0] if name in single else None for name in ("seq", "inputs")}
     t = (single["t"][0], int(single["t"][1]))
@@ -136,7 +136,9 @@ def _quantity(title: str) -> tuple[str, int, float]:
     found = _JOINT.fullmatch(title)
     if found is None or (found[1] == "qd") != bool(found[5]) or (found[1] == "qd" and found[3]):
         raise InputError(
-            f"column {quoted(title)} is not known; expected a header such as {EXAMPLE}; columns x_... are ignored"
+            "unknown-column",
+            place=f"column {quoted(title)}",
+            remedy=f"expected a header such as {EXAMPLE}; columns x_... are ignored",
         )
     return found[1] + (found[3] or ""), int(found[2]), SUFFIXES[found[4]].scale
 
