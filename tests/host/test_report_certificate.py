@@ -79,7 +79,8 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run, monkeyp
     monkeypatch.chdir(tmp_path)
     code, out, err = run(*made, "--number", "TA-17")
     assert (code, err) == (0, "")
-    assert str(tmp_path / "page.html") in out
+    decision, written = out.splitlines()
+    assert written == f"Written: {tmp_path / 'page.html'}"
     page = (tmp_path / "page.html").read_text("utf-8")
     assert page.index("Certificate of calibration") < page.index('class="tiles"')
     said, document = words(page), json.loads((tmp_path / "r.json").read_text())
@@ -102,6 +103,7 @@ def test_a_page_says_what_who_how_and_what_came_out(made, tmp_path, run, monkeyp
         "place, date",
     ):
         assert text in said
+    assert decision.removeprefix("Certificate of calibration: ") in said
     assert "<b>A." not in page
     assert f"{document['held_out']['rms_mm']:.3g} mm" in said
 

@@ -66,5 +66,6 @@ def report(
     sources = Sources(tuple(inputs or ()), rigs_of(rig), None, True, line_points, warn)
     command_line = shlex.join(["truearm", *(context.obj or [])])
     files = IdentifyFiles(RobotChoice(model, base, tip), sources, command=command_line, force=force)
-    report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))
-    print_result({"report": str(out)}, [f"Written: {one_line(str(out))}"], json)
+    certificate = report_files(ReportFiles(result, files, out, issue_of(number, tolerance_mm)))
+    lines = [f"{certificate.heading}: {certificate.decision}", f"Written: {one_line(str(out))}"]
+    print_result({"report": str(out), "decision": certificate.decision}, lines, json)

@@ -16,7 +16,7 @@ from truearm.files.result_file import Result, read_result
 from truearm.files.robot_file import load_robot
 from truearm.progress import step
 from truearm.report import validation_page
-from truearm.report.certificate import Recording
+from truearm.report.certificate import Certificate, Recording
 from truearm.report.page_parts import looks_like_page
 from truearm.workflows.calibration import frames_of
 from truearm.workflows.calibration_report import write_page
@@ -42,8 +42,8 @@ class ReportFiles:
 
 
 @step("repeating the identification")
-def report_files(files: ReportFiles) -> Identification:
-    """Repeat the fit as recorded in the result, check that the outcome is the same, and write the page.
+def report_files(files: ReportFiles) -> Certificate:
+    """Repeat the fit as recorded in the result, check that the outcome is the same, write the page, and return its certificate.
 
     Of the given sessions and tables, only those used for the result are read; without any, they are looked for near the
     result and in the project. Raises InputError if the result does not record how it was made, or if the files are not
@@ -77,7 +77,7 @@ def report_files(files: ReportFiles) -> Identification:
     certificate = calibration_certificate(found, files.issue, recordings, inputs)
     with step("drawing the report"):
         write_page(files.out, found, files.made_from.command, recordings, certificate)
-    return found
+    return certificate
 
 
 def _nearby(result: Path, stored: Result, role: str) -> list[Path]:
