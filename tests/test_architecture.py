@@ -45,6 +45,7 @@ ROOMS = {
     "model": set(),
     "kinds": {"model"},
     "estimate": {"kinds", "model"},
+    "checks": {"estimate", "kinds", "model"},
     "plan": {"estimate", "kinds", "model"},
     "correct": {"model"},
     "export": {"model"},
@@ -86,7 +87,8 @@ ROOMS = {
 }
 WIRE_ALLOWED = {"record", "session", "box", "live"}
 SIMULATOR_ALLOWED = {"cli", "workflows"}  # simulate, demo and reproduce alone
-PURE = ("model", "kinds", "estimate", "correct", "plan", "export")  # compute; touch neither files nor the network
+# they compute; they touch neither files nor the network
+PURE = ("model", "kinds", "estimate", "checks", "correct", "plan", "export")
 IO_MODULES = {"socket", "serial", "urllib", "http", "subprocess", "shutil", "tempfile", "os", "mcap", "pathlib", "io"}
 DEVICE_MODULES = {"machine", "rp2", "usb_stamp"}
 # what the firmware may use of MicroPython's library

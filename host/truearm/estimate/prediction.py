@@ -65,7 +65,7 @@ def point_covariance(
     None if null directions of the observations move the points in any other way.
     """
     params = estimate.value[: estimate.n_robot_parameters]
-    places, columns = _measured_points(rig, table, estimate)
+    places, columns = measured_points(rig, table, estimate)
     points, by_robot, _ = point_jacobians(chain, params, table.q, places)
     jac = np.zeros((len(table), 3, estimate.value.size + 1))  # one more column, for values known exactly
     jac[:, :, : params.size] = by_robot
@@ -115,7 +115,7 @@ def nominal_error(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Es
     """
     few = table.select(thinned(len(table), MOST_POSES))
     params = estimate.value[: estimate.n_robot_parameters]
-    places, _ = _measured_points(rig, few, estimate)
+    places, _ = measured_points(rig, few, estimate)
     points, nominal = (point_forward(chain, p, few.q, places) for p in (params, estimate.nominal[: len(params)]))
     turned = (nominal - nominal.mean(axis=0)) @ nearest_rotation(
         (points - points.mean(axis=0)).T @ (nominal - nominal.mean(axis=0)), np.eye(3)
@@ -197,7 +197,7 @@ def _without(body: Floats, motion: Floats) -> Floats:
     return np.asarray(motion - body @ twist)
 
 
-def _measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
+def measured_points(rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, NDArray[np.intp]]:
     """Return the position (n, 3) on the end of each row's sphere or target, as identified if it was.
 
     Also returns the indices (n, 3) of these numbers in the estimate's parameters; their count if they are not

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from truearm.errors import Argument, InputError, ProblemError
 from truearm.estimate.circumstances import Circumstances
-from truearm.kinds.group import Group, GroupOfOther
+from truearm.kinds.group import Group, GroupOfOther, KindFault
 from truearm.kinds.linearised import Linearised
 from truearm.kinds.unknowns import Fault
 from truearm.model.chain import Chain, Element
@@ -200,6 +200,10 @@ class EffectRows(GroupOfOther):
     def settle(self, chain: Chain, x: Floats) -> EffectRows:
         """Settle as ``inner`` does without effects."""
         return replace(self, inner=self.inner.settle(chain, x[: x.size - self.columns.size]))
+
+    def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
+        """Return those of ``inner`` without effects."""
+        return self.inner.faults(chain, x[: x.size - self.columns.size])
 
     def take(self, which: slice | NDArray[np.bool_] | NDArray[np.intp]) -> EffectRows:
         """Return some of the observations."""

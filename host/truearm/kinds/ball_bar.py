@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from truearm.kinds.group import Group
+from truearm.kinds.group import Group, KindFault
 from truearm.kinds.kind import Kind
 from truearm.kinds.linearised import Linearised, gather, scatter, zero_columns
 from truearm.kinds.proposals import NEW, TRIES, Proposal, anywhere, trial_rows
@@ -32,7 +32,7 @@ from truearm.kinds.unknowns import Fault, Layout, RigNumber, point_numbers
 from truearm.model.chain import Chain, along, point_forward, trace_point
 from truearm.schema import Entries, SchemaError, Table, keys_of
 from truearm.types import BAR_MOUNTED, BallBar, Floats, Indices, Point, Rig
-from truearm.units import MM
+from truearm.units import MM, SMALLEST
 
 SURE = 5.0  # σ: a length is beyond the stroke
 AWAY = np.array([0.11, -0.17, 0.07])  # m: offset of a new chuck or sphere from the centroid of the others
@@ -83,6 +83,25 @@ class BallBarRows(Group):
         return Linearised(
             self.length - predicted, derivative.wrenches, derivative.twists, jac_rig, derivative.jac_joints
         )
+
+    def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
+        """Return what pulls at the bar by its direction (a cable, its weight), and its hysteresis."""
+        p = len(chain.parameters)
+        point = point_forward(chain, x[:p], self.q, gather(x, self.constants, self.sphere))
+        bar = point - gather(x, self.constants, self.chuck)
+        u = bar / np.maximum(np.linalg.norm(bar, axis=1), SMALLEST)[:, None]
+        azimuth, level = np.arctan2(u[:, 1], u[:, 0]), np.hypot(u[:, 0], u[:, 1])
+        out: list[KindFault] = []
+
+        def add(form: str, *columns: Floats) -> None:
+            out.append(KindFault("bar", form, "m", np.stack(columns, axis=1)[None]))
+
+        add("azimuth", np.cos(azimuth), np.sin(azimuth))
+        add("twice_azimuth", np.cos(2.0 * azimuth), np.sin(2.0 * azimuth))
+        add("lean", u[:, 0], u[:, 1])
+        add("sag", level**2)
+        add("hysteresis", np.sign(np.diff(self.length, prepend=self.length[:1])))
+        return out
 
 
 def bar_numbers(name: str, bar: BallBar) -> list[RigNumber]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,18 @@ from numpy.typing import NDArray
 from truearm.kinds.linearised import Linearised
 from truearm.model.chain import Chain
 from truearm.types import Floats, Indices
+
+
+class KindFault(NamedTuple):
+    """A way in which the readings of a kind can be off that is no number of the rig: "bar" "azimuth".
+
+    ``columns`` (w, n, d) is the change of the predictions by each of d numbers, in the SI ``unit`` of these.
+    """
+
+    item: str
+    form: str
+    unit: str
+    columns: Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +60,10 @@ class Group(ABC):
         """Return the group with all values held at x that ``evaluate`` takes as constant in its derivatives."""
         return self
 
+    def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
+        """Return the ways in which readings of this kind can be off beside numbers of the rig, at x (P,)."""
+        return []
+
     def orientations(self) -> Indices:
         """Return the indices (r, 3) of unknown rotation vectors. An estimator rotates these instead of adding to them."""
         return np.zeros((0, 3), dtype=np.intp)
@@ -78,6 +94,10 @@ class GroupOfOther(Group):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "COMPONENTS", self.inner.COMPONENTS)
+
+    def faults(self, chain: Chain, x: Floats) -> list[KindFault]:
+        """Return those of ``inner``."""
+        return self.inner.faults(chain, x)
 
     def orientations(self) -> Indices:
         """Return those of ``inner``."""

@@ -1,0 +1,169 @@
+"""Noise of residuals that are not as declared: of another size, or shared by rows near each other.
+
+The kernels are V = σ²[(1 − a) I + a K] over the rows, with K: rows near in the order of measurement, rows of one mount,
+or rows of similar joint readings. The one with the greatest restricted likelihood is taken, if it is better than the
+declared noise by its price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg, special
+
+from truearm.checks.whitened import WhitenedFit
+from truearm.types import Floats, Indices, Mask
+
+SHARES = (0.1, 0.3, 0.6, 0.9)  # of the variance that rows share
+LAGS = (2.0, 8.0, 40.0)  # rows
+DISTANCES = (0.1, 0.3, 1.0)  # of the joint readings, in their standard deviations
+# By how many nats of likelihood a kernel must be better: 4 for each of its numbers, and those are chosen from a grid.
+PRICES: Mapping[str, float] = {"white": 4.0, "order": 12.0, "mount": 10.0, "pose": 12.0}
+STRETCH = 50  # rows; of a longer table, stretches of as many are judged
+MOST_JUDGED = 400  # rows
+ODD = 1e-3  # probability that χ² of noise as declared is so small or so large
+ODD_ORDER = 4.0  # standard deviations of the correlation of neighbours
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The noise of the rows in units of the declared one. ``lower`` holds L of V = L Lᵀ for each set of rows."""
+
+    name: str = "declared"
+    scale: float = 1.0  # ratio of its standard deviation to the declared one
+    share: float = 0.0  # of the variance that rows share
+    gain: float = 0.0  # nats over the declared noise, less the price
+    lower: tuple[tuple[Indices, Floats], ...] = field(default=(), repr=False)  # residuals (c, n') and L (n', n')
+
+    @property
+    def declared(self) -> bool:
+        return self.name == "declared"
+
+    @property
+    def plain(self) -> bool:
+        """Return whether the noise of rows is independent."""
+        return not self.lower
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Return columns (m, d) divided by the root of the noise's covariance."""
+        if self.plain:
+            return columns / self.scale
+        out = np.empty_like(columns)
+        for at, lower in self.lower:
+            part = columns[at].transpose(1, 0, 2)
+            flat = part.reshape(len(lower), -1)
+            solved = linalg.solve_triangular(lower, flat, lower=True, check_finite=False)
+            out[at] = solved.reshape(part.shape).transpose(1, 0, 2)
+        return out
+
+    def spread(self, columns: Floats) -> Floats:
+        """Return Lᵀ columns (m, d): their Gram matrix is columnsᵀ V columns."""
+        if self.plain:
+            return columns * self.scale
+        out = np.empty_like(columns)
+        for at, lower in self.lower:
+            out[at] = np.einsum("ji,cjd->cid", lower, columns[at])
+        return out
+
+
+DECLARED = Kernel()
+
+
+def is_odd(residual: Floats, component: Indices, freedom: float) -> bool:
+    """Return whether residuals (m,) of a fit are not what the declared noise gives: their size, or their order."""
+    low, high = special.chdtri(freedom, [1.0 - ODD / 2.0, ODD / 2.0])
+    chi2, product = float(residual @ residual), 0.0
+    for number in np.unique(component):
+        mine = residual[component == number]
+        product += float(mine[1:] @ mine[:-1])
+    return not low <= chi2 <= high or abs(product) / max(chi2, 1e-300) * np.sqrt(residual.size) > ODD_ORDER
+
+
+def similarities(fit: WhitenedFit, rows: Indices) -> Iterator[tuple[str, Floats]]:
+    """Return the kernels K (n', n') of some rows by their names."""
+    for lag in LAGS:
+        yield "order", np.exp(-np.abs(rows[:, None] - rows) / lag)
+    run = fit.how.run[rows]
+    if np.unique(run).size > 1:
+        yield "mount", (run[:, None] == run).astype(float)
+    every = fit.how.table.q[fit.how.row]
+    z = ((every - every.mean(axis=0)) / np.maximum(every.std(axis=0), 1e-9))[rows] / np.sqrt(every.shape[1])
+    square = (z**2).sum(axis=1)
+    apart = np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0)
+    for distance in DISTANCES:
+        yield "pose", np.exp(-0.5 * apart / distance**2)
+
+
+def learned_noise(fit: WhitenedFit) -> Kernel:
+    """Return the noise with the greatest restricted likelihood, or the declared one."""
+    judged = judged_rows(fit.n)
+    some = np.isin(fit.row, judged)
+    sets = residual_sets(fit, some)
+    jac = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[some]
+    declared, _ = likelihood(jac, fit, DECLARED, known=True)
+    plain, scale = likelihood(jac, fit, Kernel("white"), known=False)
+    best = (plain - PRICES["white"], scale, "white", 0.0, -1)
+    for number, (name, whole) in enumerate(similarities(fit, judged)):
+        for share in SHARES:
+            try:
+                lower = [(at, covariance_root(whole[np.ix_(rows, rows)], share)) for at, rows in sets]
+            except np.linalg.LinAlgError:
+                continue
+            value, scale = likelihood(jac, fit, Kernel(name, lower=tuple(lower)), known=False)
+            best = max(best, (value - PRICES[name], scale, name, share, number))
+    value, scale, name, share, number = best
+    if value <= declared:
+        return DECLARED
+    if name == "white":
+        return Kernel(name, scale, gain=value - declared)
+    whole = [kernel for _, kernel in similarities(fit, np.arange(fit.n))][number]
+    sets = residual_sets(fit, np.ones(fit.row.size, dtype=bool))
+    lower = [(at, scale * covariance_root(whole[np.ix_(rows, rows)], share)) for at, rows in sets]
+    return Kernel(name, scale, share, value - declared, tuple(lower))
+
+
+def judged_rows(n: int) -> Indices:
+    """Return all rows, or of many, contiguous stretches."""
+    if n <= MOST_JUDGED:
+        return np.arange(n)
+    starts = np.linspace(0, n - STRETCH, MOST_JUDGED // STRETCH).astype(np.intp)
+    return np.unique(starts[:, None] + np.arange(STRETCH))
+
+
+def residual_sets(fit: WhitenedFit, some: Mask) -> list[tuple[Indices, Indices]]:
+    """Return, for each set of components of the same rows: residuals (c, n') among ``some`` (m,), and their rows (n',).
+
+    The rows are counted among those that have any of these residuals.
+    """
+    row, component = np.unique(fit.row[some], return_inverse=True)[1], fit.component[some]
+    sets: dict[bytes, list[Indices]] = {}
+    for number in np.unique(component):
+        at = np.flatnonzero(component == number)
+        sets.setdefault(row[at].tobytes(), []).append(at)
+    return [(np.array(of), row[of[0]]) for of in sets.values()]
+
+
+def covariance_root(similar: Floats, share: float) -> Floats:
+    """Return L with L Lᵀ = (1 − share) I + share K."""
+    return np.asarray(np.linalg.cholesky(share * similar + (1.0 - share + 1e-9) * np.eye(len(similar))))
+
+
+def likelihood(columns: Floats, fit: WhitenedFit, kernel: Kernel, known: bool) -> tuple[float, float]:
+    """Return the restricted log-likelihood of residuals, the last of the ``columns`` (m, k + 1), and the scale of noise.
+
+    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless it is ``known`` to be 1.
+    """
+    white = kernel.whiten(columns)
+    k, m = white.shape[1] - 1, len(white)
+    length = np.maximum(np.linalg.norm(columns[:, :k], axis=0), 1e-300)
+    jac = np.concatenate([white[:, :k], fit.known_jac, fit.prior_jac, 1e-6 * np.diag(length)]) / length
+    residual = np.concatenate([white[:, -1], fit.known_residual, fit.prior_residual, np.zeros(k)])
+    q, r = np.linalg.qr(jac)
+    rest = residual - q @ (q.T @ residual)
+    chi2, freedom = float(rest @ rest), m - float((q[:m] ** 2).sum())
+    variance = 1.0 if known else max(chi2 / max(freedom, 1.0), 1e-12)
+    determinant = sum(2.0 * len(at) * float(np.log(np.diag(lower)).sum()) for at, lower in kernel.lower)
+    value = -0.5 * (freedom * np.log(variance) + chi2 / variance + determinant)
+    return value - float(np.log(np.abs(np.diag(r))).sum()), float(np.sqrt(variance))
