@@ -18,7 +18,7 @@ import numpy as np
 from truearm.errors import InputError, TableError
 from truearm.schema import NAME, quoted
 from truearm.text import counted
-from truearm.units import SMALLEST, SUFFIXES
+from truearm.units import SUFFIXES
 
 if TYPE_CHECKING:
     from truearm.files.observation_columns import Column
@@ -119,11 +119,14 @@ def numbers(
     column: Column | None,
     name: str,
     largest: float,
+    least: Floats | float = -math.inf,
     *,
-    positive: bool = False,
     required: bool = False,
 ) -> Floats:
-    """Return a column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty."""
+    """Return a column of numbers in SI units; NaN where the column or, unless ``required``, a cell is empty.
+
+    Magnitudes are at most ``largest``, and numbers at least ``least``, of each row (n,) or of all.
+    """
     if column is None:
         return np.full(len(rows), np.nan)
     scale = SUFFIXES[column.unit].scale
@@ -131,18 +134,16 @@ def numbers(
     plain = cells if _are_numbers(cells) else [cell if _is_number(cell) else "nan" for cell in cells]
     out = scale * np.array([*map(float, plain)])
     # Nearly all columns end here. The first wrong cell of the others is found one by one.
-    in_range = np.abs(out) <= largest
-    if positive:
-        in_range &= out >= SMALLEST
-    for i in np.flatnonzero(~in_range).tolist():
+    for i in np.flatnonzero(~((np.abs(out) <= largest) & (out >= least))).tolist():
         cell, where = cells[i], f"{name} row {rows[i].number} column {column.name}"
         value = math.nan if not cell and not required else scale * number(cell, where)
-        if positive and value <= 0.0:
-            raise TableError(f"{where}: {quoted(cell)} must be greater than 0")
         if abs(value) > largest:
             raise TableError(f"{where}: {quoted(cell)} is too large for {column.unit}; is the column in another unit?")
-        if positive and value < SMALLEST:
-            raise TableError(f"{where}: {quoted(cell)} is too small; is the column in another unit?")
+        if value < (lowest := np.broadcast_to(least, out.shape)[i]):
+            wrong = "must be 0 or more" if lowest == 0.0 else "must be greater than 0"
+            if value > 0.0:
+                wrong = "is too small; is the column in another unit?"
+            raise TableError(f"{where}: {quoted(cell)} {wrong}")
     return out
 
 

@@ -27,7 +27,7 @@ from truearm.kinds.table import ObservationTable
 from truearm.schema import quoted
 from truearm.text import with_article
 from truearm.types import Floats, Rig
-from truearm.units import SUFFIXES, UNITS, named, suffixes
+from truearm.units import SMALLEST, SUFFIXES, UNITS, named, suffixes
 
 MAX_BYTES = 16 * 2**20
 OTHERS = (".toml", ".json", ".urdf", ".xml", ".xacro", ".html")  # of rigs, robots, results, reports
@@ -61,10 +61,9 @@ def parse_table(text: str, name: str, joint_units: Sequence[str] | None = None) 
         raise TableError("no-rows", place=name)
     kind = _kinds(rows, columns["kind"], name)
     names = {column: identifiers(rows, columns.get(column), name) for column in registry.identifiers()}
-    measured = {quantity.field: _measured(rows, columns, quantity, name) for quantity in registry.quantities()}
+    measured = {quantity.field: _measured(rows, kind, columns, quantity, name) for quantity in registry.quantities()}
     sigma = _sigmas(rows, kind, columns, name)
     _check_kinds(rows, kind, names, measured, name)
-    _check_signs(rows, kind, columns, measured, name)
     q = np.stack([numbers(rows, joint, name, _largest(joint), required=True) for joint in joints], axis=1)
     rates = [numbers(rows, rate, name, _largest(rate)) for rate in rate_columns(columns, joints, name)]
     given: dict[str, Any] = {**names, **measured, "sigma": sigma}
@@ -86,9 +85,15 @@ def _kinds(rows: list[Row], column: Column, name: str) -> np.ndarray:
     return np.array([row.cells[column.position] for row in rows])
 
 
-def _measured(rows: list[Row], columns: Mapping[str, Column], quantity: Quantity, name: str) -> Floats:
+def _measured(
+    rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], quantity: Quantity, name: str
+) -> Floats:
     """Return one column of a quantity as (n,), or several as (n, c)."""
-    parts = [numbers(rows, columns.get(column), name, quantity.most) for column in quantity.columns]
+    least = np.full(len(rows), quantity.least)
+    for key, of in registry.kinds().items():  # a bar has a positive length; a distance from a plane has a sign
+        for own in (own for own in of.quantities if own.field == quantity.field and own.least != quantity.least):
+            least[kind == key] = own.least
+    parts = [numbers(rows, columns.get(column), name, quantity.most, least) for column in quantity.columns]
     return parts[0] if len(parts) == 1 else together(parts, rows, quantity.words, name)
 
 
@@ -97,7 +102,7 @@ def _sigmas(rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], na
     sigma = np.full(len(rows), np.nan)
     for unit in registry.units():
         column = columns.get(sigma_column(unit))
-        given = numbers(rows, column, name, LARGEST_NOISE, positive=True)
+        given = numbers(rows, column, name, LARGEST_NOISE, SMALLEST)
         mine = np.isin(kind, [key for key, of in registry.kinds().items() if of.components[0] == unit])
         wrong = np.flatnonzero(~mine & ~np.isnan(given))
         if wrong.size and column:
@@ -125,44 +130,22 @@ def _check_kinds(
     """Check that each row fills the cells its kind requires and leaves empty those that would contradict it."""
     titles = {column: with_article(column) for column in names} | {q.field: q.title for q in registry.quantities()}
     filled = {column: _filled(cells) for column, cells in {**names, **measured}.items()}
-    needs = {key: [_field(column) for column in of.needs] for key, of in registry.kinds().items()}
-    anywhere = {*registry.ANYWHERE, *map(_field, CIRCUMSTANCES)}
-    known = {key: {*map(_field, (*of.needs, *of.may)), *anywhere} for key, of in registry.kinds().items()}
-    leaves = {key: [column for column in filled if column not in known[key]] for key in known}
-    for i, row in enumerate(rows):
-        where = f"{name} row {row.number}"
-        for column in needs[kind[i]]:
-            if not filled[column][i]:
-                raise TableError(
-                    f"{where}: {with_article(kind[i])} row needs {titles[column]}, which is empty or missing"
-                )
-        for column in leaves[kind[i]]:
-            if filled[column][i]:
-                raise TableError(
-                    f"{where}: {with_article(kind[i])} row has no {column if column in names else titles[column]}; leave that cell empty"
-                )
+    wrong: list[tuple[int, str]] = []
+    for key, of in registry.kinds().items():
+        needs = {*map(_field, of.needs)}
+        leaves = filled.keys() - {*needs, *map(_field, of.may), *registry.ANYWHERE, *map(_field, CIRCUMSTANCES)}
+        for column in (column for column in filled if column in needs or column in leaves):
+            bad = np.flatnonzero((kind == key) & (filled[column] == (column in leaves)))
+            title = column if column in leaves and column in names else titles[column]
+            text = "needs {}, which is empty or missing" if column in needs else "has no {}; leave that cell empty"
+            wrong += [(int(row), f"{with_article(key)} row {text.format(title)}") for row in bad[:1]]
+    if wrong:
+        row, text = min(wrong, key=lambda entry: entry[0])
+        raise TableError(f"{name} row {rows[row].number}: {text}")
 
 
 def _field(column: str | Quantity) -> str:
     return column if isinstance(column, str) else column.field
-
-
-def _check_signs(
-    rows: list[Row], kind: np.ndarray, columns: Mapping[str, Column], measured: Mapping[str, Floats], name: str
-) -> None:
-    """Check signs: a bar has a positive length; the distance from a plane may be on either side of it."""
-    checks = [(quantity, kind == key) for key, of in registry.kinds().items() for quantity in of.quantities]
-    checks += [(quantity, np.ones(len(rows), dtype=bool)) for quantity in CIRCUMSTANCES]
-    for quantity, mine in checks:
-        values = measured[quantity.field].reshape(len(rows), -1)
-        bad = np.argwhere((values < quantity.least) & mine[:, None])
-        for i, k in bad[:1].tolist():
-            column = columns[quantity.columns[k]]
-            cell = quoted(rows[i].cells[column.position])
-            wrong = "must be 0 or more" if quantity.unsigned else "must be greater than 0"
-            if values[i, k] > 0.0:
-                wrong = "is too small; is the column in another unit?"
-            raise TableError(f"{name} row {rows[i].number} column {column.name}: {cell} {wrong}")
 
 
 def concatenate(tables: Sequence[ObservationTable]) -> ObservationTable:
