@@ -141,7 +141,7 @@ def test_an_exported_robot_says_what_it_costs(result):
     gains = {name for name, one in result.parameters.items() if name.endswith(".gain") and one.value != one.nominal}
     assert set(lossy.missing) == gains
     assert not lossy.exact
-    assert f"{1e3 * lossy.rms:.3f} mm RMS ({1e3 * lossy.largest:.3f} at most)" in str(lossy)
+    assert f"{1e3 * lossy.rms:.3f} mm RMS ({1e3 * lossy.largest:.3f} mm at most)" in str(lossy)
 
 
 @pytest.mark.parametrize(

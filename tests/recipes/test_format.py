@@ -89,7 +89,7 @@ def test_it_holds_a_robot_without_gains(copy, said):
 def test_what_gains_cost_is_said_and_true(copy, said):
     assert [each.code for each in said[3:5]] == [0, 0], said[4].err
     assert "The format screws has no place for joint1.gain" in said[4].out
-    rms, largest = map(float, re.findall(r"([\d.]+)(?: mm RMS| at most)", said[4].out.partition("compensate: ")[2]))
+    rms, largest = map(float, re.findall(r"([\d.]+)\smm\s(?:RMS|at\smost)", said[4].out))
     wrong = position_errors(copy, "puma560")
     assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), abs=6e-4)
     assert largest == pytest.approx(wrong.max(), abs=6e-4)

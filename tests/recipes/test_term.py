@@ -168,7 +168,7 @@ def test_a_format_refuses_or_says_what_its_file_costs(copy, said, name):
     rng = np.random.default_rng(3)
     q = rng.uniform(-2.0, 2.0, (N, 6))
     wrong = 1e3 * np.linalg.norm(forward(chain, chain.params_nominal, q)[:, :3, 3] - true_end(q)[:, :3, 3], axis=1)
-    rms, largest = map(float, re.findall(r"([\d.]+)(?: mm RMS| at most)", out.partition("compensate: ")[2]))
+    rms, largest = map(float, re.findall(r"([\d.]+)\smm\s(?:RMS|at\smost)", out))
     assert rms == pytest.approx(np.sqrt(np.mean(wrong**2)), abs=6e-4)
     assert largest == pytest.approx(wrong.max(), abs=6e-4)
     assert rms > 0.01
