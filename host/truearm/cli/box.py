@@ -32,32 +32,27 @@ app = command_group(
 @command()
 def list_boxes(
     *,
-    box: list[str] | None = None,
     all: bool = False,
     json: bool = False,
 ) -> None:
     """List the boxes that are plugged in.
 
     truearm asks every serial port with the USB identity of a Pico. A box that is being recorded is listed as in use. Boot drives
-    are listed too. Other serial devices are asked only with --all or --box, because the question may disturb them.
+    are listed too. Other serial devices are asked only with --all, because the question may disturb them.
 
     Example: truearm box list
 
     Options
     -------
-    box : DEVICE
-        Ask this port too, such as socket://127.0.0.1:7007; repeatable.
     all
         Ask every serial port, not only those of a Pico.
     """
     from truearm.box.boot_drive import find_drives
     from truearm.box.description import port_lines
     from truearm.box.uf2 import CHIPS
-    from truearm.record.ports import UsbPort, usb_ports
+    from truearm.record.ports import usb_ports
 
     ports = [port for port in usb_ports() if port.candidate or all]
-    known = {port.device for port in ports}
-    ports += [UsbPort(name, "", "", "", True) for name in dict.fromkeys(box or []) if name not in known]
     rows = [_asked(port) for port in ports]
     drives = [str(drive) for chip in CHIPS.values() for drive in find_drives(chip.board)]
     print_result({"ports": rows, "boot_drives": drives}, port_lines(rows, drives), json)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from truearm.bounds import CELL
 from truearm.cli.command import command
-from truearm.cli.options import joints_of, numbers_of, payload_of
+from truearm.cli.options import joints_of, numbers_of, payload_of, spans_of
 from truearm.cli.output import print_json
 from truearm.errors import InputError
 from truearm.units import MM
@@ -104,14 +104,8 @@ def _joints_of(text: str) -> tuple[int, int]:
 
 def _span_of(text: str) -> tuple[float, float, float, float]:
     """u0, u1, v0, v1 [m]"""
-    number = r"(-?[0-9]{1,6}(?:\.[0-9]{1,6})?)"
-    match = re.fullmatch(f"{number}:{number},{number}:{number}", text)
-    u0, u1, v0, v1 = (MM.to_si(float(part)) for part in match.groups()) if match else (0.0,) * 4
-    if u0 >= u1 or v0 >= v1:
-        raise InputError(
-            f"--within {text[:40]}: needs LOW:HIGH,LOW:HIGH in mm along the section's axes, such as 300:900,0:800"
-        )
-    return u0, u1, v0, v1
+    lower, upper = spans_of("--within", text, MM, 2)
+    return lower[0], upper[0], lower[1], upper[1]
 
 
 def _size_of(text: str) -> tuple[float, float]:

@@ -193,19 +193,21 @@ def payload_of(text: str | None) -> Payload:
     return Payload(mass, (x, y, z))
 
 
-def spans_of(option: str, text: str, scale: Scale) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit. Raises InputError."""
+def spans_of(
+    option: str, text: str, scale: Scale, count: int | None = None
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the lower and upper ends in SI of an option "LOW:HIGH,LOW:HIGH,…" in a unit, as many as ``count`` says if it
+    does. Raises InputError.
+    """
     try:
         spans = [(float(low), float(high)) for low, high in (part.split(":") for part in text.split(","))]
     except ValueError:
         spans = []
-    if not spans or not all(low < high and math.isfinite(high - low) for low, high in spans):
-        raise InputError(
-            "wrong-form",
-            place=option,
-            value=text[:60],
-            form=f"LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas",
-        )
+    rising = all(low < high and math.isfinite(high - low) for low, high in spans)
+    if len(spans) != (count or len(spans) or 1) or not rising:
+        times = f"{count} times " if count else ""
+        form = f"{times}LOW:HIGH in {scale.suffix}, LOW below HIGH, separated by commas"
+        raise InputError("wrong-form", place=option, value=text[:60], form=form)
     return tuple(scale.to_si(low) for low, _ in spans), tuple(scale.to_si(high) for _, high in spans)
 
 

@@ -24,7 +24,6 @@ from truearm.cli.command import command, fill
 from truearm.cli.options import branch_given, spans_of
 from truearm.cli.output import command_group, print_result
 from truearm.cli.project import ProjectCommand, typed
-from truearm.errors import InputError
 from truearm.plan.criteria import Criterion
 from truearm.units import MM, MM_S
 
@@ -47,11 +46,7 @@ def _region_of(text: str | None) -> Region | None:
 
     if text is None:
         return None
-    lower, upper = spans_of("--region", text, MM)
-    if len(lower) != 3:
-        raise InputError(
-            "wrong-form", place="--region", value=text[:60], form="LOW:HIGH in mm for x, y and z, separated by commas"
-        )
+    lower, upper = spans_of("--region", text, MM, 3)
     return Region(np.array(lower), np.array(upper))
 
 
