@@ -18,6 +18,7 @@ class LastCalls:
     """The calls of the functions ``names`` that may be the last before any call, if they are not more than ``most``.
 
     ``acting``: these functions and those of the script that lead to them. ``in_thread``: whether a thread does.
+    ``ends``: of each entry, where looking back from it ends, one more than ``most`` if there are more.
     """
 
     script: Script
@@ -32,22 +33,29 @@ class LastCalls:
         self.acting = closure(self.names, callers.__getitem__)
         routines = (routine for name in self.acting for routine in self.script.routines.get(name, ()))
         self.in_thread = any(routine.kind != "def" for routine in routines)
-        self.ends: dict[frozenset[Entry | None], frozenset[Entry | None]] = {}
         self.last: dict[Entry, frozenset[Entry | None]] = preceding(
             self.script.steps,
             lambda entry: entry.name in self.acting if isinstance(entry, Call) else not entry.is_end,
             self.most,
         )
+        entries = closure({entry for before in self.last.values() for entry in before}, self._earlier)
+        later: dict[Entry | None, list[Entry | None]] = defaultdict(list)
+        for entry in entries:
+            for earlier in self._earlier(entry):
+                later[earlier].append(entry)
+        self.ends: dict[Entry | None, set[Entry | None]] = defaultdict(set)
+        for end in entries:
+            waiting = [] if self._places(end) else [end]
+            while waiting:
+                ends = self.ends[entry := waiting.pop()]
+                if end not in ends and len(ends) <= self.most:
+                    ends.add(end)
+                    waiting += later[entry]
 
     def before(self, call: Call) -> frozenset[Entry | None]:
         """Return the calls that may be the last; the beginning of a file or function if none was; None: unknown."""
-        entries = self.last[call]
-        if entries not in self.ends:
-            reached = closure(entries, self._earlier)
-            ends = frozenset(entry for entry in reached if not self._places(entry))
-            is_certain = 0 < len(ends) <= self.most and not self.in_thread
-            self.ends[entries] = ends if is_certain else frozenset({None})
-        return self.ends[entries]
+        ends = frozenset[Entry | None]().union(*(self.ends[entry] for entry in self.last[call]))
+        return ends if 0 < len(ends) <= self.most and not self.in_thread else frozenset([None])
 
     def _earlier(self, entry: Entry | None) -> Iterable[Entry | None]:
         return {earlier for place in self._places(entry) for earlier in self.last.get(place, (None,))}
