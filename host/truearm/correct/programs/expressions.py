@@ -1,18 +1,25 @@
-"""Sums and products of constants."""
+"""Numbers, and sums and products of constants."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 from truearm.correct.programs.reading import Uncertain
-from truearm.correct.programs.tokens import Tokens, separated
+from truearm.correct.programs.tokens import Tokens, is_bracketed, separated
+
+T = TypeVar("T")
 
 
-def sum_or_product(tokens: Tokens, evaluate: Callable[[Tokens], object]) -> float | None:
-    """Return the value of a sum or product, None if tokens are neither. Raises Uncertain.
+def arithmetic(tokens: Tokens, evaluate: Callable[[Tokens], T]) -> T | float | None:
+    """Return the value of a number, a sum, a product or an expression in brackets, None of others. Raises Uncertain.
 
-    ``evaluate`` returns the value of an operand, which must be a number, or raises Uncertain.
+    ``evaluate`` returns the value of what is in brackets or of an operand, which must be a number, or raises Uncertain.
     """
+    if len(tokens) == 1 and tokens[0].kind == "number":
+        return float(tokens[0].text)
+    if is_bracketed(tokens, 0, "("):
+        return evaluate(tokens[1:-1])
     for signs in ("+-", "*/"):
         operands = list(separated(tokens, *signs))
         if len(operands) > 1:

@@ -130,7 +130,6 @@ class _Reader(Reading):
     parameters: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     routines: set[str] = field(default_factory=set)
     is_stationary: bool = False
-    literals: dict[Place, Literal] = field(default_factory=dict)
 
     def read(self) -> None:
         """Read the lines of all files, then their data, then the uses of these."""
@@ -261,24 +260,21 @@ class _Reader(Reading):
 
     def literal(self, tokens: Tokens, file: int) -> Literal:
         """Return the literal {X …, Y …, …} or {A1 …, …}. Raises Uncertain."""
-        place = Place(file, tokens[0].start)
-        if place not in self.literals:
-            components = _components(tokens)
-            names: tuple[str, ...] = AXES if "a1" in components else POSE
-            if any(name not in components for name in names):
-                raise Uncertain("partial")
-            for name in components:
-                if name[0] == "e" and name not in self.surroundings.unchanged and _number(components[name]):
-                    raise Uncertain("axis", name=name)
-            form = Form.DEGREES if names is AXES else Form.ANGLES
-            if names is POSE and "t" in components:
-                names = (*POSE, "t")
-            numbers = tuple(_number(components[name]) for name in names)
-            spans = tuple((components[name][0].start, components[name][-1].end) for name in names)
-            literal = Literal(place, tokens[-1].end, form, numbers, spans)
-            check_reach(literal)
-            self.literals[place] = literal
-        return self.literals[place]
+        components = _components(tokens)
+        names: tuple[str, ...] = AXES if "a1" in components else POSE
+        if any(name not in components for name in names):
+            raise Uncertain("partial")
+        for name in components:
+            if name[0] == "e" and name not in self.surroundings.unchanged and _number(components[name]):
+                raise Uncertain("axis", name=name)
+        form = Form.DEGREES if names is AXES else Form.ANGLES
+        if names is POSE and "t" in components:
+            names = (*POSE, "t")
+        numbers = tuple(_number(components[name]) for name in names)
+        spans = tuple((components[name][0].start, components[name][-1].end) for name in names)
+        literal = Literal(Place(file, tokens[0].start), tokens[-1].end, form, numbers, spans)
+        check_reach(literal)
+        return literal
 
     def frame(self, tokens: Tokens, subject: str, line: Line) -> Floats:
         """Return the pose (4, 4) of TOOL_DATA[n], BASE_DATA[n], $NULLFRAME, {X …} or a name. Raises Uncertain."""
@@ -427,7 +423,10 @@ def _goals(reader: _Reader, line: Line, active: _ActiveFrames) -> list[Goal]:
     end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(line.texts))
     arguments = list(separated(line.tokens[1:end], ","))[: 1 + ("circ" in line.word)]
     targets = [target for argument in arguments for target in reader.targets(argument, line)]
-    literals = [reader.literal(target, file) for target, file, _ in targets]
+    places = [Place(file, target[0].start) for target, file, _ in targets]
+    literals = [
+        reader.once(place, partial(reader.literal, *target[:2])) for place, target in zip(places, targets, strict=True)
+    ]
     tool = base = IDENTITY
     if not all(literal.form.is_joints for literal in literals):
         tool, base = active.tool_and_base(line)

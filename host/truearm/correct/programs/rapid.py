@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.correct.programs.data import Change, Datum, Form, Literal, Place
-from truearm.correct.programs.expressions import sum_or_product
+from truearm.correct.programs.expressions import arithmetic
 from truearm.correct.programs.poses import check_reach, matrix_of_quaternion
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Step, Surroundings, Target
 from truearm.correct.programs.rapid_names import Scope, Statement, Task, arguments_of, find, read_names
@@ -66,19 +66,15 @@ def value_of(task: Task, tokens: Tokens, scope: Scope) -> Value:
         raise Uncertain("arguments")
     first = tokens[0]
     is_single = len(tokens) == 1
-    if is_single and first.kind == "number":
-        return float(first.text)
     if is_single and first.kind == "row":
         return tuple(float(match[0]) for match in NUMBER.finditer(first.text))
     if is_single and (first.kind == "text" or first.text in ("true", "false")):
         return first.text if first.kind == "text" else first.text == "true"
     if is_bracketed(tokens, 0, "["):
         return tuple(value_of(task, item, scope) for item in separated(tokens[1:-1], ","))
-    if is_bracketed(tokens, 0, "("):
-        return value_of(task, tokens[1:-1], scope)
-    total = sum_or_product(tokens, lambda operand: value_of(task, operand, scope))
-    if total is not None:
-        return total
+    value = arithmetic(tokens, lambda operand: value_of(task, operand, scope))
+    if value is not None:
+        return value
     datum, element = _datum_of(task, tokens, scope)
     value, *others = task.once(
         datum, lambda: set(task.all_values(datum.values, lambda tokens, scope: [value_of(task, tokens, scope)]))

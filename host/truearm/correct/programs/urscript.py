@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
-from truearm.correct.programs.expressions import sum_or_product
+from truearm.correct.programs.expressions import arithmetic
 from truearm.correct.programs.order import closure
 from truearm.correct.programs.poses import check_reach
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
@@ -63,7 +63,6 @@ class _Reader:
 
     script: Script
     tools: LastCalls
-    literals: dict[Place, Literal] = field(default_factory=dict)
 
     def through(self, datum: Datum, evaluate: Callable[[Tokens, Any], list[T]], kind: str) -> list[T]:
         """Return all that a name may stand for, as something of a kind."""
@@ -72,13 +71,9 @@ class _Reader:
 
     def number(self, tokens: Tokens, statement: Statement) -> float:
         """Return the value of a constant expression. Raises Uncertain."""
-        if len(tokens) == 1 and tokens[0].kind == "number":
-            return float(tokens[0].text)
-        if is_bracketed(tokens, 0, "("):
-            return self.number(tokens[1:-1], statement)
-        total = sum_or_product(tokens, lambda operand: self.number(operand, statement))
-        if total is not None:
-            return total
+        value = arithmetic(tokens, lambda operand: self.number(operand, statement))
+        if value is not None:
+            return value
         call = self.script.call(tokens, statement)
         if call is not None and call.name == "d2r":
             return float(DEG.to_si(self.number(call.argument(0, "d"), statement)))
@@ -93,18 +88,20 @@ class _Reader:
     def six(self, tokens: Tokens, statement: Statement, form: Form) -> list[Value]:
         """Return six numbers in square brackets; computed ones have no bytes in the text."""
         place = statement.place(tokens[0])
-        if place not in self.literals:
-            row = tokens[-1]
-            matches = list(NUMBER.finditer(row.text)) if row.kind == "row" else []
-            spans = tuple((row.start + match.start(), row.start + match.end()) for match in matches)
-            items = separated(tokens[1 + (form is Form.VECTOR) : -1], ",")
-            numbers = tuple(float(match[0]) for match in matches) or tuple(self.number(i, statement) for i in items)
-            if len(numbers) != 6:
-                raise Uncertain("type", type="list of six numbers")
-            literal = Literal(place, tokens[-1].end, form, numbers, spans)
-            check_reach(literal)
-            self.literals[place] = literal
-        return [Value((Factor(literal=self.literals[place]),))]
+        return [Value((Factor(literal=self.script.once(place, lambda: self.literal(place, tokens, statement, form))),))]
+
+    def literal(self, place: Place, tokens: Tokens, statement: Statement, form: Form) -> Literal:
+        """Return ``six`` as a literal. Raises Uncertain."""
+        row = tokens[-1]
+        matches = list(NUMBER.finditer(row.text)) if row.kind == "row" else []
+        spans = tuple((row.start + match.start(), row.start + match.end()) for match in matches)
+        items = separated(tokens[1 + (form is Form.VECTOR) : -1], ",")
+        numbers = tuple(float(match[0]) for match in matches) or tuple(self.number(item, statement) for item in items)
+        if len(numbers) != 6:
+            raise Uncertain("type", type="list of six numbers")
+        literal = Literal(place, tokens[-1].end, form, numbers, spans)
+        check_reach(literal)
+        return literal
 
     def values(self, tokens: Tokens, statement: Statement, index: str = "") -> list[Value]:
         """Return what an argument may be, or an element of it. Raises Uncertain.
