@@ -89,7 +89,7 @@ def test_what_is_no_configuration_is_refused_and_changes_nothing(box):
     with pytest.raises(RefusedError, match="osr is not one of") as info:
         box.put_config({**config, "osr": 1000})
     assert info.value.code == wire.ERROR_RANGE
-    with pytest.raises(ProtocolError, match="pages; a box accepts 16"):
+    with pytest.raises(ProtocolError, match="box accepts 16"):
         box.put_config({**config, "note": "x" * 4000})
     assert box.config() == config
 

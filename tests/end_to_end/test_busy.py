@@ -155,6 +155,6 @@ def test_a_view_that_fails(device, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("truearm.live.state.LiveState.line", fail)
     out = tmp_path / "s.mcap"
     assert main(["record", "--box", device, "--duration-s", "3", "--out", str(out)]) == 0
-    assert "the live view failed (ZeroDivisionError: a bug); the recording was not affected" in capsys.readouterr().err
+    assert "live view failed (ZeroDivisionError:" in capsys.readouterr().err
     assert truearm("inspect", out).returncode == 0
     assert not any(thread.name == "view" for thread in threading.enumerate())

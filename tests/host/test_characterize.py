@@ -336,7 +336,7 @@ def test_the_parts_of_a_session_are_one(tmp_path, run):
     other = replace(standard_rig(), seat_sigma=1e-3)
     write(tmp_path / "s.3.mcap", said_first, other, of="s.mcap")
     code, _, err = run("characterize", first, "--model", "puma560")
-    assert (code, "recorded with another rig" in err) == (2, True)
+    assert (code, "another rig" in err) == (2, True)
     code, text, _ = run("characterize", first, "--model", "puma560", "--rig", rig_file(tmp_path), "--json")
     assert (code, json.loads(text)["parts"], json.loads(text)["visits"]) == (0, 3, both["visits"])
 
@@ -378,4 +378,4 @@ def test_nobodys_file_is_written_over(tmp_path, run):
     code, _, err = run("characterize", path, "--model", "puma560", "--out", out)
     assert (code, out.read_text(), err.count("\n")) == (2, "mine", 1)
     code, _, err = run("characterize", path, "--model", "puma560")
-    assert (code, "recorded without a rig" in err) == (2, True)
+    assert (code, "recorded without" in err) == (2, True)

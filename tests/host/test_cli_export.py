@@ -136,7 +136,7 @@ def test_ill_conditioned_tables_are_refused(result, tmp_path, run):
     for form in ("dh", "mdh"):
         code, _, err = run("export", result, "--format", form, "--out", tmp_path / "t.toml")
         assert code == 2
-        assert "from parallel: the offset d between them would be" in err
+        assert "from parallel:" in err
         assert err.count("\n") == 1
         assert not (tmp_path / "t.toml").exists()
 
@@ -183,7 +183,7 @@ def test_bad_requests_are_one_line(result, tmp_path, run):
         ),
         (
             ("export", tmp_path / "short.csv", "--format", "urdf", "--out", tmp_path / "o.urdf"),
-            "is a table of observations, where a result",
+            "observations, where",
         ),
     ]
     for arguments, says in cases:

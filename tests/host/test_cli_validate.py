@@ -259,7 +259,7 @@ def test_bad_input_is_one_line(folder, tmp_path, run):
         ((tmp_path / "one.csv", tmp_path / "one.csv"), "used-twice"),
         (
             (folder / "result.json",),
-            "is a result, where a session (.mcap) or a table of observations (.csv) is expected",
+            "session (.mcap) or",
         ),
     ]
     for inputs, says in cases:

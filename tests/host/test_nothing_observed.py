@@ -94,9 +94,7 @@ def test_the_session_of_another_robot(tmp_path, plan, capsys):
     path = tmp_path / "s.mcap"
     recorded(path, plan, right(plan))
     assert main(["identify", str(path), "--model", "irb120", "--out", str(tmp_path / "r.json")]) == 2
-    assert (
-        "(40 doubtful); check that robot and rig are those that were measured; if so, decide" in capsys.readouterr().err
-    )
+    assert "(40 doubtful)" in capsys.readouterr().err
 
 
 def test_nothing_at_all():

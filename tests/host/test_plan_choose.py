@@ -103,7 +103,7 @@ def test_what_cannot_be_chosen_is_said():
     rows, _ = problem()
     for arguments, message in (
         ((3, "X"), "criterion 'X'"),
-        ((3, "I"), "needs the argument region"),
+        ((3, "I"), "argument region"),
         ((13, "D"), "only 12 candidates to choose 13 from"),
         ((0, "D"), "to choose 0 from"),
     ):

@@ -240,7 +240,7 @@ def test_a_budget_in_minutes_is_kept(known):
     # three minutes each to place the device; a quarter of a minute to drive there and back
     assert len(found.devices) == 3
     assert found.minutes <= 10.0
-    with pytest.raises(PlanError, match="min is too small"):
+    with pytest.raises(PlanError, match="too small"):
         plan_lines(site, known, wanted._replace(minutes=3.0), PACE, target="ball")
     for budget in ({"n_lines": None, "minutes": None}, {"n_lines": 3, "minutes": 9.0}):
         with pytest.raises(PlanError, match="budget"):

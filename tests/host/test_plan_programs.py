@@ -154,7 +154,7 @@ def test_what_is_no_program_is_said():
     with pytest.raises(PlanError, match=r"programs cannot be written as '\.txt'"):
         program(STOPS, ".txt", Task("x"))
     five = [stop._replace(q=stop.q[:5]) for stop in STOPS]
-    with pytest.raises(PlanError, match="six joints, the robot has 5"):
+    with pytest.raises(PlanError, match="six joints"):
         program(five, ".script", Task("x"))
     assert program(five, ".csv", Task("x"))
 

@@ -56,7 +56,7 @@ class TestProtocol:
     def test_a_refused_command(self, lab, path):
         box = Box(lab)
         box.refuse = {49: (3, "out of range")}
-        with pytest.raises(ProtocolError, match=r"refuses 'configure 0 128': out of range"):
+        with pytest.raises(ProtocolError, match="refuses 'configure 0 128': out"):
             run(lab, box, path, options=RecordOptions(osr=128))
 
     def test_ids_differ_from_those_of_an_earlier_session(self, tmp_path):

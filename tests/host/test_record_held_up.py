@@ -52,9 +52,9 @@ def test_a_stream_that_was_held_up_is_complete_if_nothing_is_missing(tmp_path, l
         command = [sys.executable, "-c", SMALL_QUEUE, "record", *map(str, options)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == code, done.stderr
-    assert "the robot sends more than can be stored; its readings come late" in done.stderr
+    assert "robot sends more than can be stored" in done.stderr
     if lost:
-        assert "the robot sent more than could be stored: 7 readings are missing" in done.stderr.splitlines()[-1]
+        assert "robot sent more than could be stored: 7 readings" in done.stderr.splitlines()[-1]
     else:
         assert "late; none is missing" in done.stdout
     stored = [json.loads(m.data)["seq"] for m in topics(out)["/robot/joints"]]

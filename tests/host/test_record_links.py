@@ -170,12 +170,12 @@ class TestTerminal:
         os.close(box)
 
     def test_not_there(self, tmp_path):
-        with pytest.raises(LinkError, match="not found; plug the box in"):
+        with pytest.raises(LinkError, match="box in"):
             SerialLink(str(tmp_path / "ttyACM9"), HostClock())
 
     def test_no_serial_port(self, tmp_path):
         (tmp_path / "file").write_text("x")
-        with pytest.raises(LinkError, match="not a serial port"):
+        with pytest.raises(LinkError, match="serial port"):
             SerialLink(str(tmp_path / "file"), HostClock())
 
 

@@ -138,7 +138,7 @@ class TestEarlier:
     def test_a_plan_that_is_none(self, tmp_path, capsys):
         path = session(tmp_path / "s.mcap", rows=[{"q": "x"}])
         assert main(["record", "--box", "/dev/none", "--resume", str(path)]) == 2
-        assert "its plan is damaged" in capsys.readouterr().err
+        assert "its plan" in capsys.readouterr().err
 
 
 class TestParts:

@@ -244,7 +244,7 @@ class TestWhichBox:
     def test_none(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/ttyS0", None, None, None)])
         assert main(["record", "--out", str(tmp_path / "s.mcap")]) == 1
-        assert "no box is plugged in: no serial port has a Pico's USB identity. Plug it in" in capsys.readouterr().err
+        assert "Pico's USB identity. Plug it in" in capsys.readouterr().err
 
     def test_the_only_one(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr("truearm.record.ports.list_ports.comports", lambda: [port("/dev/none")])
@@ -260,7 +260,7 @@ class TestChecked:
         with box_on_a_socket() as (box, device):
             assert main(["record", "--box", device, "--mounted", "bar=b46", "--out", str(out)]) == 2
         complaint = capsys.readouterr().err
-        assert "truearm: the box has no channel lvdt (it has c0, c1, c2, c3)" in complaint
+        assert "c0, c1, c2, c3)" in complaint
         assert not out.exists()
         assert 50 not in [command[0] for command in box.commands]
 
@@ -269,5 +269,5 @@ class TestChecked:
         with box_on_a_socket() as (_, device):
             options = ["--mounted", "bar=b46", "--unchecked", "--duration-s", "0.3"]
             assert main(["record", "--box", device, *options, "--out", str(out)]) == 0
-        assert "warning: the box has no channel lvdt" in capsys.readouterr().err
+        assert "no channel lvdt" in capsys.readouterr().err
         assert json.loads(open_session(out).metadata["box"]["ident"])

@@ -252,7 +252,7 @@ class TestOneMissedEnter:
                 ["session", "export", str(path), "--out", str(path.parent / "tables"), "--allow-damaged"],
             ):
                 assert main(arguments) == 2
-                assert "is still being written" in capsys.readouterr().err
+                assert "still being written" in capsys.readouterr().err
         assert main(["session", "relabel", str(path), "--trust", "plan"]) == 2
         assert "truearm session recover" in capsys.readouterr().err
         assert os.listdir(path.parent) == ["s.mcap"]

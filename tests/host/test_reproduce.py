@@ -180,7 +180,7 @@ def test_quick_is_repeatable(made, tmp_path):
 def test_bad_input(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert main(["reproduce", "goswami", "--out", str(tmp_path / "file")]) == 2
-    assert "cannot be used as a folder" in capsys.readouterr().err
+    assert "cannot be used as" in capsys.readouterr().err
     assert main(["reproduce", "newton"]) == 2
 
 

@@ -97,7 +97,7 @@ def test_memory_is_that_of_a_chunk(tmp_path, storage):
 WRONG = {
     "no joints": (
         [],
-        "name the joints in order from the base, with joints or model; the bag has elbow,lift,pan",
+        "joints in order from",
     ),
     "an unknown joint": (["pan", "lid"], "has no joint 'lid'; it has elbow,lift"),
 }
@@ -114,7 +114,7 @@ def test_joints_that_are_not_there(tmp_path, storage, joints, says):
 @storages
 def test_a_topic_that_is_not_there(tmp_path, storage):
     bag = write_bag(tmp_path / "bag", storage, states(2), topic="/other")
-    with pytest.raises(InputError, match="no messages on /joint_states; name the topic"):
+    with pytest.raises(InputError, match="no messages on /joint_states"):
         read(bag)
 
 
@@ -195,10 +195,10 @@ def test_a_message_of_a_gigabyte_is_not_read(tmp_path):
 
 def test_what_is_no_bag(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"there is no \.mcap and no \.db3"):
+    with pytest.raises(InputError, match=r"no \.mcap and no \.db3"):
         read(tmp_path / "empty")
     bag = write_bag(tmp_path / "packed", "sqlite3", states(3), "FILE")
-    with pytest.raises(InputError, match="unpack them with zstd -d"):
+    with pytest.raises(InputError, match="unpack them"):
         read(bag)
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "nothing.db3")

@@ -119,9 +119,9 @@ def test_nothing_was_said_so_nothing_is_a_pass(clean):
 
 
 def test_a_line_that_the_rig_has_not(clean):
-    with pytest.raises(RigError, match="names line 'l1', which the rig does not have \\(it has other\\)"):
+    with pytest.raises(RigError, match="names line 'l1', which"):
         synced(clean.messages, replace(RIG, lines={"other": Device("other", tuple(map(tuple, 1e-8 * np.eye(3))))}))
-    with pytest.raises(RigError, match="names target 'magnet', which the rig does not have"):
+    with pytest.raises(RigError, match="names target 'magnet', which"):
         synced(clean.messages, Rig())
 
 

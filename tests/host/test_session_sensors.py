@@ -193,7 +193,7 @@ class TestIdent:
         document = {**ident_document(), **change}
         with pytest.raises(ProtocolError, match=says):
             decode_ident(cbor2.dumps(document))
-        with pytest.raises(SessionError, match="in the session's metadata"):
+        with pytest.raises(SessionError, match="session's metadata"):
             parse_ident_json(json.dumps({**document, "uid": "0102"}))
 
     @given(st.binary(max_size=60) | st.just(b"\x81" * 6000))

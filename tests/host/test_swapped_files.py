@@ -19,19 +19,19 @@ FILES = {
 @pytest.mark.parametrize(
     ("typed", "file", "kind", "expected"),
     [
-        ("report rig.toml poses.csv --out r.html", "rig.toml", "a rig", "a result (result.json)"),
+        ("report rig.toml poses.csv --out r.html", "rig.toml", "a rig", "result (result.json)"),
         ("validate poses.csv result.json", "poses.csv", "a table of observations", "a result"),
         ("identify rig.toml --model ur5e", "rig.toml", "a rig", "give it as --rig"),
-        ("identify poses.csv --model rig.toml", "rig.toml", "a rig", "a robot (.toml or .urdf)"),
-        ("identify poses.csv --model ur5e --rig day=plan.csv", "plan.csv", "a plan", "a rig (rig.toml)"),
-        ("inspect arm.urdf", "arm.urdf", "a robot", "a session (.mcap)"),
-        ("simulate --plan report.html", "report.html", "a page", "a plan (plan.csv)"),
+        ("identify poses.csv --model rig.toml", "rig.toml", "a rig", "robot (.toml or .urdf)"),
+        ("identify poses.csv --model ur5e --rig day=plan.csv", "plan.csv", "a plan", "rig (rig.toml)"),
+        ("inspect arm.urdf", "arm.urdf", "a robot", "session (.mcap)"),
+        ("simulate --plan report.html", "report.html", "a page", "plan (plan.csv)"),
         ("plan ballbar --model ur5e --minutes 9 --rig truearm.toml", "truearm.toml", "a project's file", "a rig"),
         (
             "correct result.json result.json --out o.csv",
             "result.json",
             "a result",
-            "a table of targets (.csv) or a program",
+            "targets (.csv) or",
         ),
     ],
 )

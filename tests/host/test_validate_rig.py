@@ -59,9 +59,7 @@ def test_a_tracker_that_was_moved_shows_only_where_it_is_kept(result):
 
 def test_nothing_to_keep_is_an_error(result):
     rig = replace(RIG, trackers={"u": Device("u", SENSOR)}, targets={"ball": Point("ball", (0.0, 0.0, 0.1))})
-    with pytest.raises(
-        truearm.InputError, match=r"keep_rig: the result identified no unknown of this rig, such as tracker\.u"
-    ):
+    with pytest.raises(truearm.InputError, match="keep_rig:"):
         truearm.validate(result, session(np.random.default_rng(3), tracker="u"), rig, keep_rig=True)
 
 

@@ -184,12 +184,10 @@ def test_inverse_kinematics_reaches_what_it_says_and_refuses_the_rest():
 
 
 def test_what_cannot_be_planned_is_said():
-    with pytest.raises(PlanError, match="8 poses are too few for 9 pairings"):
+    with pytest.raises(PlanError, match="too few for 9 pairings"):
         shells.plan_shells(KNOWN, "bar46", 8)
     far = Rig(chucks={"far": Point("far", (3.0, 0.0, 0.0))}, spheres=RIG.spheres, bars=RIG.bars)
-    with pytest.raises(
-        PlanError, match=r"between chuck far and sphere s\d; give another length of the bar, move the chucks"
-    ):
+    with pytest.raises(PlanError, match=r"between chuck far and sphere s\d"):
         shells.plan_shells(replace(KNOWN, rig=far), "bar46", 9)
 
 
