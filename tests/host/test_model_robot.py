@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tests.refusals import refused
 
 from truearm.errors import RobotError
 from truearm.model.builtin import builtin_names, builtin_text, names_with_branch
@@ -125,7 +126,7 @@ def test_a_file_with_a_hole_is_one_clear_line(old, new, says):
 
 
 def test_unknown_robot_and_oversized_file():
-    with pytest.raises(RobotError, match="no built-in robot"):
+    with refused("unknown-choice", place="built-in robot"):
         builtin_robot("../x")
     with pytest.raises(RobotError, match="limit"):
         parse_robot("#" * 2_000_000)

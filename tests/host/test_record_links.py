@@ -170,7 +170,7 @@ class TestTerminal:
         os.close(box)
 
     def test_not_there(self, tmp_path):
-        with pytest.raises(LinkError, match="box in"):
+        with pytest.raises(LinkError, match="plug"):
             SerialLink(str(tmp_path / "ttyACM9"), HostClock())
 
     def test_no_serial_port(self, tmp_path):

@@ -278,7 +278,7 @@ def test_a_plan_that_leaves_the_chuck_open_gives_no_observation(clean):
 
 @pytest.mark.parametrize("key", ["bars", "chucks", "spheres"])
 def test_a_rig_that_lacks_what_the_plan_names(clean, key):
-    with pytest.raises(RigError, match="rig does"):
+    with pytest.raises(RigError, match="session names"):
         synced(clean[0], replace(RIG, **{key: {}}))
 
 
