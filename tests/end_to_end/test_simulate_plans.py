@@ -53,7 +53,7 @@ def test_lines_are_drawn_and_driven_there_and_back(folder):
     ("options", "says"),
     [
         (["--plan", "{}/lines.csv", "--lines", "2"], "give one"),
-        (["--rig", "{}/lines.toml"], "--rig needs the --plan"),
+        (["--rig", "{}/lines.toml"], "needs-option"),
         (["--plan", "{}/short.csv"], "has 1 joints, robot puma560 has 6; choose another robot with --model"),
         (["--plan", "{}/lines.csv"], "not-in-rig"),
         (["--plan", "{}/none.csv"], "missing-file"),
