@@ -399,7 +399,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "give the robot that was measured",
     ),
     "other-robot": (
-        "{place}: belongs to [robot {robot}||a robot with {difference}]",
+        "{place}: belongs to another robot[, {robot}][: {difference}]",
         "give the robot that it was identified with, its file as {@robot}",
     ),
     "unusable-result": (

@@ -397,7 +397,7 @@ WRONG = {
     "joints": (
         lambda f, r, t, g, c: truearm.identify(truearm.load_robot("panda"), t, g),
         InputError,
-        "table: has 6 joints, robot",
+        "table: has 6 joints",
     ),
     "hold-out": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out="shell=x"), InputError, "hold_out shell=x"),
     "hold-out's type": (lambda f, r, t, g, c: truearm.identify(r, t, g, hold_out=None), TypeError, "hold_out: must be"),
@@ -458,7 +458,7 @@ WRONG = {
         InputError,
         "max_iterations: must be a number from 1 to 10000, is 0",
     ),
-    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is not a session"),
+    "table as session": (lambda f, r, t, g, c: truearm.read_session(f / "poses.csv"), InputError, "is not an MCAP"),
     "poses' type": (lambda f, r, t, g, c: truearm.correct_poses(c, "home"), TypeError, "poses: must be"),
     "far pose": (
         lambda f, r, t, g, c: truearm.correct_poses(c, np.eye(4) + 9.0 * np.eye(4, k=3) * [0, 0, 0, 1]),
