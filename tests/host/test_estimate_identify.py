@@ -235,13 +235,8 @@ def seat_table(rng, n_each, places, noise):
             place_all += [place] * len(q)
             socket_all += [socket] * len(q)
     q = np.concatenate(q_all)
-    n = len(q)
-    empty, nan = np.full(n, ""), np.full(n, np.nan)
-    where = np.array([f"row {i + 1}" for i in range(n)])
-    return ObservationTable(
-        *(q, np.full(n, "seat"), nan, nan, empty, empty, np.full(n, "s0")),
-        *(np.array(socket_all), np.array(place_all), empty, where),
-    )
+    source = [f"row {i + 1}" for i in range(len(q))]
+    return ObservationTable(q=q, kind="seat", sphere="s0", socket=socket_all, place=place_all, source=source)
 
 
 def seated(point, n, rng, noise):
