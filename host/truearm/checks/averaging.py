@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, design, size_of, weigh
+from truearm.checks.evidence import SCALES, SHOWN, Design, Weighed, build_design, size_of, weigh
 from truearm.checks.noise import DECLARED
-from truearm.checks.search import Found, Search, columns_of
+from truearm.checks.search import Detection, Search, columns_of
 from truearm.types import Floats
 
 PRIOR = 0.03  # probability that a kind of fault is there, shared by the items that it can befall
@@ -42,7 +42,7 @@ class Claim:
     """The stated RMS error of the tool [m], in parts whose squares add up, for a fit without the findings.
 
     ``parameters``: by the noise of the rows. ``unnamed``: by faults that the rows neither show nor exclude.
-    ``rivals``: by not knowing which of the rivals it is. ``shift``: by not applying their mean. ``parts`` are the
+    ``rivals``: by not knowing which of the rivals it is. ``shift``: by not applying their mean. ``choices`` are the
     explanations of each finding, and ``step`` (k,) applies the mean of all of them.
     """
 
@@ -50,7 +50,7 @@ class Claim:
     unnamed: float
     rivals: float
     shift: float
-    parts: tuple[tuple[Part, ...], ...]
+    choices: tuple[tuple[Part, ...], ...]
     step: Floats
 
     @property
@@ -66,59 +66,65 @@ class Claim:
 
 def averaged(result: Search, gram: Floats) -> Claim:
     """Return the claim of a search; ``gram`` (k, k) [m²] is Γ."""
-    fit, kernel = result.design.fit, result.design.kernel
-    made = design(fit, DECLARED, columns_of((), fit), robot_prior=True)  # as the parameters were fitted
-    tool = made.root.T @ gram @ made.root
-    noise = kernel.spread(made.basis[: fit.residual.size]) * np.sqrt(result.design.variance)
-    knowledge = made.basis[fit.residual.size :]
+    fit, kernel = result.build_design.fit, result.build_design.kernel
+    fitted = build_design(fit, DECLARED, columns_of((), fit), robot_prior=True)  # as the parameters were fitted
+    tool = fitted.root.T @ gram @ fitted.root
+    noise = kernel.spread(fitted.basis[: fit.residual.size]) * np.sqrt(result.build_design.variance)
+    knowledge = fitted.basis[fit.residual.size :]
     parameters = float(np.trace(tool @ (noise.T @ noise + knowledge.T @ knowledge)))
     weights = posterior(result.table)
-    likely = [(one, float(weight)) for one, weight in zip(result.table, weights, strict=True) if weight > LEAST_WEIGHT]
+    likely = [
+        (weighed, float(weight)) for weighed, weight in zip(result.table, weights, strict=True) if weight > LEAST_WEIGHT
+    ]
     unnamed = 0.0
-    for one, weight in likely:
-        part = explanation(one, weight, result.design, made, tool)
+    for weighed, weight in likely:
+        part = explanation(weighed, weight, result.build_design, fitted, tool)
         unnamed += weight * (part.moves**2 + part.spread)
-    step, rivals, parts = np.zeros(fit.jac.shape[1]), 0.0, []
-    for of in result.found:
-        every = explanations(of, result, made, tool)
-        mean = np.sum([part.weight * part.step for part in every], axis=0)
-        apart = [float((part.step - mean) @ gram @ (part.step - mean)) for part in every]
-        rivals += sum(part.weight * (square + part.spread) for part, square in zip(every, apart, strict=True))
+    step, rivals, choices = np.zeros(fit.jac.shape[1]), 0.0, []
+    for detection in result.detections:
+        options = explanations(detection, result, fitted, tool)
+        mean = np.sum([part.weight * part.step for part in options], axis=0)
+        apart = [float((part.step - mean) @ gram @ (part.step - mean)) for part in options]
+        rivals += sum(part.weight * (square + part.spread) for part, square in zip(options, apart, strict=True))
         step += mean
-        parts.append(every)
+        choices.append(options)
     shift = math.sqrt(max(float(step @ gram @ step), 0.0))
-    return Claim(math.sqrt(parameters), math.sqrt(unnamed), math.sqrt(rivals), shift, tuple(parts), step)
+    return Claim(math.sqrt(parameters), math.sqrt(unnamed), math.sqrt(rivals), shift, tuple(choices), step)
 
 
 def posterior(table: Sequence[Weighed]) -> Floats:
     """Return the probability of each hypothesis beside "nothing", which shares of PRIOR for its kind give."""
-    share = Counter(one.hypothesis.kind for one in table)
-    log = np.array([one.log_evidence + np.log(PRIOR / share[one.hypothesis.kind]) for one in table])
+    share = Counter(weighed.hypothesis.kind for weighed in table)
+    log = np.array([weighed.log_evidence + np.log(PRIOR / share[weighed.hypothesis.kind]) for weighed in table])
     return np.asarray(np.exp(log - special.logsumexp(np.append(log, 0.0))))
 
 
-def explanation(one: Weighed, weight: float, of: Design, made: Design, tool: Floats) -> Part:
-    """Return what the best candidate does to the parameters; its size is that of the design ``of``."""
-    scale = float(SCALES[np.argmax(one.by_scale[:, one.best])])
-    size, covariance = size_of(one, of.variance, scale)
-    by = one.hypothesis.candidate(one.best, of.fit.row)
-    along = made.basis[: len(by)].T @ by
-    step = -along @ size
-    moves, spread = math.sqrt(float(step @ tool @ step)), float(np.trace(along.T @ tool @ along @ covariance))
-    return Part(one.name, weight, made.root @ step, moves, spread)
+def explanation(weighed: Weighed, weight: float, design: Design, fitted: Design, tool: Floats) -> Part:
+    """Return what the best candidate does to the parameters; its size is that of the ``design``."""
+    scale = float(SCALES[np.argmax(weighed.by_scale[:, weighed.best])])
+    size, covariance = size_of(weighed, design.variance, scale)
+    columns = weighed.hypothesis.candidate(weighed.best, design.fit.row)
+    loading = fitted.basis[: len(columns)].T @ columns
+    step = -loading @ size
+    moves, spread = math.sqrt(float(step @ tool @ step)), float(np.trace(loading.T @ tool @ loading @ covariance))
+    return Part(weighed.name, weight, fitted.root @ step, moves, spread)
 
 
-def explanations(of: Found, result: Search, made: Design, tool: Floats) -> tuple[Part, ...]:
+def explanations(detection: Detection, result: Search, fitted: Design, tool: Floats) -> tuple[Part, ...]:
     """Return the finding and its rivals by their probability, beside all other findings."""
-    fit = result.design.fit
-    others = columns_of([other for other in result.found if other is not of], fit)
-    now = design(fit, result.design.kernel, others)
-    every = [weigh(one.hypothesis, now) for one in (of.best, *of.rivals)]
-    log = np.array([one.log_evidence for one in every])
+    fit = result.build_design.fit
+    neighbours = columns_of([neighbour for neighbour in result.detections if neighbour is not detection], fit)
+    design = build_design(fit, result.build_design.kernel, neighbours)
+    options = [weigh(weighed.hypothesis, design) for weighed in (detection.best, *detection.rivals)]
+    log = np.array([weighed.log_evidence for weighed in options])
     weights = np.exp(log - special.logsumexp(log))
-    return tuple(explanation(one, float(w), now, made, tool) for one, w in zip(every, weights, strict=True))
+    return tuple(
+        explanation(weighed, float(w), design, fitted, tool) for weighed, w in zip(options, weights, strict=True)
+    )
 
 
 def unseen(table: Sequence[Weighed], variance: float) -> tuple[str, ...]:
     """Return the hypotheses whose typical size no row shows: in no candidate and no direction by SHOWN."""
-    return tuple(one.name for one in table if float(one.moments.values.max(initial=0.0)) / variance < SHOWN**2)
+    return tuple(
+        weighed.name for weighed in table if float(weighed.moments.values.max(initial=0.0)) / variance < SHOWN**2
+    )

@@ -47,7 +47,7 @@ class Hypothesis:
     """All candidates of one item and form.
 
     ``columns`` (m, d) are the whitened changes of the predictions by each number that is off by its typical size
-    ``sizes`` (d,) [SI ``units``]. ``beside`` (m, f) are columns that are fitted with it. ``kind`` says which hypotheses
+    ``sizes`` (d,) [SI ``units``]. ``nuisance`` (m, f) are columns that are fitted with it. ``kind`` says which hypotheses
     share one prior probability.
     """
 
@@ -58,7 +58,7 @@ class Hypothesis:
     sizes: Floats
     units: tuple[str, ...]
     candidates: Profiles | Spans
-    beside: Floats | None = None
+    nuisance: Floats | None = None
 
     @property
     def name(self) -> str:
@@ -82,7 +82,7 @@ class Catalogue:
 
     def __init__(self, fit: WhitenedFit) -> None:
         self.fit = fit
-        self.every: list[Hypothesis] = []
+        self.hypotheses: list[Hypothesis] = []
         self.always = Profiles(np.ones((1, fit.n)))
         self.drifts = Profiles(drift_profiles(fit))
         self.steps = Spans(steps_from(np.arange(LEAST_ROWS, fit.n - LEAST_ROWS + 1), fit.n))
@@ -96,22 +96,22 @@ class Catalogue:
         units: Sequence[str],
         candidates: Profiles | Spans,
         sizes: Floats | None = None,
-        beside: Floats | None = None,
+        nuisance: Floats | None = None,
     ) -> None:
         """Add a hypothesis; ``columns`` (m, d) are per SI unit, ``sizes`` (d,) typical ones if not those of the units."""
         if not (len(candidates[0]) and columns.any()):
             return
         size = np.array([TYPICAL[unit] for unit in units]) if sizes is None else sizes
         kind = f"{kind_of(item, self.fit)} {form}"
-        self.every.append(Hypothesis(kind, item, form, columns * size, size, tuple(units), candidates, beside))
+        self.hypotheses.append(Hypothesis(kind, item, form, columns * size, size, tuple(units), candidates, nuisance))
 
-    def used(self, columns: Floats) -> Indices:
+    def rows_used(self, columns: Floats) -> Indices:
         """Return the rows (u,) that some columns (m, d) touch."""
         return np.flatnonzero(np.bincount(self.fit.row[columns.any(axis=1)], minlength=self.fit.n))
 
     def steps_within(self, columns: Floats) -> Spans:
         """Return steps that begin in a row which the columns touch, with LEAST_ROWS of them on either side."""
-        return Spans(steps_from(self.used(columns)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit.n))
+        return Spans(steps_from(self.rows_used(columns)[LEAST_ROWS : 1 - LEAST_ROWS], self.fit.n))
 
 
 def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
@@ -126,16 +126,16 @@ def catalogue(fit: WhitenedFit) -> list[Hypothesis]:
     add_loose_flange(out)
     for fault in fit.kind_faults:
         out.add(fault.item, fault.form, fault.columns, [fault.unit] * fault.columns.shape[1], out.always)
-    return out.every
+    return out.hypotheses
 
 
 def add_item(out: Catalogue, cause: Cause) -> None:
     """Add an item of the rig, the base or the tool in the forms that its kind declares, and its drift."""
     fit, fault = out.fit, cause.fault
-    at = fit.errors.indices(cause.numbers)
-    columns, units = fit.off[:, at], [fit.errors.units[i] for i in at]
-    used = out.used(columns)
-    if fault.moved or used.size < 2 * LEAST_ROWS:  # joints have functions of their own
+    index = fit.errors.indices(cause.numbers)
+    columns, units = fit.fault_jac[:, index], [fit.errors.units[i] for i in index]
+    rows_used = out.rows_used(columns)
+    if fault.moved or rows_used.size < 2 * LEAST_ROWS:  # joints have functions of their own
         return
     if is_constant(cause, fit):
         out.add(cause.name, "offset", columns, units, out.always)
@@ -155,17 +155,17 @@ def add_groups(out: Catalogue) -> None:
     """Add "all chucks", "all spheres": several items of one type that are off from the start."""
     constant = [cause for cause in out.fit.causes if is_constant(cause, out.fit) and len(cause.numbers) > 1]
     types = dict.fromkeys(cause.name.rpartition(".")[0] for cause in constant)
-    for of in filter(None, types):
-        mine = [number for cause in constant if cause.name.rpartition(".")[0] == of for number in cause.numbers]
-        at = out.fit.errors.indices(mine)
-        columns = out.fit.off[:, at]
-        if len(mine) > len(constant[0].numbers) and columns.any():
-            out.add(f"{of}.all", "offset", columns, [out.fit.errors.units[i] for i in at], out.always)
+    for prefix in filter(None, types):
+        rows = [number for cause in constant if cause.name.rpartition(".")[0] == prefix for number in cause.numbers]
+        index = out.fit.errors.indices(rows)
+        columns = out.fit.fault_jac[:, index]
+        if len(rows) > len(constant[0].numbers) and columns.any():
+            out.add(f"{prefix}.all", "offset", columns, [out.fit.errors.units[i] for i in index], out.always)
 
 
 def add_tilt(out: Catalogue) -> None:
     """Add a base that tilts about its level axes: the usual one of its six motions, and so a hypothesis by itself."""
-    columns = out.fit.off[:, out.fit.errors.indices(["base.rx", "base.ry"])]
+    columns = out.fit.fault_jac[:, out.fit.errors.indices(["base.rx", "base.ry"])]
     out.add("base.tilt", "step", columns, ["rad"] * 2, out.steps)
     out.add("base.tilt", "drift", columns, ["rad"] * 2, out.drifts)
 
@@ -176,8 +176,8 @@ def add_joints(out: Catalogue) -> None:
     q = fit.how.table.q[fit.how.row]
     joints = [cause.name for cause in fit.causes if cause.fault.moved]
     for number, name in enumerate(joints):
-        at = fit.errors.indices([name])
-        columns, units = fit.off[:, at], [fit.errors.units[at[0]]]
+        index = fit.errors.indices([name])
+        columns, units = fit.fault_jac[:, index], [fit.errors.units[index[0]]]
         reading = q[:, number][fit.row]
         z = (reading - reading.mean()) / max(float(reading.std()), 1e-9)
         polynomial = columns * np.stack([z, z**2, z**3], axis=1) * TYPICAL[units[0]]
@@ -185,8 +185,8 @@ def add_joints(out: Catalogue) -> None:
         out.add(name, "step", columns, units, out.steps)
         out.add(name, "drift", columns, units, out.drifts)
         direction, move = (moves_of(fit, name, drift) for drift in (DriftWith.DIRECTION, DriftWith.MOVE))
-        out.add(name, "backlash", columns, units, direction, beside=polynomial)
-        out.add(name, "settling", columns, units, move, np.array([MOVED_SHARE]), beside=polynomial)
+        out.add(name, "backlash", columns, units, direction, nuisance=polynomial)
+        out.add(name, "settling", columns, units, move, np.array([MOVED_SHARE]), nuisance=polynomial)
         if units == ["rad"]:
             wheel = columns * np.stack([np.cos(reading), np.sin(reading)], axis=1)
             out.add(name, "eccentricity", wheel, units * 2, out.always)
@@ -194,8 +194,8 @@ def add_joints(out: Catalogue) -> None:
 
 def moves_of(fit: WhitenedFit, joint: str, drift: DriftWith) -> Profiles:
     """Return the profile of a joint's last direction or move; none if the rows do not know it."""
-    along = fit.how.table.during(joint, drift, 0, fit.how.total)
-    return Profiles(np.zeros((0, fit.n)) if along is None else along[fit.how.row][None])
+    course = fit.how.table.during(joint, drift, 0, fit.how.total)
+    return Profiles(np.zeros((0, fit.n)) if course is None else course[fit.how.row][None])
 
 
 def add_arm(out: Catalogue) -> None:
@@ -218,7 +218,7 @@ def add_loose_flange(out: Catalogue) -> None:
     ends = [cause for cause in fit.causes if points & set(cause.name.split(".")[:-1])]
     if not ends:
         return
-    columns = sum(fit.off[:, fit.errors.indices(cause.numbers)] for cause in ends)
+    columns = sum(fit.fault_jac[:, fit.errors.indices(cause.numbers)] for cause in ends)
     out.add("tool", "loose", np.asarray(columns) * side[fit.row], ["m"] * 3, out.always)
 
 
@@ -226,17 +226,17 @@ def drift_profiles(fit: WhitenedFit) -> Floats:
     """Return profiles (c, n) of a drift in each session: linear in time, settling, and linear in the temperature."""
     out = []
     for session in np.unique(fit.how.session):
-        mine = fit.how.session == session
-        first, last = fit.how.row[mine].min(), fit.how.row[mine].max() + 1
+        rows = fit.how.session == session
+        first, last = fit.how.row[rows].min(), fit.how.row[rows].max() + 1
         for drift in (DriftWith.TIME, DriftWith.TEMPERATURE):
-            along = fit.how.table.during("", drift, int(first), int(last))
-            if along is None or (drift is DriftWith.TEMPERATURE and np.ptp(along) < LEAST_WARMING):
+            course = fit.how.table.during("", drift, int(first), int(last))
+            if course is None or (drift is DriftWith.TEMPERATURE and np.ptp(course) < LEAST_WARMING):
                 continue
-            share = (along - along[0]) / np.ptp(along)
+            share = (course - course[0]) / np.ptp(course)
             bent = [-np.expm1(-BEND * share) / -np.expm1(-BEND)] if drift is DriftWith.TIME else []
             for profile in (share, *bent):
                 whole = np.zeros(fit.n)
-                whole[mine] = profile[fit.how.row[mine] - first]
+                whole[rows] = profile[fit.how.row[rows] - first]
                 out.append(whole)
     return np.array(out).reshape(-1, fit.n)
 
@@ -248,7 +248,7 @@ def steps_from(first: Indices, n: int) -> Indices:
 
 def runs_between(knots: Indices, n: int) -> Indices:
     """Return spans (c, 2) between every two knots, at least LEAST_ROWS long and not all of the n rows."""
-    first, last = (knots[of] for of in np.triu_indices(knots.size, 1))
+    first, last = (knots[edge] for edge in np.triu_indices(knots.size, 1))
     enough = (last - first >= LEAST_ROWS) & (last - first < n)
     return np.stack([first[enough], last[enough]], axis=1)
 

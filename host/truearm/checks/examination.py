@@ -10,7 +10,7 @@ from truearm.checks.averaging import Claim, averaged, unseen
 from truearm.checks.catalogue import catalogue
 from truearm.checks.evidence import Design, rows_of
 from truearm.checks.noise import Kernel
-from truearm.checks.search import Found, checked, sized
+from truearm.checks.search import Detection, checked, sized
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.estimate.measured_order import measured_order
 from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES, body_motion, measured_points
@@ -80,7 +80,7 @@ def examined(
     for an analysis of first order, such as all sockets of a place where nothing else knows the scale, are none.
     """
     fitted = estimate.fitted
-    modelled = [one.select(fitted) for one in modelled_of(chain, rig, table, effects)]
+    modelled = [effect.select(fitted) for effect in modelled_of(chain, rig, table, effects)]
     problem = build_problem(chain, rig, table.select(fitted), prior_sigma, modelled)
     if estimate.weight.size:
         problem = only(problem, estimate.weight[fitted] > 0.0)
@@ -92,17 +92,17 @@ def examined(
     gram = tool_gram(chain, rig, table.select(fitted), estimate)
     claim = averaged(result, gram)
     if claim.shift > FIRST_ORDER * farthest(chain, estimate, table.q[fitted]):
-        result = replace(result, found=())
+        result = replace(result, detections=())
         claim = averaged(result, gram)
     step = np.zeros(estimate.value.size)
     step[estimate.free] = claim.step
     return Examination(
-        tuple(finding_of(of, result.design, fit) for of in result.found),
-        result.design.kernel,
+        tuple(finding_of(detection, result.build_design, fit) for detection in result.detections),
+        result.build_design.kernel,
         claim,
         step,
         result.refused,
-        unseen(result.table, result.design.variance),
+        unseen(result.table, result.build_design.variance),
     )
 
 
@@ -113,14 +113,23 @@ def farthest(chain: Chain, estimate: Estimate, q: Floats) -> float:
     return float(np.linalg.norm(ends, axis=1).max())
 
 
-def finding_of(found: Found, of: Design, fit: WhitenedFit) -> Finding:
+def finding_of(detection: Detection, design: Design, fit: WhitenedFit) -> Finding:
     """Return a finding in rows of the user's table."""
-    span, best = rows_of(found.best), found.best
+    span, best = rows_of(detection.best), detection.best
     rows = None if span is None else span_in_table(*span, fit.how)
-    sizes, sigmas = sized(found, of)
+    sizes, sigmas = sized(detection, design)
     units = best.hypothesis.units
     return Finding(
-        found.names, found.aliases, rows, sizes, sigmas, units, best.drop, best.freedom, best.log_evidence, *found.gain
+        detection.names,
+        detection.aliases,
+        rows,
+        sizes,
+        sigmas,
+        units,
+        best.drop,
+        best.freedom,
+        best.log_evidence,
+        *detection.gain,
     )
 
 
@@ -147,5 +156,5 @@ def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estima
     if np.abs(flat @ estimate.unseen).max(initial=0.0) > MOVES:
         body, _ = np.linalg.qr(body_motion(points))
         flat = flat - body @ (body.T @ flat)
-    mine = flat[:, estimate.free]
-    return np.asarray(mine.T @ mine / len(few))
+    motion = flat[:, estimate.free]
+    return np.asarray(motion.T @ motion / len(few))

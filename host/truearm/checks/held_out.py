@@ -32,29 +32,29 @@ def left_out_blocks(n: int, places: Indices | None) -> Indices:
     return np.arange(n) * BLOCKS // n
 
 
-def gain_of(fit: WhitenedFit, others: Floats, columns: Floats, blocks: Indices) -> Gain:
+def gain_of(fit: WhitenedFit, neighbours: Floats, columns: Floats, blocks: Indices) -> Gain:
     """Return the gain of a finding's columns (m, d) beside those of others (m, d').
 
     Each block is predicted by a fit to all other rows: x = (H − H_b)⁻¹(g − g_b), with H and g of all rows and knowledge.
     """
     block = blocks[fit.row]
     squares = []
-    for added in (others, np.concatenate([others, columns], axis=1)):
+    for added in (neighbours, np.concatenate([neighbours, columns], axis=1)):
         jac = np.concatenate([fit.jac, added], axis=1)
-        prior = np.zeros((len(fit.known_jac) + len(fit.prior_jac) + added.shape[1], jac.shape[1]))
-        known = np.concatenate([fit.known_jac, fit.prior_jac])
-        prior[: len(known), : known.shape[1]] = known
-        prior[len(known) :, known.shape[1] :] = np.eye(added.shape[1]) / WIDEST
+        prior = np.zeros((len(fit.knowledge_jac) + len(fit.prior_jac) + added.shape[1], jac.shape[1]))
+        knowledge = np.concatenate([fit.knowledge_jac, fit.prior_jac])
+        prior[: len(knowledge), : knowledge.shape[1]] = knowledge
+        prior[len(knowledge) :, knowledge.shape[1] :] = np.eye(added.shape[1]) / WIDEST
         scale = np.maximum(np.linalg.norm(np.concatenate([jac, prior]), axis=0), 1e-300)
         jac, prior = jac / scale, prior / scale
-        beside = np.concatenate([fit.known_residual, fit.prior_residual, np.zeros(added.shape[1])])
-        information, score = jac.T @ jac + prior.T @ prior, jac.T @ fit.residual + prior.T @ beside
+        targets = np.concatenate([fit.knowledge_residual, fit.prior_residual, np.zeros(added.shape[1])])
+        information, score = jac.T @ jac + prior.T @ prior, jac.T @ fit.residual + prior.T @ targets
         each = []
         for number in np.unique(block):
-            mine = block == number
-            left = information - jac[mine].T @ jac[mine] + 1e-12 * np.eye(len(score))
-            x = np.linalg.solve(left, score - jac[mine].T @ fit.residual[mine])
-            each.append(float(((fit.residual[mine] - jac[mine] @ x) ** 2).sum()))
+            rows = block == number
+            reduced = information - jac[rows].T @ jac[rows] + 1e-12 * np.eye(len(score))
+            x = np.linalg.solve(reduced, score - jac[rows].T @ fit.residual[rows])
+            each.append(float(((fit.residual[rows] - jac[rows] @ x) ** 2).sum()))
         squares.append(np.array(each))
     less = squares[0] - squares[1]
     error = float(less.std(ddof=1)) / math.sqrt(less.size) if less.size > 1 else math.inf

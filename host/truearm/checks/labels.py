@@ -57,32 +57,32 @@ def relabelled(chain: Chain, rig: Rigs, table: ObservationTable, free: NDArray[n
     The runs are empty if the given labels fit, or if more than half of the rows would change.
     """
     possible = labels_of(table)
-    given, now = own_labels(table, possible), table
+    original, current = own_labels(table, possible), table
     score = np.zeros((len(possible), len(table)))
-    labels = given
+    labels = original
     for _ in range(ROUNDS):
-        score = scores(chain, rig, now, free, possible)
-        changed, _ = best_labels(score, given)
+        score = scores(chain, rig, current, free, possible)
+        changed, _ = best_labels(score, original)
         if (changed == labels).all():
             break
-        labels, now = changed, with_labels(table, [possible[i] for i in changed])
-    labels, runs = best_labels(score, given)
-    if not runs or (labels != given).mean() > 0.5:
+        labels, current = changed, with_labels(table, [possible[i] for i in changed])
+    labels, runs = best_labels(score, original)
+    if not runs or (labels != original).mean() > 0.5:
         return Relabelled(table, ())
     out = []
     for first, last, label, gain in runs:
-        mine = score[:, first:last].sum(axis=1)
-        near = [i for i in np.flatnonzero(mine > mine[label] - np.log(100.0)).tolist() if i != label]
-        out.append(WrongLabels(first, last, possible[label], gain, tuple(possible[i] for i in near)))
-    return Relabelled(now, tuple(out))
+        totals = score[:, first:last].sum(axis=1)
+        rivals = [i for i in np.flatnonzero(totals > totals[label] - np.log(100.0)).tolist() if i != label]
+        out.append(WrongLabels(first, last, possible[label], gain, tuple(possible[i] for i in rivals)))
+    return Relabelled(current, tuple(out))
 
 
 def labels_of(table: ObservationTable) -> list[Mapping[str, str]]:
     """Return all combinations of labels that rows of the table have, by column."""
     columns = [column for name in np.unique(table.kind) for column in kinds()[str(name)].labels]
-    used = {column: [str(name) for name in np.unique(table[column]) if name] for column in columns}
-    used = {column: names for column, names in used.items() if names}
-    return [dict(zip(used, names, strict=True)) for names in product(*used.values())]
+    names_used = {column: [str(name) for name in np.unique(table[column]) if name] for column in columns}
+    names_used = {column: names for column, names in names_used.items() if names}
+    return [dict(zip(names_used, names, strict=True)) for names in product(*names_used.values())]
 
 
 def own_labels(table: ObservationTable, possible: Sequence[Mapping[str, str]]) -> Indices:
@@ -95,8 +95,10 @@ def own_labels(table: ObservationTable, possible: Sequence[Mapping[str, str]]) -
 
 def with_labels(table: ObservationTable, labels: Sequence[Mapping[str, str]]) -> ObservationTable:
     """Return the table with labels (n), in rows that have some."""
-    new = {column: np.array([of[column] for of in labels]) for column in labels[0]}
-    return table.replace(**{column: np.where(table[column] == "", "", names) for column, names in new.items()})
+    names_by_column = {column: np.array([row[column] for row in labels]) for column in labels[0]}
+    return table.replace(
+        **{column: np.where(table[column] == "", "", names) for column, names in names_by_column.items()}
+    )
 
 
 def scores(
@@ -113,20 +115,20 @@ def scores(
     if 3 < numbers.size <= MOST_MOUNTS:
         without += [mount != number for number in numbers]
     best, total = np.zeros(0), -np.inf
-    known: Mapping[str, float] = {}
+    parameters: Mapping[str, float] = {}
     for rows in without:
         try:
             problem, columns, _ = trial_problem(chain, rig, table.select(rows), free)
         except ProblemError:
             continue
         x = fit(problem, columns, problem.start, Options(max_iterations=8, loss=Loss.CAUCHY)).x
-        tried = dict(zip(problem.names, x.tolist(), strict=True))
-        square = misfit(chain, rig, table, tried)
+        trial = dict(zip(problem.names, x.tolist(), strict=True))
+        square = misfit(chain, rig, table, trial)
         if (value := float(likelihood(square, scale_of(square)).sum())) > total:
-            best, total, known = square, value, tried
+            best, total, parameters = square, value, trial
     scale = scale_of(best)
-    every = [misfit(chain, rig, with_labels(table, [labels] * len(table)), known) for labels in possible]
-    return np.stack([likelihood(square, scale) for square in every])
+    squares = [misfit(chain, rig, with_labels(table, [labels] * len(table)), parameters) for labels in possible]
+    return np.stack([likelihood(square, scale) for square in squares])
 
 
 def scale_of(square: Floats) -> float:
@@ -139,13 +141,13 @@ def likelihood(square: Floats, scale: float) -> Floats:
     return np.asarray(-1.5 * np.log1p(square / (2.0 * scale**2)))
 
 
-def best_labels(score: Floats, given: Indices) -> tuple[Indices, list[tuple[int, int, int, float]]]:
-    """Return labels (n,) and the runs in which they are not the ``given`` ones: first row, after last, label, gain."""
-    labels, runs = given.copy(), list[tuple[int, int, int, float]]()
-    each = np.arange(given.size)
+def best_labels(score: Floats, original: Indices) -> tuple[Indices, list[tuple[int, int, int, float]]]:
+    """Return labels (n,) and the runs in which they are not the ``original`` ones: first row, after last, label, gain."""
+    labels, runs = original.copy(), list[tuple[int, int, int, float]]()
+    each = np.arange(original.size)
     while len(runs) < MOST_RUNS:
-        found = [(*best_run(of - score[labels, each] - PRICE), number) for number, of in enumerate(score)]
-        gain, first, last, label = max(found)
+        candidates = [(*best_run(gains - score[labels, each] - PRICE), number) for number, gains in enumerate(score)]
+        gain, first, last, label = max(candidates)
         if gain < SURE:
             break
         labels[first:last] = label

@@ -51,11 +51,11 @@ class Kernel:
         if self.plain:
             return columns / self.scale
         out = np.empty_like(columns)
-        for at, lower in self.lower:
-            part = columns[at].transpose(1, 0, 2)
+        for index, lower in self.lower:
+            part = columns[index].transpose(1, 0, 2)
             flat = part.reshape(len(lower), -1)
             solved = linalg.solve_triangular(lower, flat, lower=True, check_finite=False)
-            out[at] = solved.reshape(part.shape).transpose(1, 0, 2)
+            out[index] = solved.reshape(part.shape).transpose(1, 0, 2)
         return out
 
     def spread(self, columns: Floats) -> Floats:
@@ -63,8 +63,8 @@ class Kernel:
         if self.plain:
             return columns * self.scale
         out = np.empty_like(columns)
-        for at, lower in self.lower:
-            out[at] = np.einsum("ji,cjd->cid", lower, columns[at])
+        for index, lower in self.lower:
+            out[index] = np.einsum("ji,cjd->cid", lower, columns[index])
         return out
 
 
@@ -76,8 +76,8 @@ def is_odd(residual: Floats, component: Indices, freedom: float) -> bool:
     low, high = special.chdtri(freedom, [1.0 - ODD / 2.0, ODD / 2.0])
     chi2, product = float(residual @ residual), 0.0
     for number in np.unique(component):
-        mine = residual[component == number]
-        product += float(mine[1:] @ mine[:-1])
+        series = residual[component == number]
+        product += float(series[1:] @ series[:-1])
     return not low <= chi2 <= high or abs(product) / max(chi2, 1e-300) * np.sqrt(residual.size) > ODD_ORDER
 
 
@@ -88,8 +88,8 @@ def similarities(fit: WhitenedFit, rows: Indices) -> Iterator[tuple[str, Floats]
     run = fit.how.run[rows]
     if np.unique(run).size > 1:
         yield "mount", (run[:, None] == run).astype(float)
-    every = fit.how.table.q[fit.how.row]
-    z = ((every - every.mean(axis=0)) / np.maximum(every.std(axis=0), 1e-9))[rows] / np.sqrt(every.shape[1])
+    readings = fit.how.table.q[fit.how.row]
+    z = ((readings - readings.mean(axis=0)) / np.maximum(readings.std(axis=0), 1e-9))[rows] / np.sqrt(readings.shape[1])
     square = (z**2).sum(axis=1)
     apart = np.maximum(square[:, None] + square - 2.0 * z @ z.T, 0.0)
     for distance in DISTANCES:
@@ -99,19 +99,19 @@ def similarities(fit: WhitenedFit, rows: Indices) -> Iterator[tuple[str, Floats]
 def learned_noise(fit: WhitenedFit) -> Kernel:
     """Return the noise with the greatest restricted likelihood, or the declared one."""
     judged = judged_rows(fit.n)
-    some = np.isin(fit.row, judged)
-    sets = residual_sets(fit, some)
-    jac = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[some]
-    declared, _ = likelihood(jac, fit, DECLARED, known=True)
-    plain, scale = likelihood(jac, fit, Kernel("white"), known=False)
+    judged_residuals = np.isin(fit.row, judged)
+    sets = residual_sets(fit, judged_residuals)
+    jac = np.concatenate([fit.jac, fit.residual[:, None]], axis=1)[judged_residuals]
+    declared, _ = likelihood(jac, fit, DECLARED, is_known=True)
+    plain, scale = likelihood(jac, fit, Kernel("white"), is_known=False)
     best = (plain - PRICES["white"], scale, "white", 0.0, -1)
     for number, (name, whole) in enumerate(similarities(fit, judged)):
         for share in SHARES:
             try:
-                lower = [(at, covariance_root(whole[np.ix_(rows, rows)], share)) for at, rows in sets]
+                lower = [(index, covariance_root(whole[np.ix_(rows, rows)], share)) for index, rows in sets]
             except np.linalg.LinAlgError:
                 continue
-            value, scale = likelihood(jac, fit, Kernel(name, lower=tuple(lower)), known=False)
+            value, scale = likelihood(jac, fit, Kernel(name, lower=tuple(lower)), is_known=False)
             best = max(best, (value - PRICES[name], scale, name, share, number))
     value, scale, name, share, number = best
     if value <= declared:
@@ -120,7 +120,7 @@ def learned_noise(fit: WhitenedFit) -> Kernel:
         return Kernel(name, scale, gain=value - declared)
     whole = [kernel for _, kernel in similarities(fit, np.arange(fit.n))][number]
     sets = residual_sets(fit, np.ones(fit.row.size, dtype=bool))
-    lower = [(at, scale * covariance_root(whole[np.ix_(rows, rows)], share)) for at, rows in sets]
+    lower = [(index, scale * covariance_root(whole[np.ix_(rows, rows)], share)) for index, rows in sets]
     return Kernel(name, scale, share, value - declared, tuple(lower))
 
 
@@ -132,17 +132,17 @@ def judged_rows(n: int) -> Indices:
     return np.unique(starts[:, None] + np.arange(STRETCH))
 
 
-def residual_sets(fit: WhitenedFit, some: Mask) -> list[tuple[Indices, Indices]]:
+def residual_sets(fit: WhitenedFit, judged_residuals: Mask) -> list[tuple[Indices, Indices]]:
     """Return, for each set of components of the same rows: residuals (c, n') among ``some`` (m,), and their rows (n',).
 
     The rows are counted among those that have any of these residuals.
     """
-    row, component = np.unique(fit.row[some], return_inverse=True)[1], fit.component[some]
+    row, component = np.unique(fit.row[judged_residuals], return_inverse=True)[1], fit.component[judged_residuals]
     sets: dict[bytes, list[Indices]] = {}
     for number in np.unique(component):
-        at = np.flatnonzero(component == number)
-        sets.setdefault(row[at].tobytes(), []).append(at)
-    return [(np.array(of), row[of[0]]) for of in sets.values()]
+        index = np.flatnonzero(component == number)
+        sets.setdefault(row[index].tobytes(), []).append(index)
+    return [(np.array(members), row[members[0]]) for members in sets.values()]
 
 
 def covariance_root(similar: Floats, share: float) -> Floats:
@@ -150,20 +150,20 @@ def covariance_root(similar: Floats, share: float) -> Floats:
     return np.asarray(np.linalg.cholesky(share * similar + (1.0 - share + 1e-9) * np.eye(len(similar))))
 
 
-def likelihood(columns: Floats, fit: WhitenedFit, kernel: Kernel, known: bool) -> tuple[float, float]:
+def likelihood(columns: Floats, fit: WhitenedFit, kernel: Kernel, is_known: bool) -> tuple[float, float]:
     """Return the restricted log-likelihood of residuals, the last of the ``columns`` (m, k + 1), and the scale of noise.
 
-    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless it is ``known`` to be 1.
+    −½[ν log σ² + χ²/σ² + log det V + log det(Jᵀ V⁻¹ J)], with σ² = χ²/ν unless it ``is_known`` to be 1.
     """
     white = kernel.whiten(columns)
     k, m = white.shape[1] - 1, len(white)
     length = np.maximum(np.linalg.norm(columns[:, :k], axis=0), 1e-300)
-    jac = np.concatenate([white[:, :k], fit.known_jac, fit.prior_jac, 1e-6 * np.diag(length)]) / length
-    residual = np.concatenate([white[:, -1], fit.known_residual, fit.prior_residual, np.zeros(k)])
+    jac = np.concatenate([white[:, :k], fit.knowledge_jac, fit.prior_jac, 1e-6 * np.diag(length)]) / length
+    residual = np.concatenate([white[:, -1], fit.knowledge_residual, fit.prior_residual, np.zeros(k)])
     q, r = np.linalg.qr(jac)
-    rest = residual - q @ (q.T @ residual)
-    chi2, freedom = float(rest @ rest), m - float((q[:m] ** 2).sum())
-    variance = 1.0 if known else max(chi2 / max(freedom, 1.0), 1e-12)
-    determinant = sum(2.0 * len(at) * float(np.log(np.diag(lower)).sum()) for at, lower in kernel.lower)
+    remainder = residual - q @ (q.T @ residual)
+    chi2, freedom = float(remainder @ remainder), m - float((q[:m] ** 2).sum())
+    variance = 1.0 if is_known else max(chi2 / max(freedom, 1.0), 1e-12)
+    determinant = sum(2.0 * len(index) * float(np.log(np.diag(lower)).sum()) for index, lower in kernel.lower)
     value = -0.5 * (freedom * np.log(variance) + chi2 / variance + determinant)
     return value - float(np.log(np.abs(np.diag(r))).sum()), float(np.sqrt(variance))

@@ -33,11 +33,11 @@ class WhitenedFit:
     component: Indices  # (m,) numbers: scalar residuals of one kind and unit
     jac: Floats  # (m, k)
     residual: Floats  # (m,)
-    known_jac: Floats  # (κ, k)
-    known_residual: Floats  # (κ,)
+    knowledge_jac: Floats  # (κ, k)
+    knowledge_residual: Floats  # (κ,)
     prior_jac: Floats  # (π, k) of the robot
     prior_residual: Floats  # (π,)
-    off: Floats  # (m, c) by everything in ``errors``
+    fault_jac: Floats  # (m, c) by everything in ``errors``
     errors: Errors  # names and SI units of these c columns
     causes: tuple[Cause, ...]  # items with the numbers that are off together
     fitted: frozenset[str]  # numbers that the fit estimates about a wide prior or none: no offset of theirs is a fault
@@ -58,51 +58,51 @@ def whitened_fit(problem: Problem, x: Floats, columns: NDArray[np.bool_], how: M
 
     ``how`` describes the rows of the problem's table.
     """
-    used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
-    kept = used[:: -(-used.size // MOST_ROWS)]
+    rows_used = np.unique(np.concatenate([group.row for group in problem.groups if group.row is not None]))
+    kept = rows_used[:: -(-rows_used.size // MOST_ROWS)]
     problem = only(problem, np.isin(np.arange(problem.n_rows), kept))
     how = replace_rows(how, kept)
     place = np.zeros(problem.n_rows, dtype=np.intp)
     place[kept] = np.arange(kept.size)
-    parts: list[tuple[Indices, Indices, Floats]] = []
+    pieces: list[tuple[Indices, Indices, Floats]] = []
     faults: list[tuple[int, KindFault]] = []
-    known: list[Floats] = []
-    at = components = 0
+    knowledge_parts: list[Floats] = []
+    start = components = 0
     for group in problem.groups:
-        stacked, own = _whitened_group(group, problem, x, columns)
+        stacked, kind_faults = _whitened_group(group, problem, x, columns)
         width = len(group.COMPONENTS)
         if group.row is None:
-            known.append(stacked[:, [*range(int(columns.sum())), -1]])
+            knowledge_parts.append(stacked[:, [*range(int(columns.sum())), -1]])
             continue
         row = np.repeat(place[group.row], width)
-        parts.append((row, np.tile(np.arange(components, components + width), len(group.row)), stacked))
-        faults += [(at, fault) for fault in own]
-        at, components = at + row.size, components + width
-    row, component, whole = (np.concatenate(of) for of in zip(*parts, strict=True))
+        pieces.append((row, np.tile(np.arange(components, components + width), len(group.row)), stacked))
+        faults += [(start, fault) for fault in kind_faults]
+        start, components = start + row.size, components + width
+    row, component, whole = (np.concatenate(piece) for piece in zip(*pieces, strict=True))
     order = np.argsort(row, kind="stable")
     k, sigma = int(columns.sum()), problem.prior_sigma[columns]
     robot = np.arange(k) < int(columns[: problem.n_robot].sum())
     error = (problem.start - x)[columns]
     rig, of_robot = (np.flatnonzero(np.isfinite(sigma) & mask) for mask in (~robot, robot))
     wide = np.array([UNITS[unit].wide_sigma for unit in problem.units])
-    knowledge = np.concatenate([*known, np.zeros((0, k + 1))])
+    knowledge = np.concatenate([*knowledge_parts, np.zeros((0, k + 1))])
     return WhitenedFit(
         row=row[order],
         component=component[order],
         jac=whole[order, :k],
         residual=whole[order, -1],
-        known_jac=np.concatenate([knowledge[:, :-1], np.eye(k)[rig] / sigma[rig, None]]),
-        known_residual=np.concatenate([knowledge[:, -1], error[rig] / sigma[rig]]),
+        knowledge_jac=np.concatenate([knowledge[:, :-1], np.eye(k)[rig] / sigma[rig, None]]),
+        knowledge_residual=np.concatenate([knowledge[:, -1], error[rig] / sigma[rig]]),
         prior_jac=np.eye(k)[of_robot] / sigma[of_robot, None],
         prior_residual=error[of_robot] / sigma[of_robot],
-        off=whole[order, k:-1],
+        fault_jac=whole[order, k:-1],
         errors=problem.errors,
         causes=problem.causes,
         fitted=frozenset(np.array(problem.names)[problem.prior_sigma >= wide].tolist()),
         kind_faults=_merged(faults, row.size, order),
         axes=forward(problem.chain, x[: problem.n_robot], how.table.q[how.row])[:, :3, :3],
         names=tuple(problem.names_of(columns)),
-        units=tuple(unit for unit, mine in zip(problem.units, columns, strict=True) if mine),
+        units=tuple(unit for unit, is_free in zip(problem.units, columns, strict=True) if is_free),
         values=x[columns],
         how=how,
     )
@@ -125,21 +125,27 @@ def _whitened_group(
     by_robot, by_rig = lin.wrenches @ lin.twists[:, columns[:p]], lin.jac_rig[:, :, : x.size - p][:, :, columns[p:]]
     residual = lin.residual.reshape(len(group.sensor_cov), -1).T[:, :, None]
     faults = group.faults(problem.chain, x)
-    every = [by_robot, by_rig, error_columns(lin, problem.errors.bodies), *(of.columns for of in faults), residual]
-    stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in every])
+    derivatives = [
+        by_robot,
+        by_rig,
+        error_columns(lin, problem.errors.bodies),
+        *(fault.columns for fault in faults),
+        residual,
+    ]
+    stacked = np.concatenate([np.moveaxis(part, 2, 0) for part in derivatives])
     whiten(stacked, residual_cov(group.sensor_cov, lin.jac_joints, problem.joint_cov))
     whole = stacked.transpose(2, 1, 0).reshape(-1, len(stacked))
-    first = sum(part.shape[2] for part in every[:3])
-    ends = np.cumsum([first, *(of.columns.shape[2] for of in faults)])
-    own = [of._replace(columns=whole[:, a:b]) for of, a, b in zip(faults, ends, ends[1:], strict=False)]
-    return np.concatenate([whole[:, :first], whole[:, -1:]], axis=1), own
+    first = sum(part.shape[2] for part in derivatives[:3])
+    ends = np.cumsum([first, *(fault.columns.shape[2] for fault in faults)])
+    kind_faults = [fault._replace(columns=whole[:, a:b]) for fault, a, b in zip(faults, ends, ends[1:], strict=False)]
+    return np.concatenate([whole[:, :first], whole[:, -1:]], axis=1), kind_faults
 
 
 def _merged(faults: list[tuple[int, KindFault]], m: int, order: Indices) -> tuple[KindFault, ...]:
     """Return the kinds' faults with columns (m, d) over all rows; a fault of several groups is one."""
     out: dict[tuple[str, str], KindFault] = {}
-    for at, fault in faults:
+    for start, fault in faults:
         whole = out.get((fault.item, fault.form), fault._replace(columns=np.zeros((m, fault.columns.shape[1]))))
-        whole.columns[at : at + len(fault.columns)] = fault.columns
+        whole.columns[start : start + len(fault.columns)] = fault.columns
         out[fault.item, fault.form] = whole
     return tuple(fault._replace(columns=fault.columns[order]) for fault in out.values())
