@@ -97,7 +97,8 @@ class TruearmError(Exception):
         if isinstance(argument, Argument):
             return Finding("invalid-argument", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
         place, reason = _PLACE.fullmatch(text).groups("")  # type: ignore[union-attr]  # any text matches
-        return Finding(self.default_code, {"place": place, "reason": reason, **self.values})
+        code = InputError.default_code if isinstance(self, FileError) and not place else self.default_code
+        return Finding(code, {"place": place, "reason": reason, **self.values})
 
     @property
     def _has_entry(self) -> bool:
@@ -152,7 +153,10 @@ class FindingError(InputError):
 
 
 class FileError(InputError):
-    """The content of a file is wrong; the text begins with the file, the row and the column."""
+    """The content of a file is wrong; the text begins with the file, the row and the column.
+
+    Without them it is an invalid input of its subject: no plan for a robot, no correction of a target.
+    """
 
     default_code = "malformed-file"
 

@@ -168,8 +168,8 @@ def test_places_that_make_no_reading(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "no-rows"),
-        ("reference_mm,reference_um\n1,2\n", "missing-column"),
+        ("", "has no rows"),
+        ("reference_mm,reference_um\n1,2\n", "has no column reference_mm"),
         ("reference_mm\n", "has 0 references"),
         ("reference_mm\none\n", "row 2 column reference_mm: 'one'"),
         ("a,reference_mm\n1\n", "row 2:"),
@@ -319,7 +319,7 @@ def test_places_of_listed_references_are_not_asked_for_again(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("\0", "NUL"),
+        ("\0", "UTF-8"),
         ("channel = ", "TOML"),
         ("", "needs channel"),
         ('channel = "lvdt"\nscale = 1.0\n', "another box, channel or gain ('lvdt'"),

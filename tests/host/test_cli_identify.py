@@ -201,12 +201,12 @@ def test_rigs_with_names_are_of_the_rows_that_name_them(
     assert "tue.sphere.s0.x" in result["free"]
     assert [entry["name"] for entry in result["inputs"]] == ["t.csv", "mon.toml", "tue.toml"]
     assert result["chi2_band"][0] < result["chi2_reduced"] < result["chi2_band"][1]
-    bare = tmp_path / "mon.toml"
-    told(run(*arguments, "--rig", mon), "belongs to rig 'tue'; the rigs given are mon")
-    told(run(*arguments, "--rig", mon, "--rig", mon), "rig mon is given twice")
-    told(run(*arguments, "--rig", mon, "--rig", bare), "several rigs need names")
-    told(run(*arguments, "--rig", bare, "--rig", bare), "several rigs need names")
-    told(run(*arguments, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row")
+    bare, plain = tmp_path / "mon.toml", arguments[:-1]
+    told(run(*plain, "--rig", mon), "belongs to rig 'tue'; the rigs given are mon")
+    told(run(*plain, "--rig", mon, "--rig", mon), "rig mon is given twice")
+    told(run(*plain, "--rig", mon, "--rig", bare), "several rigs need names")
+    told(run(*plain, "--rig", bare, "--rig", bare), "several rigs need names")
+    told(run(*plain, "--rig", mon, "--rig", tue, "--rig", f"wed={bare}"), "no row")
 
 
 def test_lines_are_fitted_and_held_out(run: Run, tmp_path: Path) -> None:

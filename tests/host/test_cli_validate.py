@@ -104,7 +104,7 @@ def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path, monke
     assert "TV-9" in text
     assert "signature" in text
     code, _, err = run(*given[:-2])
-    assert (code, "give --report" in err) == (2, True)
+    assert (code, "--report" in err) == (2, True)
     page.write_text("my own page")
     assert run(*given).code == 2
     assert page.read_text() == "my own page"

@@ -10,7 +10,7 @@ import pytest
 from tests.host.findings_bench import stated
 
 import truearm.finding_texts
-from truearm.errors import Argument, InputError, ProblemError, RobotError, TableError
+from truearm.errors import Argument, InputError, PlanError, ProblemError, RobotError, TableError
 from truearm.finding_texts import ERRORS, STATEMENTS, Severity
 from truearm.findings import Finding, worded
 
@@ -96,6 +96,7 @@ def test_an_error_has_the_code_and_the_values_of_its_cause():
     assert error.finding == Finding("invalid-argument", {"place": "rate", "reason": "7 Hz is too much; give force"})
     assert error.text("--{}".format) == "--rate 7 Hz is too much; give --force"
     assert ProblemError("no rows").finding == Finding("unsolvable", {"place": "", "reason": "no rows"})
+    assert PlanError("no pose is within reach; move the chucks").finding.code == "invalid-input"  # of no file
 
 
 def test_an_error_keeps_its_code_within_a_file():

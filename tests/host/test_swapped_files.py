@@ -20,7 +20,6 @@ FILES = {
     ("typed", "file", "kind", "expected"),
     [
         ("report rig.toml poses.csv --out r.html", "rig.toml", "a rig", "result (result.json)"),
-        ("validate poses.csv result.json", "poses.csv", "a table of observations", "a result"),
         ("identify rig.toml --model ur5e", "rig.toml", "a rig", "give it as --rig"),
         ("identify poses.csv --model rig.toml", "rig.toml", "a rig", "robot (.toml or .urdf)"),
         ("identify poses.csv --model ur5e --rig day=plan.csv", "plan.csv", "a plan", "rig (rig.toml)"),

@@ -120,7 +120,7 @@ def test_a_saved_table_gives_the_same_result(copy):
 def test_it_judges_a_calibration(copy):
     _, judged = copy.run_each(
         ("identify", "poses.csv", *COMMAND, "--hold-out", "inclinometer=i2", "--out", "judged.json"),
-        ("validate", "judged.json", "poses.csv", "--rig", "rig.toml"),
+        ("validate", "judged.json", "poses.csv", "--rig", "rig.toml", "--details"),
     )
     assert judged.code == 0, judged.err
     assert "error [deg]" in judged.out

@@ -60,7 +60,7 @@ def read_targets(path: Path, joint_units: Sequence[str]) -> Targets:
     try:
         return parse_targets(read_text(path, MAX_BYTES, TargetError), str(path), joint_units)
     except TableError as exc:
-        raise TargetError(str(exc)) from exc
+        raise TargetError(*exc.args, **exc.values) from exc
 
 
 def parse_targets(text: str, name: str, joint_units: Sequence[str]) -> Targets:

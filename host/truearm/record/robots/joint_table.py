@@ -81,7 +81,7 @@ def _rows(path: Path, file: IO[str], renames: Sequence[tuple[str, str]]) -> Iter
     except TableError:
         raise
     except InputError as exc:
-        raise TableError(f"{path}: ", exc) from exc
+        raise TableError(*exc.args, **exc.values).within(path) from exc
 
 
 def _one_space(line: str) -> str:
