@@ -18,7 +18,6 @@ from truearm.files.result_document import result_of
 from truearm.files.result_file import RobotFrames, write_result
 from truearm.files.rig_file import read_rig, write_rig
 from truearm.model.builtin import builtin_text
-from truearm.plan import shells
 from truearm.plan.forecast import bar_table
 
 COMMON = ("--model", "irb120", "--bar", "bar25", "--poses", "36", "--candidates", "60")
@@ -180,6 +179,10 @@ def test_what_is_wrong_with_lines_is_said_in_one_line(folder, capsys, monkeypatc
             ["--poses", "61"],
             "61 poses cannot be chosen from 60 candidates",
         ),
+        (
+            ["--poses", "60", "--branch=-10:10,-60:60,-60:60,-60:60,10:60,-60:60"],
+            "bar attached, too few for 60 poses",
+        ),
         (["--criterion", "Q"], "'Q'"),
     ],
 )
@@ -189,14 +192,6 @@ def test_what_is_wrong_is_said_in_one_line(folder, capsys, monkeypatch, change, 
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     ended(said[0], message)
-
-
-def test_fewer_poses_in_reach_than_wanted_are_told(folder, capsys, monkeypatch):
-    monkeypatch.setattr(shells, "MOST_DRAWS", 1)
-    monkeypatch.setattr(shells, "DRAWN", 300)
-    rig = str(folder / "rig.toml")
-    assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--poses", "60"]) == 2
-    ended(capsys.readouterr().err, "bar attached, too few for 60 poses")
 
 
 @pytest.mark.parametrize("option", ["--out", "--rig-out", "--program-out"])

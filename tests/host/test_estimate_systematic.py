@@ -180,7 +180,7 @@ def test_clean_worlds_give_no_finding():
 
 def test_nothing_is_off_by_more_than_a_part_can_be(monkeypatch):
     """A chuck is 2 mm off. A bar's gain of 0.02, which makes all lengths equal, would explain such residuals as well."""
-    plan, rng = worlds.plan(), np.random.default_rng(4)
+    plan, rng = worlds.plan(), np.random.default_rng(1)
     off = 2e-3 * worlds.direction(rng) * (plan.chuck == "c1")[:, None]
     rows = worlds.table(plan, worlds.lengths(plan, off) + SIGMA * rng.normal(size=len(plan)))
     assert the_one(worlds.identified(rows)).effect.what == "chuck.c1"
@@ -496,7 +496,7 @@ def test_half_a_mount_with_a_wrong_label_is_named_as_rows_that_do_not_fit():
         assert last <= found.rows[1]
         options = SolverOptions(leave_out=(found.rows,))
         without = identify(CHAIN, worlds.RIG, rows, free=FREE, prefer=FREE, options=options)
-        assert worlds.tool_error(bent, worlds.plan()) > 5e-3
+        assert worlds.tool_error(bent, worlds.plan()) > 0.01
         # 0.07 mm on average, 40 % more in one of twenty worlds.
         assert worlds.tool_error(without, worlds.plan()) < 0.15e-3
 
@@ -525,23 +525,17 @@ def test_a_chuck_that_is_elsewhere_is_the_finding_though_steps_explain_the_rows_
 
 @pytest.mark.parametrize("degrees", [0.3, 1.0])
 def test_a_large_step_of_a_joint_is_one_finding_at_its_row(degrees):
-    """Steps are searched for between knots ten rows apart; the rows between a knot and the step would seem to be off as well.
-
-    Rows whose lengths hardly depend on the joint may be on either side.
-    """
+    """Steps are searched for between knots ten rows apart; the rows between a knot and the step would seem to be off as well."""
     plan, off = worlds.plan(), np.zeros((360, 6))
     off[200:, 4] = np.deg2rad(degrees)
-    shift = np.abs(worlds.lengths(plan, q_off=np.deg2rad(degrees) * np.eye(6)[4]) - worlds.lengths(plan))
     for seed in range(3):
         noise = SIGMA * np.random.default_rng(seed).normal(size=360)
         found = the_one(worlds.identified(worlds.table(plan, worlds.lengths(plan, q_off=off) + noise)))
         assert found.effect.what == "joint5"
         first, last = found.rows
         assert (first == 0) != (last == 360)
-        row = last if first == 0 else first
-        assert abs(row - 200) <= 3
-        assert shift[min(row, 200) : max(row, 200)].max(initial=0.0) < 4.0 * SIGMA
-        assert found.size == pytest.approx(np.deg2rad(degrees), abs=4.0 * found.sigma)
+        assert abs((last if first == 0 else first) - 200) <= 1
+        assert found.size == pytest.approx(np.deg2rad(degrees), rel=0.03)
 
 
 def test_only_things_that_are_there_can_be_off():

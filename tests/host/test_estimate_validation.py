@@ -19,7 +19,7 @@ from truearm.plan.shells import candidates
 from truearm.types import Plan, Point
 
 NAME = "irb120"
-DRAWS = 200
+DRAWS = 100
 POINT = (0.03, -0.02, 0.12)
 
 
@@ -64,11 +64,11 @@ def test_errors_are_as_large_as_expected(rows):
     tables = [drawn(rows, sigma, rng) for _ in range(DRAWS)]
     square = np.mean([judge(known.chain, rig, t, known.params).error["m"] ** 2 for t in tables], axis=0)
     ratio = np.sqrt(square / (due.by_noise + due.by_parameters))
-    # A mean of DRAWS squares of one normal residual scatters by 5 % in its root, and so does that of rows that err alike.
-    assert np.abs(ratio - 1.0).max() < 0.2
+    # A mean of DRAWS squares of one normal residual scatters by 7 % in its root.
+    assert np.abs(ratio - 1.0).max() < 0.28
     bar = exact.kind == "ball_bar"
     for mine in (bar, ~bar, bar & (exact.chuck == "c1"), exact.line == "plan1"):
-        assert np.mean(ratio[mine]) == pytest.approx(1.0, abs=0.1)
+        assert np.mean(ratio[mine]) == pytest.approx(1.0, abs=0.05)
 
 
 def test_rows_that_hang_on_what_was_not_seen_are_told(rows):

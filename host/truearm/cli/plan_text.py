@@ -104,7 +104,7 @@ def _against_drift(document: Mapping[str, Any]) -> list[str]:
         return [f"every mount is visited {document['visits']} times, to reveal drift and slip"]
     if document["check_poses"]:
         return [
-            f"{document['check_poses']} check poses of the first mount, visited again half-way and at the end, and of another one, at the end, to reveal drift"
+            f"{document['check_poses']} check poses of the first mount, visited again half-way and at the end, to reveal drift"
         ]
     return []
 

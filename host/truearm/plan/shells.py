@@ -1,10 +1,10 @@
-"""Poses on shells about the chucks, planned on the design model, in an order with short moves.
+"""Poses on hemispherical shells about the chucks, planned on the design model, in an order with short moves.
 
-A shell is the set of positions of a sphere about a chuck with the ball-bar at mid-travel: ``‖T(q)·s − c‖ = zero``.
-Candidates for a choice are random joint vectors that are led onto a shell. The demo's plan has a grid of latitudes and
-longitudes instead (Goswami, Quaid, Peshkin 1993, fig. 2): at each point that the arm reaches, the tool faces the chuck,
-except for a random tilt of up to ``MAX_TILT``, and is rotated about that axis by a random angle over the full turn. With
-a constant tool orientation relative to the base, the measurements lose rank (28 of 36).
+A shell is the set of positions of a sphere about a chuck with the ball-bar at mid-travel: ``‖T(q)·s − c‖ = zero``. The
+measuring points are the crossings of a grid of latitudes and longitudes (Goswami, Quaid, Peshkin 1993, fig. 2) that the
+arm reaches. At each point the tool faces the chuck, except for a random tilt of up to ``MAX_TILT``, and is rotated
+about that axis by a random angle over the full turn. With a constant tool orientation relative to the base, the
+measurements lose rank (28 of 36).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from truearm.errors import Argument, PlanError
-from truearm.model.chain import along, point_forward, trace_point
+from truearm.model.chain import point_forward
 from truearm.plan.branch_inverse import Arm, inverse
 from truearm.plan.forecast import Known, known_arm
 from truearm.plan.measurement_limits import Pairing, Site, allowed
@@ -29,13 +29,11 @@ from truearm.types import BallBar, Floats, Plan, Point
 MAX_TILT = np.deg2rad(60.0)
 # Below, the bar would touch the table; above, longitudes crowd at the pole.
 LOWEST, HIGHEST = np.deg2rad(12.0), np.deg2rad(84.0)
+CUP_MARGIN = np.deg2rad(4.0)  # reserved for the path between poses
 SURPLUS = 1.25  # poses searched for per pose visited: those with the most expensive visits are dropped
 TRIES = 3  # orientations tried at a point before it counts as out of reach
 FREE_TRAVEL = 0.015  # m
 STRAIN_PER_SECOND = 0.008  # m: the excess strain that costs as much as a second of motion
-DRAWN, MOST_DRAWS = 8000, 40  # random poses of the branch at a time, and how often, for one pairing
-NEAR_SHELL = 0.15  # m from a shell, from where NEWTON_STEPS lead onto it to a nanometre
-NEWTON_STEPS = 3
 
 
 def plan_shells(known: Known, bar: str, n_poses: int = 800, seed: int = 0, speed: Floats | None = None) -> Plan:
@@ -104,39 +102,37 @@ def _unreached(pairing: Pairing) -> tuple[str, ...]:
 
 
 def _of_pairing(site: Site, pairing: Pairing, count: int, spread: float, rng: np.random.Generator) -> Floats:
-    """Return at most ``count`` joint vectors of one pairing, drawn from the whole branch, so in all orientations.
-
-    Newton's steps along the gradient of the bar's length bring a pose onto the shell.
-    """
+    """Return at most ``count`` joint vectors of one pairing; the grid is refined, up to a limit, as needed."""
     bar, mounted = pairing.of(site.rig)
-    arm, limits = site.arm, site.limits.tightened()
-    reached = np.zeros((0, len(arm.chain.joints)))
-    for _ in range(MOST_DRAWS):
-        q = rng.uniform(arm.branch.lower, arm.branch.upper, (DRAWN, reached.shape[1]))
-        distance = np.linalg.norm(point_forward(arm.chain, arm.params, q, mounted.p_sphere) - mounted.p_chuck, axis=1)
-        q = q[np.abs(distance - bar.zero) < NEAR_SHELL]
-        length = bar.zero + spread * rng.uniform(-1.0, 1.0, len(q))
-        for _ in range(NEWTON_STEPS):
-            trace = trace_point(arm.chain, arm.params, q, mounted.p_sphere)
-            vector = trace.p_base - mounted.p_chuck
-            distance = np.linalg.norm(vector, axis=1)
-            gradient = along(trace, vector / distance[:, None]).jac_joints
-            q = q + ((length - distance) / np.square(gradient).sum(axis=1))[:, None] * gradient
-        q = q[((q > arm.branch.lower) & (q < arm.branch.upper)).all(axis=1)]
-        reached = np.concatenate([reached, q[allowed(site, q, pairing, limits)]])
-        if len(reached) >= count:
-            return reached[:count]
-    return reached
+    tilt = site.limits.sphere_angle - CUP_MARGIN
+    n_places, q = 2 * count, np.zeros((0, len(site.arm.chain.joints)))
+    for _ in range(4):
+        directions = grid_directions(n_places, max(LOWEST, 0.5 * np.pi - site.limits.chuck_angle + 0.02))
+        q = np.full((len(directions), len(site.arm.chain.joints)), np.nan)
+        for _ in range(TRIES):
+            left = np.flatnonzero(np.isnan(q[:, 0]))
+            length = bar.zero + spread * rng.uniform(-1.0, 1.0, (len(left), 1))
+            found = inverse(
+                site.arm, _tool_poses(directions[left], length, mounted.p_chuck, mounted.p_sphere, rng, tilt)
+            )
+            good = ~np.isnan(found[:, 0])
+            good[good] = allowed(site, found[good], pairing, site.limits.tightened())
+            q[left[good]] = found[good]
+        q = q[~np.isnan(q[:, 0])]
+        if len(q) >= count:
+            return np.asarray(q[np.linspace(0, len(q) - 1, count).round().astype(int)])
+        n_places *= 2
+    return q
 
 
-def grid_directions(n: int) -> Floats:
+def grid_directions(n: int, lowest: float = LOWEST) -> Floats:
     """Return about n unit vectors (m, 3), m ≥ n, from a chuck to the crossings of a latitude/longitude grid.
 
     Rings of latitude alternate in direction, so that neighbours in the list are neighbours on the shell.
     """
     n_latitudes = max(3, int(np.ceil(np.sqrt(n / 4.0))))
     n_longitudes = int(np.ceil(n / n_latitudes))
-    latitudes = np.linspace(LOWEST, HIGHEST, n_latitudes)
+    latitudes = np.linspace(lowest, HIGHEST, n_latitudes)
     longitudes = 2.0 * np.pi * np.arange(n_longitudes) / n_longitudes
     rings = [longitudes if i % 2 == 0 else longitudes[::-1] for i in range(n_latitudes)]
     lat, lon = np.repeat(latitudes, n_longitudes), np.concatenate(rings)
@@ -169,11 +165,16 @@ def _reachable(
 
 
 def _tool_poses(
-    directions: Floats, length: float, p_chuck: Floats, p_sphere: Floats, rng: np.random.Generator
+    directions: Floats,
+    length: float | Floats,
+    p_chuck: Floats,
+    p_sphere: Floats,
+    rng: np.random.Generator,
+    most: float = MAX_TILT,
 ) -> Floats:
     """Return end poses (m, 4, 4) with spheres on the shells and the tool's z axis towards the chuck, tilted and turned."""
     m = len(directions)
-    tilt, azimuth, turn = MAX_TILT * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
+    tilt, azimuth, turn = most * np.sqrt(rng.random(m)), *(2.0 * np.pi * rng.random((2, m)))
     lat, lon = np.arcsin(directions[:, 2]), np.arctan2(directions[:, 1], directions[:, 0])
     facing = Rotation.from_euler("ZY", np.stack([lon, -0.5 * np.pi - lat], axis=-1))  # z axis along −direction
     varied = Rotation.from_euler("ZYZ", np.stack([azimuth, tilt, turn - azimuth], axis=-1))
