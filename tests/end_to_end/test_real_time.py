@@ -37,7 +37,7 @@ class Simulator:
         self.process.stdout.close()
 
 
-@pytest.fixture(params=["socket", "pty"])
+@pytest.fixture(params=[pytest.param("socket", marks=pytest.mark.soak), "pty"])
 def simulator(request, tmp_path):
     simulator = Simulator(tmp_path, *(["--pty"] if request.param == "pty" else []))
     yield simulator

@@ -23,7 +23,7 @@ FRAMES = {"base.x", "base.y", "base.z", "base.alpha", "base.beta", "base.gamma"}
     [
         pytest.param("a", "position", 0.40, marks=pytest.mark.soak),
         ("a", "pose", 0.40),
-        ("c", "position", 0.44),
+        pytest.param("c", "position", 0.44, marks=pytest.mark.soak),
         pytest.param("c", "pose", 0.44, marks=pytest.mark.soak),
     ],
 )

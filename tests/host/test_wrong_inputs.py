@@ -262,6 +262,7 @@ def test_the_error_to_expect_includes_what_no_row_sees():
     assert expected["error"] == {"mm": held_out}
 
 
+@pytest.mark.soak
 def test_names_of_chucks_and_spheres_that_are_both_renamed_in_a_cycle_are_labels(monkeypatch):
     """The fixture turned by a third and one chuck displaced fit such rows too, if chucks are renamed alone (seed 52).
 
@@ -387,6 +388,7 @@ def test_real_tracker_data_are_not_explained_away(series):
     assert explanations_of(UR10.chain, UR10_RIG, table, every, UR10.free, ROBOTS)[0] == ()
 
 
+@pytest.mark.soak
 def test_real_tracker_data_with_a_mistake():
     """Degrees as radians, a sign, another arm of the same maker: named on a real arm too, whose model is not exact."""
     table = tracked("c", "position", 20)
