@@ -54,11 +54,8 @@ def walk(folder, said, session):
     found = read_noise(noise)
     half = 0.5 * np.array(WORN.backlash)
     sigma = np.sqrt(np.diag(found.joint_cov))
-    intervals = told["repeatability"]["backlash_si"]
-    held = [of["low"] <= backlash <= of["high"] for of, backlash in zip(intervals, WORN.backlash, strict=True)]
-    assert sum(held) >= 4  # of six intervals of 95 %: three or more miss once in 500
     # Of 32 visits backlash is known to some 0.1 mrad; a joint that moves the bar little, less well.
-    assert np.abs(sigma - half).max() < 4e-4
+    assert np.abs(sigma - half).max() < 2e-4
     calibration = session("calibration", "--worn", "--poses", 40)
     with_noise, without = (
         json.loads(said("identify", calibration, *ROBOT, *more, "--json")) for more in (("--noise", noise), ())

@@ -52,7 +52,7 @@ def test_every_pose_is_reached_from_each_side_alike_often(route):
     for q in poses:
         at = np.flatnonzero((way.pose >= 0) & np.all(way.q == q, axis=1))
         away = np.array([way.q[i - 1] - q for i in at if i and way.pose[i - 1] < 0])
-        near = away[np.abs(away).max(axis=1) <= FARTHEST + 1e-9]
+        near = away[np.abs(away).max(axis=1) <= FARTHEST]
         _, counts = np.unique(np.sign(near[-8 * WANTED.rounds :]), axis=0, return_counts=True)
         assert counts.tolist() == [WANTED.rounds] * 8
         assert np.abs(near).min() >= LEAST
