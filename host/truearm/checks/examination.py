@@ -13,12 +13,12 @@ from truearm.checks.noise import Kernel
 from truearm.checks.search import Detection, checked, sized
 from truearm.checks.whitened import WhitenedFit, whitened_fit
 from truearm.estimate.measured_order import measured_order
-from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES, body_motion, measured_points
+from truearm.estimate.prediction import FIRST_ORDER, MOST_POSES, body_motion, measured_jacobian
 from truearm.estimate.problem import build_problem, modelled_of
 from truearm.estimate.systematic_score import span_in_table
 from truearm.estimate.whitened_rows import only
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import Chain, forward, point_jacobians
+from truearm.model.chain import Chain, forward
 from truearm.results import MOVES, Effect, Estimate
 from truearm.types import Floats, Indices, Rigs, thinned
 
@@ -145,14 +145,7 @@ def tool_gram(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estima
     A motion of all points together does not count where the observations do not determine the base.
     """
     few = table.select(thinned(len(table), MOST_POSES))
-    params = estimate.value[: estimate.n_robot_parameters]
-    places, columns = measured_points(rig, few, estimate)
-    points, by_robot, _ = point_jacobians(chain, params, few.q, places)
-    jac = np.zeros((len(few), 3, estimate.value.size + 1))  # one more column, for values known exactly
-    jac[:, :, : params.size] = by_robot
-    axes = forward(chain, params, few.q)[:, :3, :3]
-    np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
-    flat = jac[:, :, :-1].reshape(-1, estimate.value.size)
+    points, flat = measured_jacobian(chain, rig, few, estimate)
     if np.abs(flat @ estimate.unseen).max(initial=0.0) > MOVES:
         body, _ = np.linalg.qr(body_motion(points))
         flat = flat - body @ (body.T @ flat)

@@ -56,14 +56,8 @@ class PointCovariance(NamedTuple):
         return np.asarray(own @ own.swapaxes(1, 2))
 
 
-def point_covariance(
-    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
-) -> PointCovariance | None:
-    """Return the covariance of the points that the rows measure (spheres, targets), from that of robot and positions.
-
-    ``any_base``: the pose of the base is a choice of frame, so a motion of all points as one rigid body does not count.
-    None if null directions of the observations move the points in any other way.
-    """
+def measured_jacobian(chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate) -> tuple[Floats, Floats]:
+    """Return the points (n, 3) that the rows measure, and their derivatives (3n, p) by all parameters, row by row."""
     params = estimate.value[: estimate.n_robot_parameters]
     places, columns = measured_points(rig, table, estimate)
     points, by_robot, _ = point_jacobians(chain, params, table.q, places)
@@ -72,6 +66,18 @@ def point_covariance(
     axes = forward(chain, params, table.q)[:, :3, :3]
     np.put_along_axis(jac, np.broadcast_to(columns[:, None], axes.shape), axes, axis=2)
     flat = jac[:, :, :-1].reshape(-1, estimate.value.size)
+    return points, flat
+
+
+def point_covariance(
+    chain: Chain, rig: Rigs, table: ObservationTable, estimate: Estimate, any_base: bool = False
+) -> PointCovariance | None:
+    """Return the covariance of the points that the rows measure (spheres, targets), from that of robot and positions.
+
+    ``any_base``: the pose of the base is a choice of frame, so a motion of all points as one rigid body does not count.
+    None if null directions of the observations move the points in any other way.
+    """
+    points, flat = measured_jacobian(chain, rig, table, estimate)
     unseen = flat @ estimate.unseen
     relative = any_base or bool(np.abs(unseen).max(initial=0.0) > MOVES)
     half = flat @ covariance_root(estimate.covariance)
