@@ -74,9 +74,9 @@ def test_sandwich_of_least_squares_is_its_covariance():
 
 
 @pytest.mark.usefixtures("only_the_fit")
-@pytest.mark.parametrize("runs", [15, pytest.param(40, marks=pytest.mark.soak)])
+@pytest.mark.soak
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_errors_are_as_large_as_the_covariance_says(loss, runs):
+def test_errors_are_as_large_as_the_covariance_says(loss):
     """Monte Carlo with 2 % of the rows off by some 30 σ: NEES as for clean data, where least squares is far outside.
 
     The faults are symmetric, as the covariance assumes, and b holds what they do.
@@ -85,7 +85,7 @@ def test_errors_are_as_large_as_the_covariance_says(loss, runs):
     q, pairs = random_poses(300, rng), all_pairs(300)
     truth = lengths(TRUTH, q, pairs)
     nees = {loss: [], "linear": []}
-    for _ in range(runs):
+    for _ in range(40):
         noise = rng.normal(size=300)
         noise[rng.integers(0, 300, 6)] += 30.0 * rng.choice([-1.0, 1.0], 6)
         for how, out in nees.items():
@@ -93,7 +93,7 @@ def test_errors_are_as_large_as_the_covariance_says(loss, runs):
             error = (e.value - TRUTH)[FREE]
             out.append(error @ np.linalg.solve(e.covariance[np.ix_(FREE, FREE)], error))
     # Four standard errors of a mean of χ²(36); the covariance itself is estimated from 300 residuals, ±8 %.
-    assert abs(np.mean(nees[loss]) - 36.0) < 4 * np.sqrt(2 * 36 / runs) + 0.08 * 36
+    assert abs(np.mean(nees[loss]) - 36.0) < 4 * np.sqrt(2 * 36 / 40) + 0.08 * 36
     assert np.mean(nees["linear"]) > 100.0
 
 

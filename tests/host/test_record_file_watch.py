@@ -277,6 +277,7 @@ def test_a_robot_that_floods_takes_neither_the_clock_nor_the_end(tmp_path):
     assert int(end["samples"]) > 3 * 1017 * 10 // 10
 
 
+@pytest.mark.soak
 def test_a_flood_of_junk_does_not_end_the_recording(tmp_path):
     """The box is recorded to the end, the file does not grow with the junk, and the exit code says that it was not stored."""
     out = tmp_path / "s.mcap"

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from functools import cache
 from html.parser import HTMLParser
 
 import numpy as np
@@ -28,20 +29,21 @@ from truearm.reproduce.line_bench import ANGLE_SIGMA, line_rig, measured_lines
 from truearm.types import LinePlacement
 from truearm.workflows.reproduce import planned_bench
 
-PAPERS = ("goswami", "renders")
+PAPERS = ("goswami", pytest.param("renders", marks=pytest.mark.soak))
 ULB = builtin_robot("ulb")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Both papers, quick: {paper: (numbers, page)}."""
-    out = {}
-    for paper in PAPERS:
+    """A paper, quick: made(paper) is (numbers, page)."""
+
+    @cache
+    def reproduced(paper):
         folder = tmp_path_factory.mktemp(paper)
         assert main(["reproduce", paper, "--quick", "--out", str(folder)]) == 0
-        numbers = json.loads((folder / "numbers.json").read_text("utf-8"))
-        out[paper] = numbers, (folder / "report.html").read_text("utf-8")
-    return out
+        return json.loads((folder / "numbers.json").read_text("utf-8")), (folder / "report.html").read_text("utf-8")
+
+    return reproduced
 
 
 def claims(numbers, chapter=""):
@@ -55,13 +57,14 @@ def named(numbers, start, chapter=""):
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_every_difference_is_explained(made, paper):
-    for claim in claims(made[paper][0]):
+    for claim in claims(made(paper)[0]):
         if claim["verdict"] == NOT_REPRODUCED:
             assert len(claim["why"]) > 40, claim
 
 
 def test_goswami_numbers(made):
-    numbers, _ = made["goswami"]
+    numbers, _ = made("goswami")
+    assert NOT_JUDGED not in numbers["counts"]
     ranks = [c["ours"] for c in claims(numbers) if c["what"].startswith("parameters identifiable with")]
     assert ranks == [30, 32, 33, 32, 34, 35, 33, 35, 36]
     assert named(numbers, "the same without encoder factors")["ours"] == 4 * 6 + 6
@@ -87,8 +90,9 @@ def test_goswami_numbers(made):
     assert abs(chi2["ours"] - 764) < 4 * math.sqrt(2 * 764 / 20)
 
 
+@pytest.mark.soak
 def test_renders_numbers(made):
-    numbers, _ = made["renders"]
+    numbers, _ = made("renders")
     unseen = [
         c["ours"]
         for c in claims(numbers)
@@ -107,9 +111,10 @@ def test_renders_numbers(made):
     assert claimed > 10 * true
 
 
+@pytest.mark.soak
 def test_every_sigma_that_renders_prints_has_its_line(made):
     for case, printed, smallest in (("III-E", 5, 0.0005), ("III-F", 9, 0.0002)):
-        lines = [c for c in claims(made["renders"][0], case) if c["what"].startswith("σ of")]
+        lines = [c for c in claims(made("renders")[0], case) if c["what"].startswith("σ of")]
         assert len(lines) == printed
         assert {c["verdict"] for c in lines} == {IN_KIND}
         assert min(c["paper"] for c in lines if c["unit"] == "rad") == smallest
@@ -119,10 +124,11 @@ def test_every_sigma_that_renders_prints_has_its_line(made):
             assert line["ours"] < 1.01 * once, line
 
 
+@pytest.mark.soak
 def test_lengths_improve_what_offsets_leave(made):
     sure, none = (
         named(
-            made["renders"][0],
+            made("renders")[0],
             f"reduction of the mean error by fitting the lengths, for a robot with the errors of {c}",
         )
         for c in ("III-F", "III-E")
@@ -132,19 +138,19 @@ def test_lengths_improve_what_offsets_leave(made):
     assert sure["verdict"] == none["verdict"] == IN_KIND
 
 
+@pytest.mark.soak
 def test_two_experiments_do_not_judge_figure_four(made):
     for what in ("fraction of steps at which ML", "the same, P₀ chosen", "ML divided by LS at the end"):
-        claim = named(made["renders"][0], what, "Fig. 4")
+        claim = named(made("renders")[0], what, "Fig. 4")
         assert claim["verdict"] == NOT_JUDGED, claim
         assert "too few for a verdict; a full run makes" in claim["why"]
-    assert made["renders"][0]["counts"][NOT_JUDGED] == 4
-    assert NOT_JUDGED not in made["goswami"][0]["counts"]
-    assert f'<p class="name">{NOT_JUDGED}</p>' in made["renders"][1]
+    assert made("renders")[0]["counts"][NOT_JUDGED] == 4
+    assert f'<p class="name">{NOT_JUDGED}</p>' in made("renders")[1]
 
 
 @pytest.mark.parametrize("paper", PAPERS)
 def test_the_page_is_whole_and_loads_nothing(made, paper):
-    _, page = made[paper]
+    _, page = made(paper)
     parser = Balanced()
     parser.feed(page)
     assert parser.open == []
@@ -174,7 +180,7 @@ class Balanced(HTMLParser):
 @pytest.mark.soak
 def test_quick_is_repeatable(made, tmp_path):
     assert main(["reproduce", "renders", "--quick", "--out", str(tmp_path)]) == 0
-    assert json.loads((tmp_path / "numbers.json").read_text("utf-8")) == made["renders"][0]
+    assert json.loads((tmp_path / "numbers.json").read_text("utf-8")) == made("renders")[0]
 
 
 def test_bad_input(tmp_path, capsys):

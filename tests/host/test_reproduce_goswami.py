@@ -294,13 +294,13 @@ def test_converges_from_ten_centimetres_ten_degrees_five_percent(seed, clean):
 
 
 @pytest.mark.usefixtures("only_the_fit")
-@pytest.mark.parametrize("runs", [40, pytest.param(150, marks=pytest.mark.soak)])
-def test_errors_are_as_large_as_the_covariance_says(runs):
+@pytest.mark.soak
+def test_errors_are_as_large_as_the_covariance_says():
     """Monte Carlo: NEES in its χ² band, and every parameter's spread against its own σ."""
     rng = np.random.default_rng(10)
     q, pairs = random_poses(200, rng), all_pairs(200)
     truth = lengths(TRUTH, q, pairs)
-    nees, scaled = [], []
+    nees, scaled, runs = [], [], 150
     for _ in range(runs):
         e = identify(CHAIN, RIG, table(q, truth + SIGMA * rng.normal(size=200), pairs), free=FREE)
         error = (e.value - TRUTH)[FREE]

@@ -41,6 +41,7 @@ def held_to_figure_four(ml, ls):
     assert (ml[-6:].mean() < ls[:, -6:].mean(axis=1)).all()
 
 
+@pytest.mark.soak
 def test_with_few_points_maximum_likelihood_predicts_better():
     held_to_figure_four(*means(8, (BEST,), 8))
 
