@@ -22,10 +22,11 @@ from truearm.estimate.prior import weak_prior
 from truearm.estimate.uncertainty import predicted_error
 from truearm.files.robot_file import load_robot
 from truearm.kinds.table import ObservationTable
-from truearm.model.chain import forward, point_forward, point_jacobians
+from truearm.model.chain import forward, joint_frames, point_forward, point_jacobians
 from truearm.model.rotation import rotation, rotation_vector
 from truearm.results import weights_of
 from truearm.types import BallBar, Device, Plane, Point, Rig
+from truearm.workflows.identify import IdentifyOptions, Selection, identified
 
 MUKCA = Path(__file__).parents[1] / "data" / "mukca"
 SENSOR = ((1e-8, 0.0, 0.0), (0.0, 1e-8, 0.0), (0.0, 0.0, 1e-8))  # m²: 0.1 mm each axis
@@ -246,3 +247,26 @@ def test_points_are_as_uncertain_as_robot_and_rig_say(kind):
 @pytest.mark.parametrize("kind", ["spheres", "tracker"])
 def test_points_are_as_uncertain_as_robot_and_rig_say_in_60_worlds(kind):
     assert 0.93 <= coverage(60, kind)[0] <= 0.97
+
+
+def test_sag_does_not_hide_the_error_of_the_tool():
+    """With sag the parameters move by milliradians. The geometry's own null space, taken before, then moves the tool by 0.2 mm."""
+    robot = load_robot(str(MUKCA / "panda.urdf"), None, "ball_link")
+    rng = np.random.default_rng(3)
+    n, chain, tracker = 40, robot.chain, np.array([1.5, 0.2, 0.5])
+    truth = chain.params_nominal + np.where(robot.free, weak_prior(chain) * rng.standard_normal(robot.free.size), 0.0)
+    lower, upper = np.clip(chain.limits, -2.0, 2.0)
+    q = rng.uniform(lower, upper, (n, len(chain.joints)))
+    frames = joint_frames(chain, truth, q)
+    lever = point_forward(chain, truth, q, np.zeros(3)) - frames[:, 1, :3, 3]
+    true = q.copy()
+    true[:, 1] -= 5e-3 * np.cross(frames[:, 1, :3, 2], lever)[:, 2]
+    points = point_forward(chain, truth, true, np.zeros(3)) - tracker + 5e-5 * rng.standard_normal((n, 3))
+    table = ObservationTable(q=q, kind=np.full(n, "position"), xyz=points, tracker=np.full(n, "t"))
+    rig = Rig(
+        trackers={"t": Device("t", (2.5e-9 * np.eye(3)).tolist())}, targets={"ball": Point("ball", (0.0,) * 3, 0.0)}
+    )
+    result = identified(robot, rig, table, Selection(robot.free), IdentifyOptions(joint_laws="sag"))
+    assert result.estimate.joint_laws.kept
+    assert result.estimate.null_space
+    assert result.predicted.rms == pytest.approx(3e-5, rel=0.4)

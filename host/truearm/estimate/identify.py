@@ -19,6 +19,7 @@ from truearm.estimate.fit import fit
 from truearm.estimate.frame_choice import mounting
 from truearm.estimate.further_measurements import additions
 from truearm.estimate.identifiability import (
+    Identifiability,
     hardly_seen,
     identifiability,
     identifiable_columns,
@@ -177,7 +178,7 @@ def identify(
     still = settled(taken, x)
     data = of_rows(still, x, columns)
     names = problem.names_of(columns)
-    sight = identifiability(of_rows(without_effect_priors(still, modelled), x, columns).root, int(free.sum()), names)
+    sight = determined(taken, x, columns, modelled)
     suggested = suggested_free(data.root, int(free.sum()), prefer[free])
     unit = weak_prior(chain)[free]
     weak = hardly_seen(data.root, suggested.size, unit, names)
@@ -208,8 +209,6 @@ def identify(
         wrong, distance, beyond = None, bad.distance, bad.bad
     pose = poses(table.select(fitted))
     identifiable = spread(sight.identifiable & ~np.isin(names, untimed), columns)
-    unseen = np.zeros((x.size, sight.unseen.shape[1]))
-    unseen[columns] = sight.unseen
     matrix = np.zeros((x.size, x.size))
     # Robust losses and the solvers that estimate the noise from the residuals include it in their covariance.
     as_declared = loss is Loss.LINEAR and not SOLVERS[options.solver].reads_noise
@@ -278,7 +277,7 @@ def identify(
         without_bad_rows=None if bad is None else without_bad(bad, chain, x, table.q[fitted]),
         parts=residual_parts(taken, x, columns, half(parts)),
         pose_error=None if shared is None else shared.error,
-        unseen=unseen,
+        unseen=sight.unseen,
     )
     return replace(estimate, seconds=time.perf_counter() - started)
 
@@ -292,6 +291,15 @@ def rows_left_out(spans: Sequence[tuple[int, int]], n: int) -> NDArray[np.bool_]
             raise ProblemError(f"{rows} cannot be left out: the table has rows 1 to {n}")
         out[first:last] = True
     return out
+
+
+def determined(problem: Problem, x: Floats, columns: NDArray[np.bool_], effects: Sequence[Modelled]) -> Identifiability:
+    """Return what the rows determine of x[columns], linearised at x. Its ``unseen`` (P, d) has a row for each unknown."""
+    root = of_rows(without_effect_priors(settled(problem, x), effects), x, columns).root
+    sight = identifiability(root, int(columns[: problem.n_robot].sum()), problem.names_of(columns))
+    unseen = np.zeros((x.size, sight.unseen.shape[1]))
+    unseen[columns] = sight.unseen
+    return sight._replace(unseen=unseen)
 
 
 def _untimed(root: Floats, names: Sequence[str]) -> list[str]:

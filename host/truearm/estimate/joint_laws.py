@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from truearm.estimate.defaults import LEAST_POSES, in_any_pose
 from truearm.estimate.identifiability import spread
-from truearm.estimate.identify import judged, merged, rms_of
+from truearm.estimate.identify import determined, judged, merged, rms_of
 from truearm.estimate.information import Information, observe
 from truearm.estimate.law_candidates import candidates, gravity_of
 from truearm.estimate.law_curves import sampled_curves, spectrum, strongest_periods
@@ -52,7 +52,6 @@ from truearm.results import (
     MeanError,
     PoseError,
     TriedLaw,
-    weights_of,
 )
 from truearm.types import CurveKnots, Floats, Law, Residuals, Rigs, thinned
 from truearm.units import UNITS
@@ -261,7 +260,8 @@ class _Work:
 
         covariance = np.zeros((x.size, x.size))
         covariance[np.ix_(of.columns, of.columns)] = found.covariance
-        covariance = _without_null(covariance, before, problem.names, problem.units)
+        sight = determined(problem, x, of.columns & ~is_law, self.effects)
+        covariance = _without_null(covariance, sight.unseen, problem.units)
         identifiable = np.insert(before.identifiable, [at] * added, True)
         sigma = np.where(identifiable & of.columns, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan)
         rows, weight = law_rows(of, fitted, learned.noise), before.weight[before.fitted]
@@ -288,7 +288,8 @@ class _Work:
             sigma=sigma,
             free=of.columns,
             identifiable=identifiable,
-            unseen=np.insert(before.unseen, [at] * added, 0.0, axis=0),
+            null_space=sight.null_space,
+            unseen=sight.unseen,
             covariance=covariance,
             n_robot_parameters=p,
             rms_after=rms_of(seen.residual),
@@ -377,14 +378,11 @@ def _like_offset(of: LawProblem, x: Floats, offset: int) -> Floats:
     return out
 
 
-def _without_null(covariance: Floats, before: Estimate, names: Sequence[str], units: Sequence[str]) -> Floats:
-    """Return the covariance (P, P) without null directions, along which it is that of the weak prior."""
-    if not before.null_space:
-        return covariance
-    null = weights_of(before.null_space, names)
+def _without_null(covariance: Floats, unseen: Floats, units: Sequence[str]) -> Floats:
+    """Return the covariance (P, P) without null directions (P, d), along which it is that of the weak prior."""
     scale = np.array([UNITS[unit].wide_sigma for unit in units])[:, None]
-    basis, _ = np.linalg.qr(null / scale)
-    keep = np.eye(len(names)) - scale * basis @ (basis.T / scale.T)
+    basis, _ = np.linalg.qr(unseen / scale)
+    keep = np.eye(len(units)) - scale * basis @ (basis.T / scale.T)
     return np.asarray(keep @ covariance @ keep.T)
 
 
