@@ -144,14 +144,6 @@ class MissingFileError(InputError, FileNotFoundError):
         self.errno, self.filename = errno.ENOENT, self.values.get("place")
 
 
-class FindingError(InputError):
-    """An input is refused because of a finding."""
-
-    def __init__(self, finding: Finding, *text: str) -> None:
-        super().__init__(*text, **finding.values)
-        self.default_code = finding.code
-
-
 class FileError(InputError):
     """The content of a file is wrong; the text begins with the file, the row and the column.
 

@@ -364,7 +364,7 @@ BAD_PROGRAMS = {
     "e.script": (b"[" * 100_000, "nothing to correct"),
     "f.mod": (b" " * (64 * 2**20 + 1), "64 MiB"),
     "g.script": (b"", "nothing to correct"),
-    "h.script": (b"movej([0,0,0,0,0,0])", "to keep or to correct these, give --joint-moves keep or correct"),
+    "h.script": (b"movej([0,0,0,0,0,0])", "give --joint-moves keep or correct"),
 }
 
 
@@ -390,7 +390,7 @@ def test_a_move_that_cannot_be_corrected_refuses_the_program(bench, tmp_path, ca
     assert (code, said) == (2, "")
     assert f"p.script line {line}: movel(get_target_tcp_pose()): it is computed at run time" in err
     n = N + 1  # the last one twice
-    assert f"{n} of {n + 1} moves can be corrected; the other one cannot, so nothing was written" in err
+    assert f"{n} of {n + 1} moves can be corrected, so nothing was written" in err
     assert not (tmp_path / "o.script").exists()
     code, said, _ = run(capsys, *given, tmp_path / "o.script", "--json")
     error = json.loads(said)["error"]
@@ -426,7 +426,7 @@ def test_a_folder_is_corrected_whole(bench, tmp_path, capsys):
     given = ("correct", bench.folder / "result.json", tmp_path / "cell", *FRAMES[:4], "--home", home(bench), "--out")
     code, said, err = run(capsys, *given, out, "--details")
     assert code == 0, err
-    assert "a/Data.mod:2" in said
+    assert "Work.mod:" in said
     after = {path.relative_to(out).as_posix(): path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert after.keys() == files.keys()
     assert after["Other.sys"] == other

@@ -22,7 +22,7 @@ from truearm.correct.correction import MARGIN, MOST_TURN
 from truearm.correct.joint_moves import JointMoves
 from truearm.correct.model_pair import ModelPair
 from truearm.correct.programs.languages import language_of
-from truearm.errors import FindingError
+from truearm.errors import InputError
 from truearm.findings import Finding
 from truearm.model.chain import forward
 from truearm.model.poses import apart
@@ -76,7 +76,7 @@ def outcome(tmp_path, text, **options):
     name = "p.mod" if text.startswith("MODULE") else "p.script"
     pair = options.pop("pair", ModelPair(CHAIN, DESIGN, TRUTH))
     how = HowCorrected(pair, "newton", 1, options.pop("home", Q[0]), MARGIN)
-    given = {"joint_moves": JointMoves.CORRECT, **({} if name == "p.mod" else {"tool": TOOLS[0]}), **options}
+    given = {"joint_moves": JointMoves.CORRECT, **({} if name == "p.mod" else {"tools": {"": TOOLS[0]}}), **options}
     return correct_program({name: text.encode("latin-1")}, language_of([name]), how, HERE, ProgramOptions(**given))
 
 
@@ -277,22 +277,6 @@ def test_quarter_turns_that_the_correction_crosses_are_written(tmp_path):
     assert sorted(crossed) == [False, True]
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "code"),
-    [
-        (program(f"movel({six(POSES[1])})"), {"tools": {"grip": TOOLS[1]}}, "unnamed-language"),
-        (program(f"movel({six(POSES[1])})"), {"works": {"table": TOOLS[1]}}, "unnamed-language"),
-        ("MODULE m\nPROC main()\nMoveL p,v10,fine,tool0;\nENDPROC\nENDMODULE", {"tool": TOOLS[1]}, "named-language"),
-        ("MODULE m\nPROC main()\nMoveL p,v10,fine,tool0;\nENDPROC\nENDMODULE", {"tools": {"grip": TOOLS[1]}}, "unmentioned"),
-        ("MODULE m\nPERS tooldata grip:=[TRUE,[[0,0,0],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\nPROC main()\nMoveL p,v10,fine,grip;\nENDPROC\nENDMODULE", {"tools": {"Grip": TOOLS[1]}}, "declared"),
-    ],
-)  # fmt: skip
-def test_a_tool_that_would_not_be_used_is_refused(tmp_path, text, options, code):
-    with pytest.raises(FindingError) as caught:
-        outcome(tmp_path, text, **options)
-    assert caught.value.finding.code == code
-
-
 def test_thousands_of_straight_moves_are_driven(tmp_path, monkeypatch):
     """The longest among 6,001 bends most; of more than are driven the number is said."""
     near = POSES[1].copy()
@@ -479,6 +463,24 @@ def test_a_calibration_from_noisy_lengths_is_as_good_in_a_program_as_it_is_itsel
     assert np.sqrt(np.mean(misses(text, after)[:, 0] ** 2)) <= 1.2 * np.sqrt(np.mean(own**2))
 
 
+GRIP = f"MoveJ {robtarget(1)},v10,fine,grip;"
+UNUSED = [
+    (program(f"movel({six(POSES[1])})"), {"tools": {"": TOOLS[0], "grip": TOOLS[1]}}),
+    (program(f"movel({six(POSES[1])})"), {"works": {"table": TOOLS[1]}}),
+    (module([], [f"MoveJ {robtarget(1)},v10,fine,tool0;"]), {"tools": {"": TOOLS[1]}}),
+    (module([], [f"MoveJ {robtarget(1)},v10,fine,tool0;"]), {"works": {"w7": TOOLS[1]}}),
+    (module([DATA[0].replace("t0", "grip")], [GRIP]), {"tools": {"Grip": TOOLS[1]}}),
+    (module([], [GRIP]), {"tools": {"grip": TOOLS[1]}, "works": {"grip": TOOLS[1]}}),
+]
+
+
+@pytest.mark.parametrize(("text", "options"), UNUSED)
+def test_a_tool_that_would_not_be_used_is_refused(tmp_path, text, options):
+    with pytest.raises(InputError) as caught:
+        outcome(tmp_path, text, **options)
+    assert caught.value.finding.code == ("given-twice" if "works" in options and "tools" in options else "no-effect")
+
+
 UNWATCHED = ["ConfL\\Off;", "ConfJ\\Off;", f"MoveAbsJ {jointtarget_at(flipped(Q[1]))}\\NoEOffs,v100,fine,t0;"]
 
 
@@ -558,7 +560,7 @@ def test_a_fault_in_writing_is_found_before_anything_is_written(tmp_path, monkey
     monkeypatch.setattr(
         correct_program_module, "changes_of", lambda *given: FAULTS[fault](*real(*given)[:2]) + real(*given)[2:]
     )
-    with pytest.raises(FindingError, match="nothing was written") as caught:
+    with pytest.raises(InputError) as caught:
         corrected(tmp_path, text)
     assert caught.value.finding.code == "reread"
 

@@ -62,7 +62,7 @@ def test_a_calibration_in_base_link_corrects_a_script_as_one_in_base_does(tmp_pa
         (0.0, CalibrationFrames("base_link_inertia", "tool0", brought=False, own=False)),
     ):
         how = HowCorrected(ModelPair(chain, nominal + turned, truth + turned), "newton", 1, q[0], MARGIN)
-        done = correct_program(given, how, names, ProgramOptions(tool=(0.0,) * 6))
+        done = correct_program(given, how, names, ProgramOptions(tools={"": (0.0,) * 6}))
         texts.append(numbers(text_of(done)))
         notes.append(done.notes[0].values["base"])
     np.testing.assert_allclose(texts[1:], [texts[0]] * 3, atol=2e-9)

@@ -121,15 +121,10 @@ def correct(
         raise InputError("needs-option", place="--mark", needed="--partial")
     shown = numbers_of("--home", home)
     works, tools = _named("--work", work), _named("--tool", tool)
-    own_work, own_tool = works.pop("", None), tools.pop("", None)
     program = fill(
         ProgramOptions,
         locals(),
-        base=own_work,
         flange=None if flange is None else frame_of("--flange", flange),
-        tool=own_tool,
-        tools=tools,
-        works=works,
         unchanged=frozenset(unchanged or ()),
     )
     files = fill(CorrectFiles, locals(), robot=RobotChoice(model, base, tip))
@@ -137,8 +132,8 @@ def correct(
     options = fill(
         CorrectOptions,
         locals(),
-        work=own_work or frame_of("--work", None),
-        tool=own_tool or frame_of("--tool", None),
+        work=works.get("") or frame_of("--work", None),
+        tool=tools.get("") or frame_of("--tool", None),
         home=joints_of("--home", shown, calibration.joint_units),
         document=json,
     )

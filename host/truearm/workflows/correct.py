@@ -178,7 +178,7 @@ def _refuse_for_table(targets: Path, given: ProgramOptions) -> None:
     named = {"tool": given.tools, "work": given.works}
     for option in (name for name, is_given in of_programs.items() if is_given):
         raise InputError(f"{targets}: is a table, and ", Argument(option), " is for programs; leave it out")
-    for option in (name for name, poses in named.items() if poses):
+    for option in (name for name, poses in named.items() if any(poses)):
         raise InputError(f"{targets}: is a table, which names none; give ", Argument(option), " without a name")
 
 

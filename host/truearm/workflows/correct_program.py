@@ -18,16 +18,24 @@ from truearm.correct.joint_moves import JointMoves
 from truearm.correct.methods import Method
 from truearm.correct.model_pair import ModelPair, believed
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.corrected_text import CONFIGURED, Joints, changed_files, changes_of, marks_of, remarks_of
+from truearm.correct.programs.corrected_text import (
+    CONFIGURED,
+    Joints,
+    changed_files,
+    changes_of,
+    due_numbers,
+    marks_of,
+    remarks_of,
+)
 from truearm.correct.programs.data import Place
 from truearm.correct.programs.languages import ProgramLanguage, read_programs
-from truearm.correct.programs.order import preceding
+from truearm.correct.programs.order import MOST_ORIGINS, preceding
 from truearm.correct.programs.poses import readings_of
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
 from truearm.correct.straight_moves import straight_moves
-from truearm.errors import Argument, FindingError
+from truearm.errors import Argument, InputError
 from truearm.findings import Finding
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, frame_of, inverted
@@ -35,14 +43,12 @@ from truearm.text import counted
 from truearm.types import Floats
 from truearm.workflows.configuration_notes import configuration_notes
 from truearm.workflows.correction_findings import CorrectedMoves, CorrectedTargets, OtherConfigurations, Refused
-from truearm.workflows.given_tools import check_given
 
 N_JOINTS = 6  # of a robot that a pose in a program determines
 SAME_TARGET = 1e-6  # m, rad between corrections of one target: below a controller's resolution
 NEAR = 0.3  # rad, m from a program's joints to those of the target; if farther, the joints are searched for
 MOST_MOVES = 20_000  # straight moves that are simulated: about 0.14 ms each
 MOST_COMPARED = 20  # targets that are corrected in all configurations of the arm
-MOST_ORIGINS = 4  # from which a move may come; more count as unknown
 
 
 class ProgramOptions(NamedTuple):
@@ -50,30 +56,26 @@ class ProgramOptions(NamedTuple):
 
     ``joint_moves``: what to do with moves to joint readings, None to refuse programs with any. ``partial``: correct the
     other moves if some cannot be corrected; ``mark`` marks these with a comment. ``strict``: routines in none of the
-    files may displace the program and change data. ``base``: the controller's base in the calibration's base frame, and
-    ``flange``: its flange in the calibration's end frame, if their names do not show this. ``tool``: the tool in force
-    before a URScript sets one. ``tools`` and ``works``: those declared elsewhere, by name in lower case. Poses are
-    positions [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
+    files may displace the program and change data. ``flange``: the controller's flange in the calibration's end frame, if their names do not show this.
+    ``tools`` and ``works``: tools and work objects that are declared elsewhere, by name; the tool "" is in force before a
+    URScript sets one, the work object "" is the controller's base in the calibration's base frame. Poses are positions
+    [m] and rotation vectors [rad]. ``unchanged``: names that nothing outside the files changes.
     """
 
     joint_moves: JointMoves | None = None
     partial: bool = False
     mark: bool = False
     strict: bool = False
-    base: Six | None = None
     flange: Six | None = None
-    tool: Six | None = None
     tools: Mapping[str, Six] = {}
     works: Mapping[str, Six] = {}
     unchanged: frozenset[str] = frozenset()
 
 
-class ProgramRefused(FindingError):
+class ProgramRefused(InputError):
     """Programs with moves that cannot be corrected with certainty; ``refused`` names them."""
 
-    def __init__(self, text: Sequence[str], refused: Sequence[Refused]) -> None:
-        super().__init__(Finding("uncertain-moves", {"refused": [move.entry() for move in refused]}), *text)
-        self.refused = tuple(refused)
+    refused: Sequence[Refused] = ()
 
 
 class CalibrationFrames(NamedTuple):
@@ -121,13 +123,6 @@ class Corrected(NamedTuple):
     notes: tuple[Finding, ...] = ()
     programs: Mapping[str, bytes] = {}
     table: str = ""
-
-
-class ControllerFrames(NamedTuple):
-    """The controller's base and flange in the frames of the calibration."""
-
-    base: Frame
-    flange: Frame
 
 
 class Visit(NamedTuple):
@@ -179,13 +174,11 @@ def correct_program(
 ) -> Corrected:
     """Correct the program files of one robot, by name.
 
-    Raises ProgramRefused if a move cannot be corrected, FindingError if the files are no valid program.
+    Raises ProgramRefused if a move cannot be corrected, InputError if the files are no valid program.
     """
-    surroundings = _surroundings(options)
-    programs = read_programs(language, [Source(name, data) for name, data in files.items()], surroundings)
+    programs = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     title = next(iter(files)) if len(files) == 1 else counted(len(files), "program file")
     _check_moves(title, programs, how.pair, options)
-    check_given(title, language, programs, options.tool, options.tools, options.works)
     frames = _controller_frames(language, names, options, how.pair)
     joints_change = options.joint_moves is JointMoves.CORRECT
     censuses = [Census(program, joints_change) for program in programs]
@@ -193,21 +186,23 @@ def correct_program(
     solution = _solution(sorted(visits, key=lambda visit: visit.goal.is_joints), how, frames)
     _settle(censuses, solution, how)
     refused = _refused(programs)
-    places = _corrected_rows(censuses, solution)
+    places = _corrected_rows(censuses, solution, joints_change)
     n_moves = sum(len(program.moves) for program in programs)
-    if not places:
-        none = f"{title}: none of {counted(n_moves, 'move')} can be corrected, so nothing was written"
-        raise ProgramRefused((none,), refused)
-    if refused and not options.partial:
-        raise ProgramRefused(_refusal(title, n_moves, refused), refused)
-    written = _written(censuses, solution, language, surroundings, options, simulated=how.simulated)
+    if not places or (refused and not options.partial):
+        good, entries = n_moves - len(refused) if places else 0, [move.entry() for move in refused]
+        error = ProgramRefused("uncertain-moves", place=title, good=good, n=n_moves, refused=entries)
+        error.refused = refused
+        raise error
+    _check_frames(programs, options)
+    written = _written(censuses, solution, language, options, how.simulated)
     labels, rows = [_label(programs, *place) for place in places], np.array(list(places.values()))
-    posed = rows < solution.n_poses
+    posed, tools = rows < solution.n_poses, solution.tools[rows]
+    correction = at_tools(how.pair, _selected(solution.correction, rows), tools)
     lines = [label.removeprefix("line ") for label, is_pose in zip(labels, posed, strict=True) if is_pose]
     columns = (solution.correction.q_nominal, solution.quarters, solution.determined)
     q, quarters, determined = (column[rows[posed]] for column in columns)
     return Corrected(
-        _targets(how.pair, labels, rows, solution),
+        CorrectedTargets(tuple(labels), ~posed, solution.asked[rows], solution.told[rows], tools, correction),
         _straight_moves(how.pair, programs, solution),
         _other_configurations(how, rows, solution),
         tuple(refused),
@@ -218,57 +213,46 @@ def correct_program(
 
 def _surroundings(options: ProgramOptions) -> Surroundings:
     """Return what defines the programs from outside."""
-    frames = {name.lower(): frame_of(six) for name, six in [*options.tools.items(), *options.works.items()]}
-    tool = None if options.tool is None else frame_of(options.tool)
-    unchanged = frozenset(name.lower() for name in options.unchanged)
-    return Surroundings(tool, frames, unchanged, options.strict)
+    works = {name: six for name, six in options.works.items() if name}  # without the controller's base
+    for name in works.keys() & options.tools.keys():
+        raise InputError("given-twice", place=name, what="a tool or work object")
+    frames = {name.lower(): frame_of(six) for name, six in [*options.tools.items(), *works.items()]}
+    return Surroundings(frames, frozenset(name.lower() for name in options.unchanged), options.strict)
+
+
+def _check_frames(programs: Sequence[Program], options: ProgramOptions) -> None:
+    """Raise InputError for tools and work objects that no move needs."""
+    asked = {name for program in programs for name in program.asked}
+    for argument, names in (("tool", options.tools), ("work", options.works.keys() - {""})):
+        for name in names:
+            if name.lower() not in asked:
+                reason = f"no move needs {name[:40] or 'a tool without a name'} from outside of the files"
+                raise InputError("no-effect", place=Argument(argument), reason=reason)
 
 
 def _check_moves(title: str, programs: Sequence[Program], pair: ModelPair, options: ProgramOptions) -> None:
-    """Raise FindingError for programs without moves, for a redundant robot, and for joint moves without an option."""
-    if not any(program.moves for program in programs):
-        raise FindingError(Finding("no-move"), f"{title}: contains no move; there is nothing to correct")
-    n_joints = len(pair.chain.joints)
-    if n_joints != N_JOINTS:
-        raise FindingError(
-            Finding("redundant", {"joints": n_joints}),
-            f"{title}: its targets have {N_JOINTS} coordinates, which do not determine the {n_joints} joints of the robot; "
-            "correct a table of targets with joints (q1_deg, q2_deg, …)",
-        )
-    moves = [
-        (program, move) for program in programs for move in program.moves if any(goal.is_joints for goal in move.goals)
-    ]
-    lines = list(dict.fromkeys(program.where(move.place) for program, move in moves))
+    """Raise InputError for programs without moves, for a redundant robot, and for joint moves without an option."""
+    moves = [(program, move) for program in programs for move in program.moves]
+    if not moves:
+        raise InputError("no-move", place=title)
+    if len(pair.chain.joints) != N_JOINTS:
+        raise InputError("redundant", place=title, joints=len(pair.chain.joints))
+    to_joints = (pair for pair in moves if any(goal.is_joints for goal in pair[1].goals))
+    lines = list(dict.fromkeys(program.where(move.place) for program, move in to_joints))
     if lines and options.joint_moves is None:
-        raise FindingError(
-            Finding("joint-moves", {"lines": len(lines)}),
-            f"{lines[0]}: the program moves to joint values, in {counted(len(lines), 'line')}; to keep or to correct these, give ",
-            Argument("joint_moves"),
-            " keep or correct",
-        )
+        raise InputError("joint-moves", place=lines[0], lines=len(lines))
 
 
 def _refused(programs: Sequence[Program]) -> list[Refused]:
     """Return the moves that are not corrected."""
-    return [
-        Refused(
-            program.files[move.place.file].name,
-            program.files[move.place.file].line(move.place.offset),
-            shorten(program.statement(move), 60, placeholder="..."),
-            move.reason,
-        )
-        for program in programs
-        for move in program.moves
-        if move.reason is not None
-    ]
-
-
-def _refusal(title: str, n_moves: int, refused: Sequence[Refused]) -> tuple[str, ...]:
-    """Return the message for programs of which nothing was written."""
-    n_good = n_moves - len(refused)
-    others = "the other one" if len(refused) == 1 else f"the other {len(refused)}"
-    counts = f"{title}: {n_good} of {counted(n_moves, 'move')} can be corrected; {others} cannot, so nothing was written; change them as their reasons say, or correct the {n_good} alone with "
-    return counts, Argument("partial")
+    refused: list[Refused] = []
+    for program in programs:
+        for move in program.moves:
+            if move.reason is not None:
+                source, statement = program.files[move.place.file], program.statement(move)
+                line = source.line(move.place.offset)
+                refused.append(Refused(source.name, line, shorten(statement, 60, placeholder="..."), move.reason))
+    return refused
 
 
 # what is corrected
@@ -310,7 +294,7 @@ def _rows_of(values: Sequence[Sequence[float] | Floats], *shape: int) -> Floats:
     return np.array(values, dtype=float).reshape(-1, *shape)
 
 
-def _solution(visits: Sequence[Visit], how: HowCorrected, frames: ControllerFrames) -> Solution:
+def _solution(visits: Sequence[Visit], how: HowCorrected, frames: tuple[Frame, Frame]) -> Solution:
     """Correct all visits: poses nearest to where the robot comes from, joint readings near themselves."""
     goals, pair = [visit.goal for visit in visits], how.pair
     rows: dict[Goal, int] = {}
@@ -319,8 +303,8 @@ def _solution(visits: Sequence[Visit], how: HowCorrected, frames: ControllerFram
     n = sum(not goal.is_joints for goal in goals)
     near = _rows_of([_near(goal) for goal in goals], N_JOINTS)
     base, tools = np.tile(np.eye(4), (2, len(goals), 1, 1))
-    base[:n] = frames.base.pose @ _rows_of([goal.frame for goal in goals[:n]], 4, 4)
-    tools[:n] = frames.flange.pose @ _rows_of([goal.tool for goal in goals[:n]], 4, 4)
+    base[:n] = frames[0].pose @ _rows_of([goal.frame for goal in goals[:n]], 4, 4)
+    tools[:n] = frames[1].pose @ _rows_of([goal.tool for goal in goals[:n]], 4, 4)
     asked = np.concatenate([target_poses(goals[:n]), believed(pair, near[n:])])
     ends = base @ asked @ inverted(tools)
     quarters = np.full((len(goals), N_JOINTS), np.nan)
@@ -384,20 +368,11 @@ def _turns_fit(visit: Visit, language: str, before: Floats, after: Floats) -> bo
 # what was corrected
 
 
-def _corrected_rows(censuses: Sequence[Census], solution: Solution) -> dict[tuple[int, Place], int]:
-    """Return the row of each place of a program whose numbers change."""
-    places: dict[tuple[int, Place], int] = {}
-    for number, census in enumerate(censuses):
-        moves = [move for move in census.program.moves if move.reason is None]
-        for move, goal in [(mover, goal) for mover in moves for goal in mover.goals]:
-            place, source = goal.target.literal.place, goal
-            if move in census.own and goal.argument is not None:
-                place = Place(move.place.file, goal.argument[0])
-            elif place in census.poses:
-                source = census.poses[place][0]
-            if source in solution.rows:
-                places.setdefault((number, place), solution.rows[source])
-    return places
+def _corrected_rows(censuses: Sequence[Census], solution: Solution, joints: bool) -> dict[tuple[int, Place], int]:
+    """Return the row of each place of a program whose numbers change, in the order of the text."""
+    due = [(number, due_numbers(census, solution.wanted, joints)) for number, census in enumerate(censuses)]
+    rows = {(number, place): solution.rows[goal] for number, places in due for place, (goal, *_) in places.items()}
+    return dict(sorted(rows.items()))
 
 
 def _label(programs: Sequence[Program], number: int, place: Place) -> str:
@@ -407,37 +382,20 @@ def _label(programs: Sequence[Program], number: int, place: Place) -> str:
     return f"line {name}{source.line(place.offset)}"
 
 
-def _targets(pair: ModelPair, labels: Sequence[str], rows: NDArray[np.int_], solution: Solution) -> CorrectedTargets:
-    """Return the corrected targets of rows."""
-    tools = solution.tools[rows]
-    correction = at_tools(pair, _selected(solution.correction, rows), tools)
-    by_joints = rows >= solution.n_poses
-    return CorrectedTargets(tuple(labels), by_joints, solution.asked[rows], solution.told[rows], tools, correction)
-
-
 def _straight_moves(pair: ModelPair, programs: Sequence[Program], solution: Solution) -> CorrectedMoves:
     """Simulate the straight moves between corrected targets."""
-    rows: list[int] = []
-    starts: list[Floats] = []
-    labels: list[tuple[str, str]] = []
-    unchecked = 0
-    for row, (number, move, _, origin) in enumerate(solution.visits[: solution.n_poses]):
-        if not move.straight or move.reason is not None:
-            continue
-        if origin is not None and origin in solution.rows:
-            starts.append(solution.correction.q[solution.rows[origin]])
-        elif origin is not None and origin.is_joints:
-            starts.append(readings_of(origin.target.literal))
-        else:
-            unchecked += 1
-            continue
-        rows.append(row)
-        labels.append((_label(programs, number, move.place), _label(programs, number, origin.target.literal.place)))
-    if not rows or len(rows) > MOST_MOVES:
-        return CorrectedMoves(unchecked=unchecked + len(rows))
-    simulated = straight_moves(pair, np.array(starts), solution.correction.commanded[rows], solution.tools[rows])
-    ends, begins = zip(*labels, strict=True)
-    return CorrectedMoves(ends, begins, simulated, unchecked)
+    visits = enumerate(solution.visits[: solution.n_poses])
+    straight = [(row, *visit) for row, visit in visits if visit.move.straight and visit.move.reason is None]
+    moves = [(row, number, move, origin) for row, number, move, _, origin in straight if origin is not None]
+    if not moves or len(moves) > MOST_MOVES:
+        return CorrectedMoves(unchecked=len(straight))
+    rows = [row for row, *_ in moves]
+    q = {goal: solution.correction.q[row] for goal, row in solution.rows.items()}
+    starts = np.array([q[origin] if origin in q else readings_of(origin.target.literal) for *_, origin in moves])
+    simulated = straight_moves(pair, starts, solution.correction.commanded[rows], solution.tools[rows])
+    ends = tuple(_label(programs, number, move.place) for _, number, move, _ in moves)
+    begins = tuple(_label(programs, number, origin.target.literal.place) for _, number, _, origin in moves)
+    return CorrectedMoves(ends, begins, simulated, len(straight) - len(moves))
 
 
 def _other_configurations(how: HowCorrected, rows: NDArray[np.int_], solution: Solution) -> OtherConfigurations | None:
@@ -455,11 +413,11 @@ def _other_configurations(how: HowCorrected, rows: NDArray[np.int_], solution: S
 
 
 def _notes(
-    programs: Sequence[Program], names: CalibrationFrames, frames: ControllerFrames, options: ProgramOptions
+    programs: Sequence[Program], names: CalibrationFrames, frames: tuple[Frame, Frame], options: ProgramOptions
 ) -> Iterator[Finding]:
     """Yield remarks about frames, routines outside of the files, and moves that are kept."""
-    base, flange = frames.base.called(names.base), frames.flange.called(names.end)
-    yield Finding("controller-frames", {"base": base, "flange": flange})
+    base, flange = frames
+    yield Finding("controller-frames", {"base": base.called(names.base), "flange": flange.called(names.end)})
     absent = list(dict.fromkeys(name for program in programs for name in program.absent))
     if absent and not options.strict:
         yield Finding("routines-absent", {"names": absent})
@@ -472,15 +430,9 @@ def _notes(
 
 
 def _written(
-    censuses: Sequence[Census],
-    solution: Solution,
-    language: ProgramLanguage,
-    surroundings: Surroundings,
-    options: ProgramOptions,
-    *,
-    simulated: bool,
+    censuses: Sequence[Census], solution: Solution, language: ProgramLanguage, options: ProgramOptions, simulated: bool
 ) -> dict[str, bytes]:
-    """Return the corrected files, read again and compared. Raises FindingError for a fault in them."""
+    """Return the corrected files, read again and compared. Raises InputError for a fault in them."""
     files: dict[str, bytes] = {}
     change = solution.wanted, solution.joints, options.joint_moves is JointMoves.CORRECT
     for census in censuses:
@@ -488,14 +440,11 @@ def _written(
         changes += remarks_of(census.program, changes, Finding("simulated").text()) if simulated else []
         names = [source.name for source in census.program.files]
         files |= zip(names, changed_files(census.program, changes), strict=True)
-    again = read_programs(language, [Source(name, data) for name, data in files.items()], surroundings)
+    again = read_programs(language, [Source(name, data) for name, data in files.items()], _surroundings(options))
     faults = ["the corrected files are other programs"] * (len(again) != len(censuses))
     faults += [difference(census.program, program, *change) for census, program in zip(censuses, again, strict=False)]
-    if any(faults):
-        raise FindingError(
-            Finding("reread"),
-            f"{next(filter(None, faults))}, so nothing was written; this is a fault in truearm: report it with this program",
-        )
+    for fault in filter(None, faults):
+        raise InputError("reread", reason=fault)
     return files
 
 
@@ -511,8 +460,8 @@ def _selected(done: Correction, rows: NDArray[np.int_]) -> Correction:
 
 def _controller_frames(
     language: ProgramLanguage, names: CalibrationFrames, options: ProgramOptions, pair: ModelPair
-) -> ControllerFrames:
-    """Return the controller's base and flange. Raises FindingError if they are not specified.
+) -> tuple[Frame, Frame]:
+    """Return the controller's base and flange in the frames of the calibration. Raises InputError if they are not specified.
 
     Without its mountings a robot still has the frames of its description. They are the controller's, whatever their
     names, only if it is no URDF.
@@ -521,17 +470,12 @@ def _controller_frames(
     axis = believed(pair, q)[0, :3, :3].T @ joint_jacobian(pair.chain, pair.nominal, q)[0, 3:, -1]  # in the end frame
     own = SAME if names.own and names.brought else None
     tool0 = None if names.tool0 is None else Frame(names.tool0, "tool0 (as in the URDF)")
-    base = _given(options.base) or base_of(language, names.base, names.brought) or own
+    base = _given(options.works.get("")) or base_of(language, names.base, names.brought) or own
     flange = _given(options.flange) or tool0 or flange_of(language, names.end, names.brought, axis) or own
-    for frame, what, name, argument in ((base, "base", names.base, "work"), (flange, "flange", names.end, "flange")):
-        if frame is None:
-            same = " X,Y,Z,RX,RY,RZ, or as 0,0,0,0,0,0 if the two frames are the same"
-            wrong = f"the calibration uses frame {name[:60]}; the pose of the controller's {what} in this frame is not known; give it as "
-            end = (f"{same}, or use the robot's own frames with ", Argument("own_frames")) if names.brought else (same,)
-            raise FindingError(Finding("frame", {"frame": name}), wrong, Argument(argument), *end)
-    assert base is not None
-    assert flange is not None
-    return ControllerFrames(base, flange)
+    if base is not None and flange is not None:
+        return base, flange
+    what, name, argument = ("base", names.base, "work") if base is None else ("flange", names.end, "flange")
+    raise InputError("frame", frame=name[:60], what=what, argument=Argument(argument), may_use_own=names.brought)
 
 
 def _given(six: Six | None) -> Frame | None:

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from truearm.correct.programs.languages import ALL_SUFFIXES, SUFFIXES, ProgramLanguage, language_of
-from truearm.errors import FindingError, InputError
+from truearm.errors import InputError
 from truearm.files.disk import check_new_folder, check_writable, read_bytes, write_atomic, write_folder
-from truearm.findings import Finding
 
 MAX_BYTES = 64 * 2**20  # of all files together
-MAX_FILES = 10_000
 
 
 class ProgramFiles(NamedTuple):
@@ -35,13 +33,11 @@ def read_program_files(path: Path) -> ProgramFiles:
         files = {file.relative_to(path).as_posix(): file for file in sorted(path.rglob("*")) if file.is_file()}
     try:
         language = language_of(files)
-    except FindingError as exc:
-        raise FindingError(exc.finding, f"{path}: holds {exc}") from exc
+    except InputError as exc:
+        raise exc.within(path) from exc
     if language is None:
-        raise FindingError(Finding("no-program"), f"{path}: holds no program ({', '.join(ALL_SUFFIXES)})")
+        raise InputError("no-program", place=path, suffixes=list(ALL_SUFFIXES))
     names = [name for name in files if name.lower().endswith(SUFFIXES[language])]
-    if len(names) > MAX_FILES:
-        raise FindingError(Finding("many-files"), f"{path}: holds {len(names)} programs, the maximum is {MAX_FILES}")
     contents: dict[str, bytes] = {}
     room = MAX_BYTES
     for name in names:

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from truearm.correct.programs.census import Census
-from truearm.correct.programs.data import Form, Literal
+from truearm.correct.programs.data import Form, Place
 from truearm.correct.programs.poses import plain, texts_of_poses, texts_of_readings
-from truearm.correct.programs.program import Goal, Move, Program
+from truearm.correct.programs.program import Goal, Program
 from truearm.types import Floats
 
 CONFIGURED = (0, 3, 5)  # axes whose quarter turns cf1, cf4 and cf6 of a robtarget give
@@ -42,37 +42,43 @@ def changes_of(
 
     ``wanted``: the poses (4, 4) in their frames of goals that are poses. ``correct_joints``: joint readings change too.
     """
-    due: list[tuple[Goal, Floats | None, Move | None]] = [(goal, pose, None) for goal, pose in census.poses.values()]
-    for move in census.program.moves:
-        for goal in move.goals if move.reason is None else ():
-            own_move = move if move in census.own else None
-            if goal.is_joints and correct_joints:
-                due.append((goal, None, own_move))
-            elif own_move is not None and goal in wanted:
-                due.append((goal, wanted[goal], own_move))
-    posed = [(goal.target.literal, pose) for goal, pose, _ in due if pose is not None]
+    due = due_numbers(census, wanted, correct_joints)
+    posed = [(goal.target.literal, pose) for goal, pose, _ in due.values() if pose is not None]
     pose_texts = iter(texts_of_poses([literal for literal, _ in posed], np.array([pose for _, pose in posed])))
-    changes: set[Change] = set()
-    for goal, pose, own_move in due:
+    changes: list[Change] = []
+    for place, (goal, pose, is_own) in due.items():
         literal = goal.target.literal
         if pose is None:
             texts = texts_of_readings(literal, joints[goal].after)
         else:
             texts = [*next(pose_texts), *configuration_texts(goal, joints.get(goal))]
         numbers = [(start, end, text) for (start, end), text in zip(literal.spans, texts, strict=False)]
-        if own_move is None:
-            changes.update(Change(literal.place.file, *number) for number in numbers)
+        if not is_own:
+            changes += [Change(place.file, *number) for number in numbers]
         elif goal.argument is not None:
-            text = _own_text(census.program, literal, numbers)
-            changes.add(Change(own_move.place.file, *goal.argument, text))
+            first = literal.place.offset
+            data = census.program.files[literal.place.file].data[first : literal.end]
+            text = _replaced(data, [(start - first, end - first, text) for start, end, text in numbers]).decode(*BYTES)
+            changes.append(Change(place.file, *goal.argument, text))
     return sorted(changes)
 
 
-def _own_text(program: Program, literal: Literal, numbers: Iterable[tuple[int, int, str]]) -> str:
-    """Return the text of a literal with other numbers, which replaces the argument of a move."""
-    first = literal.place.offset
-    data = program.files[literal.place.file].data[first : literal.end]
-    return _replaced(data, [(start - first, end - first, text) for start, end, text in numbers]).decode(*BYTES)
+Due = dict[Place, tuple[Goal, Floats | None, bool]]
+
+
+def due_numbers(census: Census, wanted: Mapping[Goal, Floats], correct_joints: bool) -> Due:
+    """Return which numbers change, by the place of the literal, or of the argument that numbers of a move replace.
+
+    Each for a goal, with the pose (4, 4) to write, None for joint readings, and whether they are the move's own.
+    """
+    due: Due = {place: (goal, pose, False) for place, (goal, pose) in census.poses.items()}
+    for move in census.program.moves:
+        for goal in move.goals if move.reason is None else ():
+            own = goal.argument if move in census.own else None
+            place = goal.target.literal.place if own is None else Place(move.place.file, own[0])
+            if correct_joints if goal.is_joints else own is not None and goal in wanted:
+                due.setdefault(place, (goal, wanted.get(goal), own is not None))
+    return due
 
 
 def configuration_texts(goal: Goal, joints: Joints | None) -> list[str]:

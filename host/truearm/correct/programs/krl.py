@@ -210,21 +210,16 @@ class _Reader(Reading):
                     changes.append(Change(place, "argument", caller))
 
     def note_displacement(self) -> None:
-        """Note a line that moves all frames, or sets some in a routine that an interrupt or trigger may run at any time."""
-        calls: dict[str, set[str]] = defaultdict(set)
-        interrupting: set[str] = set()
+        """Note a line that moves all frames, or lets a routine set some at any time, as an interrupt or trigger does."""
+        callers: dict[str, set[str]] = defaultdict(set)
         for line in self.lines:
-            calls[line.routine] |= self.routines.intersection(line.texts)
-            if line.word in ("interrupt", "trigger") and "do" in line.texts:
-                interrupting |= self.routines.intersection(line.texts[line.texts.index("do") :])
-        interrupting = closure(interrupting, calls.__getitem__)
+            for routine in self.routines.intersection(line.texts):
+                callers[routine].add(line.routine)
+        setting = closure({line.routine for line in self.lines if line.sets_frames}, callers.__getitem__)
         for line in self.lines:
             is_root = line.texts[0] in ROOTS and line.assigned
-            if (
-                is_root
-                or CORRECTION.search(" ".join(line.texts))
-                or (line.routine in interrupting and line.sets_frames)
-            ):
+            is_event = line.word in ("interrupt", "trigger") and not setting.isdisjoint(line.texts)
+            if is_root or is_event or CORRECTION.search(" ".join(line.texts)):
                 self.displace("displacing", line.texts[0].upper(), Place(line.file, line.tokens[0].start))
 
     def targets(self, tokens: Tokens, line: Line) -> list[tuple[Tokens, int, Uses]]:
@@ -287,10 +282,10 @@ class _Reader(Reading):
         try:
             components = self.components(tokens, line)
         except Uncertain as uncertain:
-            pose = self.surroundings.frames.get(key.replace("[", "").replace("]", ""))
-            if pose is not None and uncertain.finding.code == "undeclared":
-                return pose
-            raise uncertain.about(subject) from uncertain
+            if uncertain.finding.code != "undeclared":
+                raise uncertain.about(subject) from None
+            name = key.replace("[", "").replace("]", "")
+            return self.given(name, Uncertain("undeclared", name=name.upper(), subject=subject))
         x, y, z, a, b, c = (_number(components.get(name, ())) for name in POSE)
         return matrix_of_angles(x, y, z, a, b, c)
 
@@ -422,16 +417,10 @@ def _goals(reader: _Reader, line: Line, active: _ActiveFrames) -> list[Goal]:
         raise Uncertain("relative")
     end = next((i for i, text in enumerate(line.texts) if text == "with" or text.startswith("c_")), len(line.texts))
     arguments = list(separated(line.tokens[1:end], ","))[: 1 + ("circ" in line.word)]
-    targets = [target for argument in arguments for target in reader.targets(argument, line)]
-    places = [Place(file, target[0].start) for target, file, _ in targets]
-    literals = [
-        reader.once(place, partial(reader.literal, *target[:2])) for place, target in zip(places, targets, strict=True)
-    ]
-    tool = base = IDENTITY
-    if not all(literal.form.is_joints for literal in literals):
-        tool, base = active.tool_and_base(line)
     goals = []
-    for literal, (_, _, uses) in zip(literals, targets, strict=True):
+    for target, file, uses in [target for argument in arguments for target in reader.targets(argument, line)]:
+        literal = reader.once(Place(file, target[0].start), partial(reader.literal, target, file))
+        tool, base = (IDENTITY, IDENTITY) if literal.form.is_joints else active.tool_and_base(line)
         turns = int(literal.numbers[6]) if len(literal.numbers) > len(POSE) else None
         goals.append(Goal(Target(literal, uses=uses), tool, base, turns=turns))
     return goals

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Literal
 
 from truearm.correct.programs.krl import read_krl
@@ -15,8 +16,7 @@ from truearm.correct.programs.rapid import read_rapid
 from truearm.correct.programs.tokens import Source
 from truearm.correct.programs.urscript import read_urscript
 from truearm.correct.programs.urscript_names import DEFINING, calls_in
-from truearm.errors import FindingError
-from truearm.findings import Finding
+from truearm.errors import InputError
 
 ProgramLanguage = Literal["rapid", "urscript", "krl", "ls"]
 SUFFIXES: dict[ProgramLanguage, tuple[str, ...]] = {
@@ -29,22 +29,21 @@ ALL_SUFFIXES = tuple(suffix for suffixes in SUFFIXES.values() for suffix in suff
 
 
 def language_of(names: Iterable[str]) -> ProgramLanguage | None:
-    """Return the language of files by their names, None if none is a program. Raises FindingError if they differ."""
+    """Return the language of files by their names, None if none is a program. Raises InputError if they differ."""
     suffixes = {name.lower().rpartition(".")[2] for name in names}
     found = [language for language in SUFFIXES if any(f".{suffix}" in SUFFIXES[language] for suffix in suffixes)]
     if "krl" in found and "src" not in suffixes and len(found) > 1:
         found.remove("krl")  # a .dat file of something else
     if len(found) > 1:
-        kinds = " and ".join(found)
-        raise FindingError(Finding("languages"), f"programs of several languages ({kinds}); give those of one robot")
+        raise InputError("languages", names=found)
     return found[0] if found else None
 
 
 def read_programs(language: ProgramLanguage, files: Sequence[Source], surroundings: Surroundings) -> list[Program]:
-    """Read files of one language: one program for all files that run together. Raises FindingError."""
+    """Read files of one language: one program for all files that run together. Raises InputError."""
     for source in files:
         if b"\0" in source.data:
-            raise FindingError(Finding("binary"), f"{source.name}: holds a NUL byte, so it is not a program")
+            raise InputError("binary", place=source.name)
     if language == "rapid":
         return read_rapid(_tasks(files), surroundings)
     if language == "urscript":
@@ -63,23 +62,20 @@ def _tasks(files: Sequence[Source]) -> list[list[Source]]:
 
 def _scripts(files: Sequence[Source]) -> list[list[Source]]:
     """Return the URScripts that run together: those that call functions which only another one defines."""
-    defined: dict[str, list[int]] = defaultdict(list)
-    called: list[set[str]] = []
-    linked: dict[int, set[int]] = defaultdict(set)
-    for number, source in enumerate(files):
+    called, defined = list[set[str]](), list[set[str]]()
+    for source in files:
         tokens = source.script_tokens
-        calls = {token.text for _, token in calls_in(tokens)}
-        own = {tokens[i + 1].text for i in range(len(tokens) - 1) if tokens[i].text in DEFINING}
-        called.append(calls - own)
-        for name in own:
-            defined[name].append(number)
-    for number, names in enumerate(called):
-        for other in [other for name in names for other in defined.get(name, ())]:
-            linked[number].add(other)
-            linked[other].add(number)
-    groups: dict[int, frozenset[int]] = {}
+        defined.append({name.text for word, name in pairwise(tokens) if word.text in DEFINING})
+        called.append({token.text for _, token in calls_in(tokens)} - defined[-1])
+    shared = set().union(*called) & set().union(*defined)
+    linked: dict[int | str, set[int | str]] = defaultdict(set)  # files and the names of functions by which they are
+    for number, names in enumerate(map(set.union, called, defined)):
+        for name in names & shared:
+            linked[number].add(name)
+            linked[name].add(number)
+    groups: dict[int | str, list[int]] = {}
     for number in range(len(files)):
         if number not in groups:
-            group = frozenset(closure([number], linked.__getitem__))
-            groups |= dict.fromkeys(group, group)
-    return [[files[number] for number in sorted(group)] for group in dict.fromkeys(groups.values())]
+            nodes = closure(set[int | str]([number]), linked.__getitem__)
+            groups |= dict.fromkeys(nodes, sorted(node for node in nodes if isinstance(node, int)))
+    return [[files[n] for n in group] for number, group in groups.items() if number == group[0]]

@@ -17,7 +17,7 @@ from truearm.types import Floats
 STATEMENT = re.compile(r"(?:\s*+\d*+:)?+\s*+([^;]*);")
 MOVE = re.compile(r"([JLCSA])\s+(?=\w+\s*\[)", re.IGNORECASE)
 POINT = re.compile(r"\b(PR?)\[\s*(\w+)(\[?)[^\]\n]*\]", re.IGNORECASE)
-POINT_DATA = re.compile(r"^P\[\s*(\d+)[^\]\n]*\]\s*\{", re.MULTILINE)
+POINT_DATA = re.compile(r"^P\[\s*(\d+)[^\]\n]*\]\s*\{(.*?)(?=^P\[|\Z)", re.MULTILINE | re.DOTALL)
 GROUP = re.compile(r"GP1\s*:(.*?)(?=GP\d+\s*:|\Z)", re.DOTALL)
 FRAMES = re.compile(r"UF\s*:\s*(\w+)\s*,\s*UT\s*:\s*(\w+)")
 NUMBER = re.compile(r"\b(?:([XYZWPR]|J\d)\s*=\s*(-?\d*\.?\d+)\s*(mm|deg)|E\d\s*=)")
@@ -57,9 +57,7 @@ class _File:
         """Note the points, their uses and what displaces them: a frame that is set counts in all files."""
         start = self.text.find("/MN") + len("/MN")
         end = self.text.find("/POS") if "/POS" in self.text else len(self.text)
-        matches = list(POINT_DATA.finditer(self.text, end))
-        ends = [*(match.start() for match in matches[1:]), len(self.text)]
-        self.points = {int(match[1]): (match.end(), last) for match, last in zip(matches, ends, strict=False)}
+        self.points = {int(match[1]): match.span(2) for match in POINT_DATA.finditer(self.text, end)}
         spans = (match.span(1) for match in STATEMENT.finditer(self.text, start, end))
         self.statements = [span for span in spans if not self.text.startswith(REMARK, *span)]
         if (match := LINE_TRACK.search(self.text, 0, start)) is not None:
@@ -117,10 +115,8 @@ class _File:
 
     def frame(self, name: str, subject: str) -> Floats:
         """Return a tool or user frame that is given by its name. Raises Uncertain."""
-        pose = IDENTITY if name == "uf0" else self.reading.surroundings.frames.get(name.lower())
-        if pose is None:
-            raise Uncertain("undeclared", name=name.upper(), subject=subject)
-        return pose
+        otherwise = Uncertain("undeclared", name=name.upper(), subject=subject)
+        return IDENTITY if name == "uf0" else self.reading.given(name.lower(), otherwise)
 
     def literal(self, number: int) -> tuple[Literal, str, str]:
         """Return the numbers of a point in the first group of axes, with its user frame and tool. Raises Uncertain."""

@@ -11,6 +11,7 @@ from typing import Generic, TypeVar, assert_never
 
 from truearm.correct.programs.program import Step
 
+MOST_ORIGINS = 4  # moves that may be the last one before a move; more count as unknown
 T = TypeVar("T")
 
 

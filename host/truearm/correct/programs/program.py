@@ -87,7 +87,8 @@ class Program:
 
     ``steps``: moves and the structure around them, in the order of the text (``order.py``). ``absent``: routines that
     none of the files defines. ``origins``: the moves from which each may come, where the steps do not show it. ``harmless``: uses of data that a correction may change, such as joints near a target.
-    ``names``: all words; ``declared``: those that the files declare as data. ``texts``: texts that contain moves.
+    ``asked``: the names of tools and work objects that moves need from outside of the files, "" for a tool without a name.
+    ``texts``: texts that contain moves.
     """
 
     language: str
@@ -97,8 +98,7 @@ class Program:
     origins: dict[Move, frozenset[Move | None]] = field(default_factory=dict)
     absent: dict[str, None] = field(default_factory=dict)
     harmless: set[Place] = field(default_factory=set)
-    names: set[str] = field(default_factory=set)
-    declared: set[str] = field(default_factory=set)
+    asked: set[str] = field(default_factory=set)
     texts: list[Place] = field(default_factory=list)
 
     def where(self, place: Place) -> str:
@@ -116,12 +116,11 @@ class Program:
 class Surroundings:
     """What defines a program from outside.
 
-    ``tool``: the tool of a URScript before it sets one. ``frames``: tools and work objects by name in lower case, poses
+    ``frames``: tools and work objects by name in lower case, "" for the tool of a URScript before it sets one, poses
     (4, 4) [m]. ``unchanged``: data, tools and axes that nothing outside the files changes or moves. ``strict``: a
     routine in none of the files may displace the program and change data.
     """
 
-    tool: Floats | None = None
     frames: Mapping[str, Floats] = field(default_factory=dict)
     unchanged: frozenset[str] = frozenset()
     strict: bool = False

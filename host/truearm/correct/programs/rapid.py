@@ -183,13 +183,14 @@ def _frame_of(task: Task, tokens: Tokens, scope: Scope, subject: str) -> Floats:
         return IDENTITY
     try:
         if datum is not None and datum.kind == "external":
+            pose = task.given(name, Uncertain("undeclared"))
             task.check(datum)
-            return task.surroundings.frames[name]
+            return pose
         value: Any = value_of(task, tokens, scope)
         if _shape(value) != (TOOL if is_tool else WORK_OBJECT):
             raise Uncertain("type", type=f"complete {subject}")
         if value[0] is not is_tool:
-            raise Uncertain("fixed-tool" if is_tool else "held-object")
+            raise Uncertain("fixed-tool" if is_tool else "moved-object")
         if is_tool:
             return matrix_of_quaternion(*value[1])
         if value[1:3] != (True, '""'):

@@ -81,11 +81,8 @@ def read_names(files: Sequence[Source], surroundings: Surroundings) -> Task:
     """Read the modules of a task, and note who uses and changes each datum."""
     task = Task(Program("rapid", list(files)), surroundings)
     for number, source in enumerate(files):
-        tokens = tokens_of(RAPID, source.text)
-        task.program.names.update(token.text for token in tokens if token.kind == "word")
-        _ModuleReader(task, number, tokens).read()
+        _ModuleReader(task, number, tokens_of(RAPID, source.text)).read()
     for data in task.modules:
-        task.program.declared.update(data)
         for name, datum in data.items():
             if not datum.local:
                 task.shared[name].append(datum)

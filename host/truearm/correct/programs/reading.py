@@ -10,6 +10,7 @@ from truearm.correct.programs.data import Datum, Place
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.tokens import Tokens
 from truearm.findings import Finding
+from truearm.types import Floats
 
 MOST_TARGETS = 1_000  # of one argument, such as the elements of a list
 MOST_GOALS = 100_000  # of all moves
@@ -79,6 +80,13 @@ class Reading:
         is_visible = datum.kind != "const" and not datum.local
         if self.surroundings.strict and self.program.absent and is_visible and not is_trusted:
             raise Uncertain("absent-routine", name=next(iter(self.program.absent)))
+
+    def given(self, name: str, otherwise: Uncertain) -> Floats:
+        """Return the tool or work object that is given by a name. Raises ``otherwise`` if it is not."""
+        self.program.asked.add(name)
+        if name not in self.surroundings.frames:
+            raise otherwise
+        return self.surroundings.frames[name]
 
     def check_displacement(self) -> None:
         """Raise Uncertain if no pose is certain."""

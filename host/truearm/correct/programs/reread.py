@@ -46,15 +46,15 @@ def difference(
     for row, (move, goal, _) in enumerate(posed):
         if move.reason is None:
             due[row] = wanted[goal]
-    distances = np.abs(apart(actual, due)).max(axis=1) if posed else np.zeros(0)
-    for (move, goal, again), distance in zip(posed, distances, strict=True):
-        same = np.array_equal(goal.tool, again.tool) and np.array_equal(goal.frame, again.frame)
-        if not distance <= CLOSE or not same:
-            return f"{before.where(move.place)}: the corrected move misses its target by {distance:.3g} m or rad"
+    misses = (
+        dict(zip((goal for _, goal, _ in posed), np.abs(apart(actual, due)).max(axis=1), strict=True)) if posed else {}
+    )
     for move, goal, again in pairs:
         if goal.is_joints:
-            changed = joints_change and move.reason is None
-            readings = joints[goal].after if changed else readings_of(goal.target.literal)
-            if not np.abs(readings_of(again.target.literal) - readings).max() <= CLOSE:
-                return f"{before.where(move.place)}: the corrected move has other joint readings"
+            is_changed = joints_change and move.reason is None
+            readings = joints[goal].after if is_changed else readings_of(goal.target.literal)
+            misses[goal] = np.abs(readings_of(again.target.literal) - readings).max()
+        is_same = np.array_equal(goal.tool, again.tool) and np.array_equal(goal.frame, again.frame)
+        if not misses[goal] <= CLOSE or not is_same:
+            return f"{before.where(move.place)}: the corrected move misses its target by {misses[goal]:.3g} m or rad"
     return ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from truearm.correct.programs.data import Datum, Form, Literal, Place, Uses
 from truearm.correct.programs.expressions import arithmetic
-from truearm.correct.programs.order import closure
+from truearm.correct.programs.order import MOST_ORIGINS, closure
 from truearm.correct.programs.poses import check_reach
 from truearm.correct.programs.program import IDENTITY, Goal, Move, Program, Surroundings, Target
 from truearm.correct.programs.reading import MOST_TARGETS, Uncertain
@@ -25,7 +25,6 @@ from truearm.types import Floats
 from truearm.units import DEG
 
 MOST_TOOLS = 100  # calls of set_tcp that may be the last one before a move
-MOST_ORIGINS = 4  # moves that may be the last one before a move
 CURRENT_JOINTS = frozenset(("get_actual_joint_positions", "get_target_joint_positions"))  # as qnear: no choice
 T = TypeVar("T")
 
@@ -188,9 +187,7 @@ class _Reader:
                 return self.script.once(setter, lambda: self.pose(setter.argument(0, "pose"), setter.statement))
             except Uncertain as uncertain:
                 raise uncertain.about("tool") from None
-        if self.script.surroundings.tool is None:
-            raise Uncertain("tool")
-        return self.script.surroundings.tool
+        return self.script.given("", Uncertain("tool"))
 
     def goals(self, call: Call) -> list[Goal]:
         """Return the goals of a move. Raises Uncertain."""
