@@ -167,6 +167,19 @@ def test_what_comes_after_a_truncation_is_whole(lab, path, size):
     assert path.stat().st_size == size
 
 
+def test_what_comes_after_another_file_was_copied_over_is_whole(lab, path):
+    """A longer one: its size is that of no truncated file, and every later frame was written into it, to be lost with it."""
+    foreign = b"x" * 5_000_000
+    (text,) = lost(lab, path, lambda: path.write_bytes(foreign)).file_losses
+    rescued = path.with_name(f"{path.stem}-rescued{path.suffix}")
+    assert str(rescued) in text
+    assert is_head_whole(rescued)
+    first = samples(rescued)
+    assert first == list(range(first[0], first[0] + 10 * len(first), 10))
+    assert first[0] * 983_040 < 1_500_000_000
+    assert path.read_bytes() == foreign
+
+
 @pytest.mark.parametrize("how", ["unlink", "truncate"])
 def test_something_happens_between_the_last_sync_and_the_end(lab, path, how):
     class Late(SessionWriter):

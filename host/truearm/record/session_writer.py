@@ -326,6 +326,8 @@ class SessionWriter:
             return
         self._watched_s = time.monotonic()
         loss = file_loss(self._out.file, self.path, self._size)
+        if loss is None and not ended and self._is_longer and self._is_changed:
+            loss = FileLoss.TRUNCATED  # and longer than before by now: another program wrote its own file there
         if loss is None or (loss is FileLoss.RENAMED and self._renamed):
             return
         old = self.path
@@ -352,12 +354,19 @@ class SessionWriter:
 
     def _check_content(self) -> None:
         """Read the completed file back: bytes that were overwritten in place, or appended, do not change its name."""
-        longer = os.fstat(self._out.file.fileno()).st_size > self._size
-        if longer or content_crc(self._out.file, self._size) not in (self._out.crc, None):
+        if self._is_longer or self._is_changed:
             self.losses.append(
                 f"{self.path}: parts of it were overwritten while it was written; truearm inspect "
                 f"{self.path} shows what is left"
             )
+
+    @property
+    def _is_longer(self) -> bool:
+        return os.fstat(self._out.file.fileno()).st_size > self._size
+
+    @property
+    def _is_changed(self) -> bool:
+        return content_crc(self._out.file, self._size) not in (self._out.crc, None)
 
     def _move(self, loss: FileLoss) -> None:
         """Continue in a new file that has the contents of the old one."""
