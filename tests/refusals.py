@@ -1,9 +1,10 @@
-"""Errors by code and values, which tests ask for instead of sentences."""
+"""Errors and findings by code and values, which tests ask for instead of sentences."""
 
 from contextlib import contextmanager
 
 import pytest
 
+from truearm.cli import findings_text
 from truearm.cli import main as cli
 from truearm.errors import TruearmError
 from truearm.finding_texts import ERRORS
@@ -18,6 +19,17 @@ def _kept(message, finding=None, arguments=()):
 
 
 cli._complain = _kept
+shown = {}  # the values of the findings by code that the last command printed in this process
+_show = findings_text.show
+
+
+def _show_and_keep(printed, *arguments, **options):
+    shown.clear()
+    shown.update({finding.code: dict(finding.values) for finding in printed})
+    _show(printed, *arguments, **options)
+
+
+findings_text.show = _show_and_keep
 
 
 @contextmanager

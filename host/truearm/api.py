@@ -520,8 +520,6 @@ def plan_ball_bar(
     >>> len(planned.route.plan)
     8
     """
-    if (poses is None) == (minutes is None):
-        raise InputError("exclusive", first="poses", second="minutes")
     chosen = options or BallBarOptions()
     if result is not None and result.chain.parameter_names != robot.chain.parameter_names:
         raise InputError("other-robot", place="result", robot=result.chain.name)

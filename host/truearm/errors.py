@@ -97,7 +97,7 @@ class TruearmError(Exception):
         if isinstance(argument, Argument):
             return Finding("invalid-argument", {"place": argument, "reason": text[len(argument) :].lstrip(": ")})
         place, reason = _PLACE.fullmatch(text).groups("")  # type: ignore[union-attr]  # any text matches
-        code = InputError.default_code if isinstance(self, FileError) and not place else self.default_code
+        code = self.other_code if isinstance(self, FileError) and not place else self.default_code
         return Finding(code, {"place": place, "reason": reason, **self.values})
 
     @property
@@ -151,6 +151,7 @@ class FileError(InputError):
     """
 
     default_code = "malformed-file"
+    other_code = "invalid-input"  # of an error of no file
 
 
 class TableError(FileError):
@@ -185,6 +186,8 @@ class RobotError(FileError):
     True
     """
 
+    other_code = "unsuited-robot"
+
 
 class PlanError(FileError):
     """A plan of poses is wrong, or none can be made for the robot, with the options, or from the poses within reach.
@@ -196,6 +199,8 @@ class PlanError(FileError):
     True
     """
 
+    other_code = "no-plan"
+
 
 class TargetError(FileError):
     """A table of targets is wrong, or a target cannot be corrected; the text names file and row.
@@ -206,6 +211,8 @@ class TargetError(FileError):
     >>> issubclass(truearm.TargetError, truearm.InputError)
     True
     """
+
+    other_code = "uncorrectable"
 
 
 class SessionError(FileError):

@@ -19,7 +19,7 @@ MOST_NAMES = 10_000  # of a folder that are compared
 def open_input(path: Path) -> BufferedReader:
     """Open a regular file for reading. Raises MissingFileError if there is none, InputError if it cannot be read."""
     if "\0" in str(path) or (os.path.exists(path) and not os.path.isfile(path)):
-        raise InputError("not-a-file", place=path)  # reading a pipe or a device would block or never end
+        raise InputError("unreadable-file", place=path)  # reading a pipe or a device would block or never end
     with reading(path):
         return path.open("rb")
 

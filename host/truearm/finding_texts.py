@@ -74,12 +74,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "Measure more rows, or free fewer parameters.",
     ),
     "wrong-inputs": Statement(
-        REFUSAL, "This fit is not usable. Its inputs are probably wrong. Residuals of {after} RMS remain."
-    ),
-    "large-residuals": Statement(
         REFUSAL,
-        "This fit is not usable. Residuals of {after} RMS remain, more than the errors of any arm.",
-        "Check the robot, the units, the order and signs of the joints, the rig and the labels.",
+        "This fit is not usable. [{large:!}Residuals of {after} RMS remain, more than the errors of any arm.||Its inputs are probably wrong. Residuals of {after} RMS remain.]",
+        "[{large:!}Check the robot, the units, the order and signs of the joints, the rig and the labels.]",
     ),
     "robot-scale": Statement(
         REFUSAL,
@@ -93,13 +90,8 @@ IDENTIFICATION: Mapping[str, Statement] = {
     # what makes inputs right
     "meaningless": Statement(
         WARNING,
-        "Its parameters and errors are meaningless.[{line:!} A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg.]",
-        "Check the units, the order and signs of the joints, and the labels[{limit:!}, or raise {@max_iterations}].",
-    ),
-    "meaningless-weak": Statement(
-        WARNING,
-        "Its parameters and errors are meaningless.[{line:!} A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg.] Weakly identifiable parameters slow a fit down.",
-        "Give {@prior} weak.",
+        "Its parameters and errors are meaningless.[{line:!} A straight line hardly determines the roll of its device: give the roll in the rig, with turn_sigma_deg.][{weak:!} Weakly identifiable parameters slow a fit down.]",
+        "[{weak:!}Give {@prior} weak.||Check the units, the order and signs of the joints, and the labels.][{limit:!} Or raise {@max_iterations}.]",
     ),
     "still-joint": Statement(WARNING, "{joint} reads {reading} in all rows: if it moved, its readings are wrong."),
     "labels-unchecked": Statement(
@@ -109,11 +101,7 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "explanation": Statement(
         WARNING,
-        "{lead}: {explanation} (in a quick fit: RMS {with_change} with this change, {as_given} as given)[; correct this, or give {@leave_out} {leave_out} (rows numbered from 1 over all inputs)][; correct this, or give {@allow} {allow}].",
-    ),
-    "explanation-by-noise": Statement(
-        WARNING,
-        "{lead}: {explanation} (RMS {with_change} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change)[; correct this, or give {@leave_out} {leave_out} (rows numbered from 1 over all inputs)][; correct this, or give {@allow} {allow}].",
+        "{lead}: {explanation} ([{as_given:!}in a quick fit: RMS {with_change} with this change, {as_given} as given||RMS {with_change} in a quick fit either way; relative to their declared noise, the residuals are smaller with this change])[; correct this, or give {@leave_out} {leave_out} (rows numbered from 1 over all inputs)][; correct this, or give {@allow} {allow}].",
     ),
     "little-freedom": Statement(
         WARNING,
@@ -176,13 +164,8 @@ IDENTIFICATION: Mapping[str, Statement] = {
     ),
     "doubtful-dwells": Statement(
         WARNING,
-        "{session}: {n} of {dwells:#dwell} need a decision.",
-        "truearm session relabel {path}",
-    ),
-    "no-dwell-fits": Statement(
-        WARNING,
-        "{session}: none of {dwells:#dwell} fits.",
-        "Check that robot and rig are those that were measured; if so, truearm session relabel {path}",
+        "{session}: [{none_fits:!}none of {dwells:#dwell} fits||{n} of {dwells:#dwell} need a decision].",
+        "[{none_fits:!}Check that robot and rig are those that were measured; if so, ]truearm session relabel {path}",
     ),
     "doubtful-residuals": Statement(
         WARNING,
@@ -224,8 +207,11 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         "Held at the nominal values, because such observations cannot determine them in any pose:[ the pose of the base ({base})][{both:!} and][ the mounting of the tool ({tool})].",
     ),
-    "still": Statement(NOTE, "{joint} moves by only {spread}, too little to identify its axis.", "Move it more."),
-    "held-with-still": Statement(NOTE, "Therefore also held at the nominal values: {names}."),
+    "still": Statement(
+        NOTE,
+        "{joint} moves by only {spread}, too little to identify its axis[; therefore also held at the nominal values: {held}].",
+        "Move it more.",
+    ),
     "displaced": Statement(
         NOTE,
         "The fit places {frames}. This is normal if nobody measured {n:?its place|their places}: the rig then defines where {n:?it is|they are}. If {n:?it was|they were} measured, positions in the rig are wrong by as much, and so are the tool positions that the calibration gives. No residual shows this.",
@@ -245,12 +231,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         "χ² per degree of freedom {chi2}[ (rows weighted by the {loss} loss)], {where} its 95 % range of {low:.3g} to {high:.3g}[{less:!}: the rows scatter less than their declared noise].",
     ),
-    "noise-explains": Statement(
-        NOTE, "Declared noise alone would leave {declared} RMS: nothing[ in {units}] is unexplained."
-    ),
-    "noise-leaves": Statement(
+    "noise-share": Statement(
         NOTE,
-        "Declared noise explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS).",
+        "Declared noise [{unexplained:!}explains {declared} of the RMS after; the rest, {unexplained}, {rest} (their squares add up to that of the RMS)||alone would leave {declared} RMS: nothing][{units:!} in {units}][{unexplained:!}|| is unexplained].",
     ),
     "pose-error": Statement(
         NOTE,
@@ -269,9 +252,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         "[{geometry:!}Geometry alone, fitted][{plain:!}Fitted] to all rows: RMS {after}, χ² per degree of freedom {chi2:.3g}.",
     ),
-    "before": Statement(NOTE, '"Before" is the nominal robot[ with {fitted} fitted to these rows].'),
-    "before-placed": Statement(
-        NOTE, '"Before" is the nominal robot with {fitted} fitted; with base and tool as described: {raw} RMS.'
+    "before": Statement(
+        NOTE,
+        '"Before" is the nominal robot[ with {fitted} fitted][{placed:!}; with base and tool as described: {raw} RMS].',
     ),
     "held-out-larger": Statement(
         WARNING,
@@ -298,9 +281,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
     "solver-recipe": Statement(WARNING, "The solver {message}."),
     # joint laws
     "law-not-tried": Statement(NOTE, "Joint laws: {reason}."),
-    "no-law": Statement(NOTE, "No joint law is used: the geometry alone is fitted."),
-    "no-law-kept": Statement(
-        NOTE, "No joint law is supported by the evidence ({tried:#law} tried): the geometry alone is used."
+    "no-law": Statement(
+        NOTE,
+        "No joint law is [{tried:!}supported by the evidence ({tried:#law} tried)||used]: the geometry alone is fitted.",
     ),
     "sag-kept": Statement(NOTE, "{joint} sag: {rms} RMS, evidence {nats:.0f} nats."),
     "curve-kept": Statement(
@@ -317,8 +300,10 @@ IDENTIFICATION: Mapping[str, Statement] = {
         "The fitted poses show only part of the sag's range within the joint limits ({joints}): the rest is extrapolated.",
         "Measure poses with other gravity torques if you use them.",
     ),
-    "sag-of-payloads": Statement(NOTE, "The sag of the joints depends on the payload, which was {masses} kg."),
-    "sag-of-payload": Statement(NOTE, "The sag of the joints holds for the payload of the calibration[, {masses} kg]."),
+    "sag-of-payload": Statement(
+        NOTE,
+        "The sag of the joints [{several:!}depends on the payload||holds for the payload of the calibration][, {masses} kg].",
+    ),
     "law-noise": Statement(NOTE, "Noise learned from the residuals: {terms}."),
     # what to do next
     "measure-next": Statement(
@@ -341,6 +326,9 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "malformed-file": (REASON, ""),
     "cannot-write": (REASON, ""),
     "unsolvable": (REASON, ""),
+    "no-plan": (REASON, ""),
+    "unsuited-robot": (REASON, ""),
+    "uncorrectable": (REASON, "[{home:!}give joints near those of this target with {@home}]"),
     "incomplete": (REASON, ""),
     "link-lost": (REASON, ""),
     "link-closed": (REASON, ""),
@@ -352,16 +340,14 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "{place}: no such file[, because the folder {folder} does not exist]",
         "[did you mean {meant}?||check its name and folder]",
     ),
-    "not-a-file": ("{place}: is not a regular file", "give the name of a file"),
-    "unreadable-file": ("{place}: cannot be read: {reason}", ""),
+    "unreadable-file": ("{place}: [cannot be read: {reason}||is not a regular file]", "give the name of a file"),
     "not-text": ("{place}: is not UTF-8 text[ (at byte {byte})]", "save it as UTF-8"),
     "too-large": ("[{place}: ]has more than {most}, the maximum", "check that it is the right file, or split it"),
     "file-exists": ("{place}: exists", "choose another name[{may_force:!} or give {@force}]"),
     "foreign-file": (
-        "{place}: exists and is not a file that this command writes",
-        "give another name, or remove it",
+        "{place}: [{folder:!}holds other files||exists and is not a file that this command writes]",
+        "give another name[{folder:!} or an empty folder||, or remove it]",
     ),
-    "foreign-folder": ("{place}: holds other files", "give a new or empty folder"),
     "missing-folder": ("{place}: the folder {folder} does not exist", "create it first"),
     "used-twice": ("{place}: is already an input or output of this command", "give each file once"),
     "wrong-suffix": ("{place}: has the name of another kind of file", "give a name that ends in {suffixes}"),
@@ -378,7 +364,10 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "correct the name, or give a rig that has it",
     ),
     "given-twice": ("{place}: {what} is given twice", "keep one"),
-    "exclusive": ("{first} and {second} exclude each other", "give one of them"),
+    "exclusive": (
+        "[{neither:!}neither {first} nor {second} is given||{first} and {second} exclude each other]",
+        "give one of them",
+    ),
     "needs-option": ("{place} needs {needed}", ""),
     "no-effect": ("{place} has no effect: {reason}", "leave it out"),
     "no-terminal": ("there is no terminal to ask questions on", "give {option}"),
@@ -391,8 +380,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "[expected a header such as {example}||check that it is the right file, and its first row a header]",
     ),
     "unknown-column": ("{place}: is not a known column", "{remedy}"),
-    "missing-unit": ("{place}: has no unit", "name it one of {names}"),
-    "wrong-unit": ("{place}: unit {unit!r} does not fit", "use one of {names}"),
+    "wrong-unit": ("{place}: [unit {unit} does not fit||has no unit]", "use one of {names}"),
     # robots and results
     "joint-count": (
         "{place}: has {joints} joints, the robot has {expected}",
@@ -424,7 +412,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     # box and robot
     "no-box": ("{place}: not found", "plug the box in"),
     "several-boxes": ("{boxes:#box is|boxes are} plugged in: {boxes}", "name one with {@box}"),
-    "not-an-address": ("{address!r} is not an address", "write {example}"),
     "no-answer": (
         "{place}: no answer to {request!r} in {seconds:g} s",
         "is this a truearm box, and is its firmware running?",
@@ -447,9 +434,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "reread": ("{reason}, so nothing was written", "this is a fault in truearm: report it with this program"),
     # plans
-    "out-of-reach": ("{reason}", "ask for {remedy}"),
-    "no-path": ("no collision-free path to {place} was found", "try another {@seed}"),
-    "small-budget": ("a budget of {minutes:g} min is too small: {reason}", "give more minutes"),
 }
 
 # why a move of a program is not corrected: clauses, about its tool or the like if the values have a subject
@@ -504,7 +488,6 @@ PROGRAMS: Mapping[str, Statement] = {
     code: Statement(REFUSAL, f"[its {{subject}}: ]{clause}") for code, clause in REASONS.items()
 }
 
-RELABEL = "Decide what was mounted with truearm session relabel."
 WAIT = "Wait longer at each pose ({@dwell_s} of the plan)."
 LINK = "Close other programs that use the port, use a shorter USB cable, or a faster computer."
 
@@ -514,16 +497,13 @@ SESSION: Mapping[str, Statement] = {
         RESULT,
         "Usable:[ {observations:#observation} from {dwells:#dwell}][ ({planned:#pose} planned)][{both:!}, and][ {points:#point} from {passes:#pass|passes} along lines][ ({planned_passes} planned)].",
     ),
-    "no-samples": Statement(REFUSAL, "Not usable: the box sent no sample.", "Check it with truearm box test."),
+    "no-box-data": Statement(
+        REFUSAL, "Not usable: the box {problem}.", "Check it with truearm box test, and record again."
+    ),
     "no-joint-readings": Statement(
         REFUSAL,
         "Not usable: no joint readings[; the robot sent {bytes:#byte that is no reading|bytes that are no readings}].",
         "Add them with truearm session add-joints.",
-    ),
-    "no-box-clock": Statement(
-        REFUSAL,
-        "Not usable: the box answered no clock request, so its samples cannot be placed in time.",
-        "Check it with truearm box test, and record again.",
     ),
     "no-stops": Statement(REFUSAL, "Not usable: the robot never stood still.", WAIT),
     "session-not-evaluated": Statement(
@@ -547,17 +527,8 @@ SESSION: Mapping[str, Statement] = {
     ),
     "session-damaged": Statement(
         WARNING,
-        "Damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.",
-    ),
-    "session-headers-damaged": Statement(
-        WARNING,
-        "Damaged: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong.",
-        "Copy the file again.",
-    ),
-    "session-recovered": Statement(NOTE, "Recovered from {source}: {lost:#message is|messages are} known to be lost."),
-    "joints-added": Statement(
-        NOTE,
-        "The joint readings were added from {source}: their arrival was not observed. Controller time: {time}; its error is unknown.",
+        "Damaged[ at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on||: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong].",
+        "[{at:!}||Copy the file again.]",
     ),
     "foreign-datagrams": Statement(
         WARNING,
@@ -565,53 +536,33 @@ SESSION: Mapping[str, Statement] = {
         "Stop the program that sends them, or use another port.",
     ),
     "session-made": Statement(
-        NOTE, "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}]."
+        NOTE,
+        "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.]",
     ),
     # what did not arrive
     "nothing-lost": Statement(NOTE, "Nothing lost, nothing duplicated, no restart."),
-    "lost-on-link": Statement(WARNING, "{frames_lost:#frame} and {samples_lost:#sample} lost on the link.", LINK),
+    "lost-on-link": Statement(
+        WARNING,
+        "Lost on the link: {frames_lost:#frame} and {samples_lost:#sample}[; the box was silent from {periods}, and {missing:#sample is|samples are} missing by the nominal rate].",
+        LINK,
+    ),
     "lost-in-box": Statement(
         WARNING,
         "{samples_overrun:#sample} overrun in the box ({overruns} by its own count), {dropped:#frame} dropped by it.",
         "Record with a lower {@rate}, or use a faster computer.",
     ),
-    "converter-faults": Statement(
+    "box-faults": Statement(
         WARNING,
-        "The converter had faults in {converter_faults:#block}, {crc_errors:#damaged frame} and {converter_resets:#reset by itself|resets by itself}.",
-        "Check its plug and its supply with truearm box test.",
+        "Faults of the box:[ {restarts:#restart}][ {converter_faults:#block} with faults of the converter][ {crc_errors:#damaged frame} of the converter][ {converter_resets:#reset} of the converter by itself][ {thermometer_errors:#failed reading} of a thermometer].",
+        "Check its plugs and supply with truearm box test; fit a smaller pull-up resistor to a thermometer on a long cable.",
     ),
     "missing-stop-pulses": Statement(
         WARNING,
         "{missing_stops:#interrogation} of the magnetostrictive head without a stop pulse.",
         "Bring the magnet closer to the rod.",
     ),
-    "thermometer-errors": Statement(
-        WARNING,
-        "{thermometer_errors:#reading} of a thermometer failed.",
-        "Check its plug; fit a smaller pull-up resistor for a long cable.",
-    ),
-    "box-restarted": Statement(
-        WARNING, "{restarts:#restart} of the box.", "Check its plug and the supply of the USB port."
-    ),
-    "box-silent": Statement(
-        WARNING,
-        "The box was silent from {periods}; {missing:#sample is|samples are} missing by the nominal rate.",
-        LINK,
-    ),
-    "clock-unanswered": Statement(NOTE, "{sync_unanswered:#clock request} unanswered."),
-    "not-frames": Statement(
-        NOTE,
-        "{console_runs:#run} of bytes that are no frame ({console_bytes:#byte}; runs of text: {console_text_runs}).",
-    ),
-    "odd-frames": Statement(
-        NOTE,
-        "Odd frames: {frames_duplicated} duplicated, {frames_late} late, {frames_malformed} malformed, {frames_unknown} of unknown types, {blocks_without_ident} of a stream that the box never described; {bad_frames} bad ones received by the box, {short_writes} sent in pieces.",
-    ),
-    "box-counters": Statement(NOTE, "By the box's count: {counts}."),
-    "frames": Statement(NOTE, "{frames:#frame} received, {samples:#sample} in {blocks:#block}."),
-    "heartbeats": Statement(
-        NOTE,
-        "{heartbeats:#heartbeat} of the box[; longest loop {loop_max_us} µs][; longest garbage collection {gc_max_us} µs][; least free heap {heap_free_min} bytes][; {others}].",
+    "received": Statement(
+        NOTE, "{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}]."
     ),
     "temperature": Statement(NOTE, "Temperature: {ranges}."),
     # time
@@ -647,57 +598,32 @@ SESSION: Mapping[str, Statement] = {
         "Connect the robot by a cable, or let it send fewer readings per second.",
     ),
     # dwells and passes
-    "rejected-too-short": Statement(WARNING, "{rejected} rejected: too short.", WAIT),
-    "rejected-still-moving": Statement(WARNING, "{rejected} rejected: the joints still moved.", WAIT),
-    "rejected-ringing": Statement(
-        WARNING, "{rejected} rejected: the bar's length still oscillated.", "Drive slower, or wait longer at each pose."
-    ),
-    "rejected-drift": Statement(
-        WARNING, "{rejected} rejected: the bar's length still changed.", "Clean the seats of the balls, or wait longer."
-    ),
-    "rejected-gap": Statement(WARNING, "{rejected} rejected: samples are missing."),
-    "rejected-rail": Statement(
+    "rejected-unsettled": Statement(WARNING, "Rejected, because they were not at rest: {rejected}.", WAIT),
+    "rejected-sensor": Statement(
         WARNING,
-        "{rejected} rejected: the sensor was saturated, or the converter had a fault.",
-        "Check its plug with truearm box test.",
+        "Rejected, because of the sensor's samples: {rejected}.",
+        "Check its plug with truearm box test, and what shakes the table.",
     ),
-    "rejected-out-of-travel": Statement(
+    "rejected-out-of-range": Statement(
         WARNING,
-        "{rejected} rejected: the bar was detached, or at the end of its travel.",
-        "Seat the bar, or plan poses within its travel.",
+        "Rejected, because the sensor was out of its range: {rejected}.",
+        "Seat the bar, and plan poses within its travel; drive a line closer to the rod, with the magnet near it.",
     ),
-    "rejected-noisy": Statement(
-        WARNING,
-        "{rejected} rejected: five times as noisy as the others.",
-        "Check the plug, and what shakes the table.",
-    ),
-    "rejected-no-samples": Statement(
-        WARNING, "{rejected} rejected: no samples.", "Check the sensor's plug with truearm box test."
-    ),
-    "rejected-no-clock": Statement(WARNING, "{rejected} rejected: the box answered no clock request.", LINK),
     "rejected-clock": Statement(
-        WARNING, "{rejected} rejected: the error of the box's clock is not known well enough.", LINK
+        WARNING, "Rejected, because the box's clock is not known well enough: {rejected}.", LINK
+    ),
+    "rejected-unlabelled": Statement(
+        WARNING,
+        "Rejected, because nothing says what was mounted: {rejected}.",
+        "Decide it with truearm session relabel, and confirm what is mounted while you record.",
     ),
     "rejected-off-plan": Statement(
         NOTE, "{rejected} rejected: the robot stood where the plan has no pose, probably between two poses."
     ),
-    "rejected-no-plan-match": Statement(
-        WARNING, "{rejected} rejected: nothing says which bar, chuck and sphere were mounted.", RELABEL
-    ),
-    "rejected-ambiguous": Statement(
+    "rejected-line": Statement(
         WARNING,
-        "{rejected} rejected: the plan has this line with different devices, and no confirmation tells which.",
-        "Confirm what is mounted while you record.",
-    ),
-    "rejected-too-long": Statement(WARNING, "{rejected} rejected: too long.", "Drive the line faster."),
-    "rejected-out-of-range": Statement(
-        WARNING, "{rejected} rejected: the device was out of its range.", "Drive the line closer to the rod."
-    ),
-    "rejected-no-stop-pulses": Statement(
-        WARNING, "{rejected} rejected: no stop pulses.", "Bring the magnet closer to the rod."
-    ),
-    "rejected-not-along-the-line": Statement(
-        WARNING, "{rejected} rejected: not along the line.", "Check which line the plan and the rig name."
+        "Rejected, because they do not follow the line: {rejected}.",
+        "Check its speed, and which line the plan and the rig name.",
     ),
     "pass-timing": Statement(
         NOTE,
@@ -709,9 +635,43 @@ SESSION: Mapping[str, Statement] = {
     ),
 }
 
+REPEATABILITY: Mapping[str, Statement] = {
+    "repeatability": Statement(
+        RESULT,
+        "Repeatability along the bar, approached from one side: {along}, 1 sigma[ (without the joints' scatter {alone})]; largest backlash: {backlash}, {joint}. From {visits:#visit} of {poses:#pose} in {sides} combinations of pose and approach direction, bar {bar} (in brackets: 95 % intervals).",
+    ),
+    "noise-to-use": Statement(
+        RESULT,
+        "For truearm identify {@noise}: sigma of bar {bar} {sigma}, in place of the rig's {declared}; sigmas of the joints, which include half the backlash. For dwells of sessions, identify corrects the backlash instead.",
+    ),
+    "backlash-varies": Statement(
+        WARNING,
+        "One backlash per joint does not explain the differences between sides (probability {probability:.1e}): it changes with the pose. The sigma of the bar includes the remainder.",
+    ),
+    "settling-measured": Statement(
+        NOTE,
+        "Dwells begin {median:.2f} (median) after the joints stop, {largest:.2f} at most.[ Settled within {bands}. A visit counts if the length was, on the way, at least four times this distance from its final value, and its noise is below a sixth of it.]",
+    ),
+    "reading-noise": Statement(
+        NOTE,
+        "Joint readings at the noisiest joint: noise {reading}, resolution {step}; sigma of a dwell's mean {mean} from the noise, {rounding} from the resolution.",
+    ),
+    "sensor-noise": Statement(
+        NOTE,
+        "Sensor: noise of a sample {sample}, a sample every {period}; samples that are {independent} apart are independent[; lowest Allan deviation {floor}][ in means over {over:.2g} s].",
+    ),
+}
+
+RECORDING: Mapping[str, Statement] = {
+    "recorded": Statement(
+        RESULT,
+        "{file}: {duration:.1f}, {samples:#sample}, {lost:#frame} lost[, {readings:#robot message}][; {dwells:#dwell}: {usable} usable][, {need_decision:#needs|need} a decision][, {unusable}]; ended: {ended}[ ({why})].",
+    ),
+    "recording-disturbed": Statement(WARNING, "Disturbed by: {events}.", "What was lost is shown by truearm inspect."),
+}
+
 RMS_ERRORS = "{after} RMS, and {before} without the calibration"
 MORE_VARIED = "Identify from more varied poses."
-CHECK_ROBOT = "Check that these measurements are of this robot, with this rig, and in these units"
 
 VALIDATION: Mapping[str, Statement] = {
     # the verdict
@@ -735,11 +695,8 @@ VALIDATION: Mapping[str, Statement] = {
     ),
     "validation-no-help": Statement(
         REFUSAL,
-        f"The calibration does not help here: errors of {RMS_ERRORS}, in {{n:#row}}.",
-        f"{CHECK_ROBOT}, or identify again, from measurements of this place and tool.",
-    ),
-    "validation-implausible": Statement(
-        REFUSAL, f"Errors of {RMS_ERRORS}: more than those of any plausible arm.", f"{CHECK_ROBOT}."
+        f"The calibration does not help here: errors of {RMS_ERRORS}, in {{n:#row}}[{{implausible:!}}; more than those of any plausible arm].",
+        "Check that these measurements are of this robot, with this rig, and in these units, or identify again, from measurements of this place and tool.",
     ),
     # its limits
     "rig-missing": Statement(
@@ -764,12 +721,9 @@ VALIDATION: Mapping[str, Statement] = {
         "Validate with other measurements.",
     ),
     # notes
-    "validation-regions": Statement(
+    "validation-terms": Statement(
         NOTE,
-        '"Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.',
-    ),
-    "validation-expected": Statement(
-        NOTE, '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.'
+        '"Expected" is the error that declared noise and the calibration\'s uncertainty explain.[{by_place:!} "Radius" is the distance of the end from the z axis of the base frame, "z" its height in this frame; each is split at its median.]',
     ),
     "validation-chi2": Statement(
         NOTE, "χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %)."
@@ -777,20 +731,12 @@ VALIDATION: Mapping[str, Statement] = {
     "rig-kept": Statement(NOTE, "{n:#unknown} of the rig held as identified."),
 }
 
-NO_FIXTURES = "because the positions of the {items} are unknown"
-NO_POSE = "because such observations cannot determine it in any pose"
-MEASURE_ITEMS = "Measure the {items}, write them into the rig with their standard deviations, and identify again."
-OTHER_KIND = "To determine it, use another kind of observation."
-BASE_HELD = "The pose of the base ({names}) was held at its nominal value"
-BASE_MOVES = "An error in it moves and turns all targets together, as one body"
-TOOL_HELD = "The mounting of the tool ({names}) was held at its nominal value"
-TOOL_MOVES = "An error in it is the same offset in the end's frame at every pose"
-
 CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
-    "base-held": Statement(WARNING, f"{BASE_HELD}, {NO_POSE}. {BASE_MOVES}.", OTHER_KIND),
-    "base-held-for-rig": Statement(WARNING, f"{BASE_HELD}, {NO_FIXTURES}. {BASE_MOVES}.", MEASURE_ITEMS),
-    "tool-held": Statement(WARNING, f"{TOOL_HELD}, {NO_POSE}. {TOOL_MOVES}.", OTHER_KIND),
-    "tool-held-for-rig": Statement(WARNING, f"{TOOL_HELD}, {NO_FIXTURES}. {TOOL_MOVES}.", MEASURE_ITEMS),
+    "mounting-held": Statement(
+        WARNING,
+        "The {what} ({names}) was held at its nominal value, because [{items:!}the positions of the {items} are unknown||such observations cannot determine it in any pose]. An error in it [{base:!}moves and turns all targets together, as one body||is the same offset in the end's frame at every pose].",
+        "[{items:!}Measure the {items}, write them into the rig with their standard deviations, and identify again.||To determine it, use another kind of observation.]",
+    ),
     "own-frames-next": Statement(
         ADVICE,
         "For targets relative to the robot's own base, run truearm correct or truearm map with {@own_frames}.",
@@ -801,10 +747,8 @@ CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
         "Measure what the lines “Next:” of truearm identify propose.",
     ),
     "sag-at-payload": Statement(
-        NOTE, "The sag of the joints holds for a payload of {mass:g} kg[; it was measured under {masses} kg]."
-    ),
-    "sag-at-each-payload": Statement(
-        NOTE, "The sag of the joints holds for the payload of each row[; it was measured under {masses} kg]."
+        NOTE,
+        "The sag of the joints holds for [{each:!}the payload of each row||a payload of {mass:g} kg][; it was measured under {masses} kg].",
     ),
     "other-payload": Statement(
         WARNING,
@@ -926,18 +870,56 @@ CORRECTION: Mapping[str, Statement] = {
 
 EXPORT: Mapping[str, Statement] = {
     "exported-whole": Statement(RESULT, "The file holds everything that was identified; no refit was needed."),
-    "exported-in-part": Statement(
-        RESULT, "Error of what the file cannot hold: {left:.3f} RMS ({largest:.3f} at most), {left_turn:.4f} RMS."
-    ),
-    "exported-refitted": Statement(
+    "exported": Statement(
         RESULT,
-        "The file differs from the identified robot by {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}.",
+        "[{refitted:!}The file differs from the identified robot by||Error of what the file cannot hold:] {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS[{refitted:!}, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}].",
     ),
     "format-lacks": Statement(WARNING, "The format {format} has no place for {names}."),
-    "file-with-mountings": Statement(RESULT, f"Mountings, which the file contains: {MOUNTINGS}"),
-    "file-without-mountings": Statement(RESULT, f"Mountings, which the file does not contain: {MOUNTINGS}"),
+    "file-mountings": Statement(
+        RESULT, f"Mountings, which the file [{{contained:!}}contains||does not contain]: {MOUNTINGS}"
+    ),
     "refit-next": Statement(
         ADVICE, "For the best fit where you work, give {@over} FILE, a plan or a table of poses there."
+    ),
+}
+
+PLAN: Mapping[str, Statement] = {
+    # the verdict
+    "planned": Statement(
+        RESULT,
+        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
+    ),
+    "planned-approaches": Statement(
+        RESULT,
+        "{poses:#pose} of bar {bar} from {chuck} to {sphere} in {minutes:#minute}, with {via_points:#approach point}.",
+        "Record the plan, then run truearm characterize on the session.",
+    ),
+    # what it determines
+    "planned-rank": Statement(
+        RESULT,
+        "Rank {rank} after {rows:#observation}[; {unseen:#combination is|combinations are} unidentifiable][; {weak:#combination is|combinations are} weakly identifiable].",
+    ),
+    "few-poses": Statement(
+        WARNING,
+        "{n:#pose is|poses are} fewer than the unknowns.",
+        "Plan more {@poses}, or fewer mounts with {@bar} NAME.",
+    ),
+    "planned-held": Statement(
+        NOTE,
+        "[Held, because their joints hardly move: {lost}. ][With a weak prior, because they are weakly identifiable: {believed}.]",
+    ),
+    "planned-curves": Statement(
+        NOTE,
+        "Outside the ranges of the error curves, corrections use geometry and sag alone. The sigmas and the error in the region are those of the geometry: curves and sag add to them.",
+        "Measure where the robot will work.",
+    ),
+    "against-drift": Statement(
+        NOTE,
+        "To reveal drift[{visits:!} and slip], [every mount is visited {visits} times||{checks:#check pose} of the first mount are visited again half-way and at the end].",
+    ),
+    "fewer-checks": Statement(
+        WARNING,
+        "{@check_poses} {asked}: {planned:#check pose} planned[{visits:!}: with several visits of every mount there are none||: at most one per 36 poses, and none below 108 poses].",
     ),
 }
 
@@ -946,9 +928,12 @@ STATEMENTS: Mapping[str, Statement] = {
     **PROGRAMS,
     **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
     **SESSION,
+    **RECORDING,
+    **REPEATABILITY,
     **VALIDATION,
     **CALIBRATION,
     **MAP,
     **CORRECTION,
     **EXPORT,
+    **PLAN,
 }

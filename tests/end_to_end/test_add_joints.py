@@ -103,7 +103,7 @@ def test_a_table_whose_time_is_utc(recorded, tmp_path, out, capsys):
             assert new.metadata[name][key] == old.metadata[name][key]
     assert main(["inspect", str(out), "--json"]) == 0
     findings = listed(json.loads(capsys.readouterr().out))
-    assert findings["joints-added"] == {"source": "joints.csv", "time": "utc"}
+    assert (findings["session-made"]["joints"], findings["session-made"]["time"]) == ("joints.csv", "utc")
     assert "robot-clock" not in findings  # what would be said of arrivals
     others = [message for message in new.messages() if message.topic not in ("/robot/joints", "/robot/columns")]
     assert others == list(old.messages())

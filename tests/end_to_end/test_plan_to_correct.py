@@ -112,7 +112,7 @@ class RealTime(Walk):
         finally:
             simulator.stop()
         assert done.returncode == 0, done.stderr
-        assert "ended: robot closed" in done.stdout + done.stderr
+        assert "ended: robot closed" in " ".join(done.stdout.split())
         return out
 
 

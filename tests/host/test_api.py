@@ -432,7 +432,7 @@ WRONG = {
         "result: must be a Calibration (see identify or read_result)",
     ),
     "result's file": (lambda f, r, t, g, c: truearm.read_result(f / "rig.toml"), InputError, "rig.toml"),
-    "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "poses and minutes exclude each other"),
+    "budget": (lambda f, r, t, g, c: truearm.plan_ball_bar(r, g), InputError, "neither poses nor minutes"),
     "poses": (
         lambda f, r, t, g, c: truearm.correct_poses(c, [1.0, 2.0]),
         InputError,

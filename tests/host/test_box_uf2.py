@@ -92,7 +92,7 @@ def test_a_boot_stage_that_would_not_start():
 def test_files_that_are_none(tmp_path):
     with refused("missing-file"):
         read_uf2(tmp_path / "gone.uf2")
-    with refused("not-a-file"):
+    with refused("unreadable-file"):
         read_uf2(tmp_path)
     (tmp_path / "huge.uf2").write_bytes(b"\0" * (MAX_BYTES + 1))
     with refused("too-large"):

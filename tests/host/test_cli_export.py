@@ -52,7 +52,7 @@ def test_through_an_exported_urdf_the_true_robot_lands_within_half_a_millimetre(
         "export", result, "--format", "urdf", "--out", out, "--over", tmp_path / "region.csv", "--json"
     )
     assert code == 0, err
-    assert listed(json.loads(said))["exported-refitted"]["n"] == 100
+    assert listed(json.loads(said))["exported"]["n"] == 100
     chain = load_robot(str(out)).chain
     targets = forward(CHAIN, DESIGN, judged)
     found = inverse(chain, chain.params_nominal, targets, judged)
@@ -69,7 +69,7 @@ def test_only_what_the_user_may_adjust_changes(result, tmp_path, run):
     patterns = ("--adjust", "joint*.offset", "--adjust", "*.x,*.y,*.z")
     code, said, _ = run("export", result, "--format", "sheth-uicker", "--out", out, *patterns, "--json")
     assert code == 0
-    assert listed(json.loads(said))["exported-refitted"]["dropped"]["mm"] > 1.0
+    assert listed(json.loads(said))["exported"]["dropped"]["mm"] > 1.0
     chain = load_robot(str(out)).chain
     gains = [value for name, value in zip(chain.parameter_names, chain.params_nominal, strict=True) if "gain" in name]
     np.testing.assert_array_equal(gains, 1.0)

@@ -217,7 +217,7 @@ OPTIONS = {
     f"{PLAN.replace('--poses 36', '--poses 99999')}": "ask for fewer --poses",
     f"{PLAN} --dwell-s 1e300": "--dwell-s",
     f"{PLAN} --region nan:1,0:1,0:1": "wrong-form",
-    f"{PLAN} --region 1e300:2e300,0:1,0:1": "out-of-reach",
+    f"{PLAN} --region 1e300:2e300,0:1,0:1": "no-plan",
     f"{PLAN} --branch 9:1,0:1,0:1,0:1,0:1,0:1": "wrong-form",
     f"{PLAN} --branch -9999:9999,0:1,0:1,0:1,0:1,0:1": "joint1 must lie within its limits, -165 to 165 deg",
     f"{PLAN} --reserve-mm 1e9": "range 0.0<=x<=100000.0",
@@ -257,7 +257,7 @@ OPTIONS = {
     f"{CORRECT} --tool grip=0,0,100,0,0,0": "give --tool without",
     f"{CORRECT} --work table=0,0,100,0,0,0": "give --work without",
     f"{CORRECT} --out precious.csv": "foreign-file",
-    f"{CORRECT.replace('result.json', '/dev/null')}": "not-a-file",
+    f"{CORRECT.replace('result.json', '/dev/null')}": "unreadable-file",
     f"{VALIDATE} --rig irb120.toml": "several rigs need names",
     f"{VALIDATE.replace('rows.csv', 'targets.csv')}": "missing-column",
 }

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.host import plan_bench as bench
+from tests.host.findings_bench import listed
 from tests.refusals import ended
 
 from truearm.cli.main import main
@@ -36,10 +37,10 @@ def test_plan_measure_identify_plan_again(folder, capsys):
     rig = str(folder / "rig.toml")
     plan, script = folder / "plan.csv", folder / "plan.script"
     assert main(["plan", "ballbar", *COMMON, "--rig", rig, "--out", str(plan), "--program-out", str(script)]) == 0
-    said = capsys.readouterr().out
-    assert "36 poses" in said
-    assert "rank 30" in said
-    assert f"written: {script}" in said
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("36 poses in ")
+    assert len(lines) <= 15
+    assert lines[-2:] == [f"Written: {plan}", f"Written: {script}"]
     visits = read_plan(plan).select(read_plan(plan).dwells)
     assert len(visits) == 36
     assert script.read_text().count(": dwell") == 36
@@ -102,12 +103,11 @@ def test_lines_are_planned(folder, capsys):
     """The plan file is for record, the rig with the lines for record and identify, the program drives what the plan says."""
     out, rig, script = (folder / name for name in ("lines.csv", "lines.toml", "lines.script"))
     written = ("--out", str(out), "--rig-out", str(rig), "--program-out", str(script))
-    assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written]) == 0
-    said = capsys.readouterr().out
-    assert "plan2" in said
-    (held,) = [line for line in said.splitlines() if "in any pose" in line]
-    assert {f"base.{k}" for k in "xyz"} <= set(held.split(": ")[1].split(", "))  # the lines' places move with the base
-    assert "2 lines: 6 minutes" in said
+    assert main(["plan", "line", *LINES, "--rig", str(folder / "rig.toml"), *written, "--json"]) == 0
+    findings = listed(json.loads(capsys.readouterr().out))
+    assert next(iter(findings)) == "planned"
+    assert (findings["planned"]["lines"], findings["planned"]["minutes"]) == (2, 6)
+    assert {f"base.{k}" for k in "xyz"} <= set(findings["held-frames"]["base"])  # the lines' places move with the base
     visits, around = read_plan(out), read_rig(rig)
     assert visits.line[visits.lines].tolist() == ["plan1", "plan1", "plan2", "plan2"]
     assert script.read_text().count("movel(") == 4
@@ -118,11 +118,10 @@ def test_lines_are_planned(folder, capsys):
 
 def test_lines_with_a_delay_that_is_not_known(folder, capsys):
     write_rig(folder / "delay.toml", replace(bench.RIGS["irb120"], time_offset_sigma=None))
-    assert main(["plan", "line", *LINES, "--rig", str(folder / "delay.toml")]) == 0
-    (said,) = [
-        line for line in capsys.readouterr().out.splitlines() if "time_offset" in line and "identifiable" not in line
-    ]
-    assert said.split()[-1] == "ms"
+    assert main(["plan", "line", *LINES, "--rig", str(folder / "delay.toml"), "--details"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (row,) = [line for line in lines if line.startswith("time_offset ")]
+    assert row.split()[-1] == "ms"
 
 
 @pytest.mark.parametrize(
@@ -133,7 +132,7 @@ def test_lines_with_a_delay_that_is_not_known(folder, capsys):
         (["--target", "x"], "[[target]] to it"),
         (
             ["--region", "5000:5001,0:1,0:1"],
-            "out-of-reach",
+            "no-plan",
         ),
         (["--rig-out", "-"], "file name"),
         (["--rig-out", "rig.toml"], "rig.toml"),
@@ -208,20 +207,22 @@ def test_strangers_files_are_not_replaced_and_own_ones_are(folder, capsys, optio
 
 
 def test_check_poses_that_are_not_planned_are_named(folder, capsys):
-    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "5"]) == 0
-    assert (
-        "--check-poses 5: none planned: at most one per 36 poses, and none below 108 poses" in capsys.readouterr().out
-    )
+    assert main(["plan", "ballbar", *COMMON, "--rig", str(folder / "rig.toml"), "--check-poses", "7", "--json"]) == 0
+    findings = listed(json.loads(capsys.readouterr().out))
+    assert findings["fewer-checks"] == {"asked": 7, "planned": 0, "visits": False}
+    assert "against-drift" not in findings
 
 
 def test_too_few_poses_are_told_in_a_few_words(folder, capsys):
     few = [text.replace("36", "12") for text in COMMON]
-    assert main(["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert [line for line in said if line.startswith("Next: 12 poses are fewer than the unknowns")]
-    unseen = [line for line in said if line.startswith("unidentifiable: ")]
+    command = ["plan", "ballbar", *few, "--rig", str(folder / "rig.toml")]
+    assert main([*command, "--json"]) == 0
+    findings = listed(json.loads(capsys.readouterr().out))
+    assert findings["few-poses"] == {"n": 12}
+    assert findings["planned-rank"]["unseen"] == 30 - 12
+    assert main([*command, "--details"]) == 0
+    unseen = [line for line in capsys.readouterr().out.splitlines() if line.startswith("unidentifiable: ")]
     assert len(unseen) == 30 - 12
-    assert said[said.index(unseen[0]) - 1] == "combinations of parameters, with weights in m, rad and 1:"
     assert all(line.count("·") <= 4 for line in unseen)
 
 

@@ -77,7 +77,7 @@ def test_a_robot_that_did_not_change_passes(folder, run):
     assert len(said.splitlines()) <= 15
     assert "shell=one" not in said
     assert "shell=one" in run("validate", folder / "result.json", path, "--rig", folder / "rig.toml", "--details").out
-    assert listed(found)["before-placed"]["raw"] == {"mm": found["rms_raw_mm"]}
+    assert listed(found)["before"]["raw"] == {"mm": found["rms_raw_mm"]}
 
 
 def test_a_page_has_a_certificate_of_the_validation(folder, run, tmp_path, monkeypatch):

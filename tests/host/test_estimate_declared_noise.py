@@ -27,7 +27,7 @@ def test_they_stand_in_result_terminal_and_report(tmp_path):
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(1), 3.0 * SIGMA), RIG)
     declared, unexplained = (found.document[f"rms_{name}_mm"] for name in ("declared", "unexplained"))
     assert declared**2 + unexplained**2 == pytest.approx(found.document["rms_after_mm"] ** 2)
-    share = stated(found.document)["noise-leaves"]
+    share = stated(found.document)["noise-share"]
     assert (share.values["declared"], share.values["unexplained"]) == ({"mm": declared}, {"mm": unexplained})
     assert share.values["rest"] == "is unexplained"
     write_page(tmp_path / "page.html", found)
@@ -38,4 +38,4 @@ def test_what_noise_alone_may_leave_is_not_called_unexplained():
     found = truearm.identify(ROBOT, random_table(N, np.random.default_rng(0), 1.05 * SIGMA), RIG)
     assert found.document["chi2_reduced"] <= found.document["chi2_band"][1]
     assert found.document["rms_unexplained_mm"] > 0.0
-    assert stated(found.document)["noise-leaves"].values["rest"] == "may be chance"
+    assert stated(found.document)["noise-share"].values["rest"] == "may be chance"

@@ -296,7 +296,7 @@ class TestRefusals:
     def test_a_folder_that_holds_something(self, made, tmp_path, capsys):
         (tmp_path / "x").mkdir()
         (tmp_path / "x" / "mine").write_text("precious")
-        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "foreign-folder")
+        ended(self.refused(capsys, made[1], "--out", tmp_path / "x"), "foreign-file")
         assert os.listdir(tmp_path / "x") == ["mine"]
         (tmp_path / "y").mkdir()
         export(made[1], tmp_path / "y")

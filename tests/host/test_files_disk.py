@@ -39,7 +39,7 @@ def test_only_what_we_wrote_is_replaced(tmp_path):
 def test_devices_and_links_stay_what_they_are(tmp_path):
     os.mkfifo(tmp_path / "fifo")
     for attempt in (check_writable, lambda path: write_atomic(path, "x")):
-        with refused("not-a-file"):
+        with refused("unreadable-file"):
             attempt(tmp_path / "fifo")
     assert not (tmp_path / "fifo").is_file()
     (tmp_path / "file").write_text("old")
@@ -52,7 +52,7 @@ def test_devices_and_links_stay_what_they_are(tmp_path):
 def test_a_folder_of_others_is_not_written_into(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("years of work")
-    with refused("foreign-folder"):
+    with refused("foreign-file"):
         own_folder(tmp_path / "full", ".mark")
     with pytest.raises(InputError, match="cannot be used"):
         own_folder(tmp_path / "full" / "thesis.tex", ".mark")

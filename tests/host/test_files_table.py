@@ -152,8 +152,8 @@ WRONG = {
     "not an observation kind": ("q1_rad,place\n0,a\n", "missing-column"),
     "unknown column": ("kind,q1_rad,plaec\nseat,0,a\n", "did you mean plane or place?"),
     "nothing like it": ("kind,q1_rad,humidity\nseat,0,20\n", "x_"),
-    "no unit": ("kind,q1\nseat,0\n", "missing-unit"),
-    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "missing-unit"),
+    "no unit": ("kind,q1\nseat,0\n", "wrong-unit"),
+    "length without unit": ("kind,q1_rad,length\nball_bar,0,1\n", "wrong-unit"),
     "unknown unit": ("kind,q1_grad\nseat,0\n", "'grad'"),
     "length in degrees": ("kind,q1_rad,length_deg\nball_bar,0,1\n", "'deg'"),
     "both units": ("kind,q1_rad,q1_deg\nseat,0,0\n", "given-twice"),
@@ -292,9 +292,9 @@ def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(data)
         with refused(code, place=tmp_path / name):
             read_table(tmp_path / name)
-    with refused("not-a-file", place=tmp_path):
+    with refused("unreadable-file", place=tmp_path):
         read_table(tmp_path)
     with refused("missing-file"):
         read_table(tmp_path / "none.csv")
-    with refused("not-a-file"):
+    with refused("unreadable-file"):
         read_table(Path("/dev/zero"))

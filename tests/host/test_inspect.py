@@ -15,6 +15,7 @@ from truearm.files.rig_file import write_rig
 from truearm.finding_texts import STATEMENTS, Severity
 from truearm.record.links import HostClock
 from truearm.record.session_writer import SessionWriter
+from truearm.report.session_findings import REJECTED
 from truearm.session import dwells, line_passes
 from truearm.types import Message
 from truearm.workflows.inspect import printable
@@ -146,7 +147,7 @@ def test_an_empty_session(tmp_path, run):
     assert out.startswith("Not usable")
     document = json.loads(run("inspect", path, "--json").out)
     assert document["duration_s"] == 0.0
-    assert next(iter(listed(document))) == "no-samples"
+    assert next(iter(listed(document))) == "no-box-data"
 
 
 def test_bad_files_are_one_line_and_exit_2(stream, tmp_path, run):
@@ -222,8 +223,8 @@ def test_a_box_that_falls_silent_is_a_loss(stream, tmp_path, run):
     assert said["frames_lost"] == 0
     assert said["samples_missing"] == round((end - last) / PERIOD_NS)
     findings = listed(document)
-    assert findings["box-silent"]["periods"][0].startswith("5.0 to ")
-    assert findings["box-silent"]["missing"] == said["samples_missing"]
+    assert findings["lost-on-link"]["periods"][0].startswith("5.0 to ")
+    assert findings["lost-on-link"]["missing"] == said["samples_missing"]
     assert "nothing-lost" not in findings
 
 
@@ -245,12 +246,13 @@ def test_stops_between_poses_are_said_to_be_such(stream, tmp_path, run):
     path = write(tmp_path / "s.mcap", [plan[0], *rest], rig_toml(tmp_path))
     findings = listed(json.loads(run("inspect", path, "--json").out))
     assert findings["rejected-off-plan"] == {"rejected": "4 dwells"}
-    assert "rejected-no-plan-match" not in findings
+    assert "rejected-unlabelled" not in findings
 
 
 def test_every_reason_of_a_rejection_has_a_finding():
     reasons = {*dwells.REASONS, *line_passes.REASONS} - {dwells.MOUNTING, "contradiction", dwells.DOUBTFUL}
-    assert {f"rejected-{reason.replace(' ', '-')}" for reason in reasons} <= set(STATEMENTS)
+    assert sorted(reasons) == sorted(reason for named in REJECTED.values() for reason in named)
+    assert set(REJECTED) <= set(STATEMENTS)
 
 
 def test_readings_of_other_joints_are_malformed(stream, tmp_path, run):

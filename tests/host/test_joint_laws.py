@@ -377,7 +377,7 @@ def test_a_payload_that_was_not_measured_is_predicted(loaded_arm):
     assert blind.held_out.figures["m"].mean > 3.0 * mean
     laws = found.document["joint_laws"]
     assert [one["mass_kg"] for one in laws["payloads"]] == [0.0, 4.0]
-    (masses,) = [of.values["masses"] for of in law_findings(found.document) if of.code == "sag-of-payloads"]
+    (masses,) = [of.values["masses"] for of in law_findings(found.document) if of.code == "sag-of-payload"]
     assert masses == ["0", "4"]
     at = {name: i for i, name in enumerate(found.chain.parameter_names)}
     for joint, give in (("joint2", 4e-5), ("joint3", 6e-5)):
@@ -399,9 +399,9 @@ def test_a_result_carries_the_payload_of_a_program(loaded_arm):
     assert np.linalg.norm(due, axis=1).max() > 1e-4
     np.testing.assert_allclose(full - empty, due, rtol=0.0, atol=0.1 * np.abs(due).max())
     (sag,) = again.carrying(6.0).payload_findings()
-    assert (sag.code, sag.values) == ("sag-at-payload", {"mass": 6.0, "masses": ["0", "4"]})
+    assert (sag.code, sag.values) == ("sag-at-payload", {"mass": 6.0, "masses": ["0", "4"], "each": False})
     judged = validated(again, RIG, table.select(np.arange(260) >= 200))
-    assert listed(judged.document)["sag-at-each-payload"]["masses"] == ["0", "4"]
+    assert listed(judged.document)["sag-at-payload"] == {"mass": 6.0, "masses": ["0", "4"], "each": True}
     with pytest.raises(InputError, match="mass: -1 kg"):
         again.carrying(-1.0)
 
@@ -432,13 +432,15 @@ def test_one_payload_in_all_rows_says_nothing_of_another():
     for found in (by_table, by_rig):
         assert found.estimate.joint_laws.payloads == (Payload(4.0, tuple(HELD)),)
         assert all(0.3 < law["range_share"] <= 1.0 for law in found.document["joint_laws"]["tried"] if law["kept"])
-        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [{"masses": ["4"]}]
+        assert [of.values for of in law_findings(found.document) if of.code == "sag-of-payload"] == [
+            {"masses": ["4"], "several": False}
+        ]
     again = calibration_of(parse_result(format_document(by_rig.document), "r.json"), ROBOT, "ur10", "r.json")
-    assert again.payload_findings() == [Finding("sag-of-payload", {"masses": ["4"]})]
+    assert again.payload_findings() == [Finding("sag-of-payload", {"masses": ["4"], "several": False})]
     assert "other-payload" not in listed(validated(again, rig, without_payload(table)).document)
     masses = np.where(np.arange(160) < 30, 4.0, 0.0)
     light = validated(again, rig, table.replace(payload=masses))
-    assert listed(light.document)["sag-of-payload"] == {"masses": ["4"]}
+    assert listed(light.document)["sag-of-payload"] == {"masses": ["4"], "several": False}
     assert listed(light.document)["other-payload"] == {"n": 130, "rows": 160, "payload": ["0"], "masses": ["4"]}
     with pytest.raises(InputError, match="payload acts"):
         again.carrying(2.0)

@@ -49,9 +49,7 @@ def test_defaults_converge_and_predict(series, kind, largest):
     ]
     assert np.abs(lengths).max() < 8e-3  # nothing wanders off along what the data hardly tell
     findings = stated(found.document)
-    assert {"target.reflector", "tracker.tracker"} <= set(
-        (findings.get("before") or findings["before-placed"]).values["fitted"]
-    )
+    assert {"target.reflector", "tracker.tracker"} <= set(findings["before"].values["fitted"])
     assert found.document["unexplained"]["mean_mm"] == pytest.approx(errors.mean(), rel=0.05)
     assert found.document["predicted_error"] is None  # the covariance knows only of the declared noise
     assert "base.x" in findings["held-frames"].values["base"]

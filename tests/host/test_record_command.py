@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box, serve_robot
-from tests.refusals import ended
+from tests.refusals import ended, shown
 
 from truearm.cli.main import main
 from truearm.errors import InputError
@@ -70,7 +70,7 @@ def test_a_recording_ended_by_time(tmp_path, capsys):
     for row in (json.loads(m.data) for m in found["/sync"]):
         assert box.born + 1000 * row["t1_us"] >= row["t0_ns"] - 1000
         assert box.born + 1000 * row["t2_us"] <= row["t3_ns"]
-    assert "ended: duration" in capsys.readouterr().out
+    assert shown["recorded"]["ended"] == "duration"
 
 
 def test_a_recording_ended_by_the_robot(tmp_path, capsys):
@@ -79,7 +79,8 @@ def test_a_recording_ended_by_the_robot(tmp_path, capsys):
         assert main(["record", "--box", device, "--address", serve_robot(0.5), "--out", out]) == 0
     lines = list(open_session(out).messages({"/robot/joints"}))
     assert [json.loads(m.data)["seq"] for m in lines] == list(range(len(lines)))
-    assert f"{len(lines)} robot messages; ended: robot closed" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith(f"{out}: ")
+    assert (shown["recorded"]["readings"], shown["recorded"]["ended"]) == (len(lines), "robot closed")
 
 
 def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
@@ -92,7 +93,7 @@ def test_a_fault_of_the_box_is_said_while_it_records(tmp_path, capsys):
     warnings = [line.split("s: ", 1)[1] for line in said.err.splitlines() if "warning" in line]
     assert f"warning: {fault}; its samples are recorded anyway" in warnings
     assert len(set(warnings)) == len(warnings) == 2  # and that no channel is calibrated
-    assert said.out.splitlines()[-1] == f"{out}: {fault}"
+    assert shown["recording-disturbed"]["events"] == [fault]
     assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
 
@@ -130,7 +131,7 @@ def test_a_signal_completes_the_file(tmp_path, number):
     assert process.returncode == 130
     assert "Traceback" not in complaint
     assert "samples" in said
-    assert "ended: interrupted" in said
+    assert said.split()[-1] == "interrupted."
     assert not box.streaming
     assert len(list(open_session(out).messages({"/box/adc"}))) == box.blocks
 
@@ -147,7 +148,7 @@ class TestRefused:
             (["--mounted", "bar=a,bar=b"], "given-twice"),
             (["--plan", "none.csv"], "missing-file"),
             (["--rig", "none.toml"], "missing-file"),
-            (["--box", "ftp://x"], "not-an-address"),
+            (["--box", "ftp://x"], "wrong-form"),
             (["--address", "x:1"], "is not the address of a robot"),
         ],
         ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -186,7 +187,7 @@ class TestRefused:
         (tmp_path / "folder.mcap").mkdir()
         for name in ("null.mcap", "folder.mcap"):
             assert main(["record", "--box", "/dev/none", "--force", "--out", str(tmp_path / name)]) == 2
-            ended(capsys.readouterr().err, "not-a-file")
+            ended(capsys.readouterr().err, "unreadable-file")
         assert (tmp_path / "null.mcap").is_symlink()
 
     def test_nothing_there(self, tmp_path, capsys):

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import pytest
 from record_real import PATIENCE_S, box_on_a_socket, play, real_time_box
 from test_record_command import RIG, posix
+from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import LinkError
@@ -165,7 +166,8 @@ class TestTheBoxGoes:
         assert sum("the link to the box was lost" in line for line in lines) == 1
         assert "the box was gone at the end" in gone
         assert str(out) in gone
-        assert "link lost 1 time; ended: duration" in said.out
+        assert shown["recorded"]["ended"] == "duration"
+        assert shown["recording-disturbed"]["link_losses"] == 1
         assert main(["inspect", str(out), "--json"]) == 0
         losses = json.loads(capsys.readouterr().out)["losses"]
         (silence,) = losses["silences"]
@@ -186,7 +188,7 @@ class TestTheBoxGoes:
             arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 4
         said = capsys.readouterr()
-        assert "ended: robot closed" in said.out
+        assert shown["recorded"]["ended"] == "robot closed"
         assert "box was gone at" in said.err
 
 
@@ -237,7 +239,8 @@ class TestTheRobotIsNone:
         with box_on_a_socket() as (_, device), server(robot) as address:
             arguments = ["--box", device, "--address", f"tcp://{address}", "--out", str(out)]
             assert main(["record", *arguments]) == 0
-        assert "50 robot messages, 50 malformed" in capsys.readouterr().out
+        assert (shown["recorded"]["readings"], shown["recording-disturbed"]["robot_other_joints"]) == (50, 50)
+        capsys.readouterr()
         assert main(["inspect", str(out), "--json"]) == 0
         robot_said = json.loads(capsys.readouterr().out)["robot"]
         assert (robot_said["readings"], robot_said["malformed"], robot_said["joints"]) == (50, 50, 6)

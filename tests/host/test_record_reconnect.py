@@ -8,6 +8,7 @@ import pytest
 from record_box import HOST_0, MS, SECOND, Box, ComingBack, Robot
 from record_files import events, run, topics
 from record_real import PATIENCE_S, OnTerminals, real_time_box
+from tests.refusals import shown
 
 from truearm.cli.main import main
 from truearm.errors import LinkClosed, LinkError, ProtocolError
@@ -196,7 +197,7 @@ class TestBox:
         assert all(other.box.commands == [] for other in held)  # nobody asked the others
         for other in held:
             other.unplug()
-        assert "link lost 1 time" in capsys.readouterr().out
+        assert shown["recording-disturbed"]["link_losses"] == 1
 
 
 def wait_for(true):

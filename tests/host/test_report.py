@@ -157,9 +157,9 @@ def test_suspects_are_named_the_farthest_first():
 def test_the_verdict_is_the_headline_then_doubts_and_advice_then_notes():
     findings = (
         Finding("simulated"),
-        Finding("wrong-inputs", {"after": {"mm": 43.0}}),
+        Finding("wrong-inputs", {"after": {"mm": 43.0}, "large": False}),
         Finding("labels-unchecked"),
-        Finding("no-law"),
+        Finding("no-law", {"tried": 0}),
         Finding("correct-next"),
     )
     text = html.unescape(render(make_page(20, findings=findings)))

@@ -266,7 +266,7 @@ class TestStrangers:
             open_session(tmp_path / "s.mcap")
 
     def test_a_folder(self, tmp_path):
-        with refused("not-a-file", place=tmp_path):
+        with refused("unreadable-file", place=tmp_path):
             open_session(tmp_path)
 
     @pytest.mark.parametrize("claim", ["small", "honest"])

@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from truearm.bounds import Within
 from truearm.cli.command import command, fill
-from truearm.cli.output import print_json, print_lines
+from truearm.cli.output import print_json
 from truearm.errors import InputError
-from truearm.text import one_line
 from truearm.units import MM
 
 BANDS_MM = (0.02, 0.05, 0.1)
@@ -29,6 +26,7 @@ def characterize(
     within_mm: Annotated[list[float] | None, Within(0.0001, 100.0)] = None,
     out: Path | None = None,
     force: bool = False,
+    details: bool = False,
     json: bool = False,
     allow_damaged: bool = False,
 ) -> None:
@@ -47,20 +45,22 @@ def characterize(
         0.02, 0.05, 0.1.
     out : FILE
         File to write: the noise file for truearm identify --noise (.toml).
+    details
+        Print how the arm settles, the noise of joints and sensor, and a table of the joints. Difference: the mean reading
+        of a joint that comes from below, minus from above. Scatter: the sigma of its readings from one side.
     """
-    from truearm.cli.characterize_text import lines, remarks
+    from truearm.cli.findings_text import show, table_of
     from truearm.files.robot_file import RobotChoice
+    from truearm.findings import findings_of
+    from truearm.report.repeatability_findings import JOINTS, joint_rows
     from truearm.workflows.characterize import CharacterizeFiles, characterize_files
 
     if out == Path("-"):
         raise InputError("no-file-name", what="the result")
     bands = sorted({MM.to_si(mm) for mm in within_mm or BANDS_MM})
-    name = one_line(session.name)
     files = fill(CharacterizeFiles, locals(), robot=RobotChoice(model, base, tip))
-    found = characterize_files(files, bands, lambda document: remarks(document, name))
+    document = characterize_files(files, bands)
     if json:
-        print_json(found)
+        print_json(document)
         return
-    print_lines(lines(found, name))
-    if out is not None:
-        typer.echo(f"\nwritten: {out}, for truearm identify --noise {out}")
+    show(findings_of(document), [table_of(JOINTS, joint_rows(document))] if details else None, [out])

@@ -78,9 +78,10 @@ def init(
     --------------
     json
     """
-    from truearm.cli.plan_text import visit_lines
+    from truearm.cli.findings_text import show
     from truearm.files.project_file import Project
     from truearm.files.robot_file import is_urdf
+    from truearm.findings import findings_of
     from truearm.workflows.project import ProjectWanted, create
 
     asking = model is None and sys.stdin is not None and sys.stdin.isatty()
@@ -133,7 +134,7 @@ def init(
         return
     print_lines(f"{path.name:<16}{path}" for path in created.written)
     if created.plan is not None:
-        print_lines(visit_lines(created.plan))
+        show(findings_of(created.plan)[:1], more="")
     then = "truearm status" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} and truearm status"
     typer.echo(f"\nnext: put what you measured of the rig into {folder / project.rig}; then {then}")
 

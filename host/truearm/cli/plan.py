@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from truearm import option_defaults
 from truearm.bounds import (
     CANDIDATES,
@@ -22,8 +20,9 @@ from truearm.bounds import (
 )
 from truearm.cli.command import command, fill
 from truearm.cli.options import branch_given, spans_of
-from truearm.cli.output import command_group, print_result
-from truearm.cli.project import ProjectCommand, typed
+from truearm.cli.output import command_group, print_json
+from truearm.cli.project import ProjectCommand
+from truearm.findings import findings_of
 from truearm.plan.criteria import Criterion
 from truearm.units import MM, MM_S
 
@@ -66,10 +65,20 @@ def _plan_files(given: dict[str, Any]) -> PlanFiles:
     )
 
 
+def _print(document: dict[str, Any], details: bool, json: bool) -> None:
+    from truearm.cli.findings_text import show
+    from truearm.cli.plan_text import tables
+
+    if json:
+        print_json(document)
+        return
+    more = "All notes and tables: --details" if "parameters" in document else ""
+    show(findings_of(document), tables(document) if details else None, map(Path, document["written"]), more)
+
+
 @app.command("ballbar", cls=ProjectCommand)
 @command()
 def ballbar(
-    context: typer.Context,
     *,
     model: str,
     rig: Path,
@@ -96,13 +105,13 @@ def ballbar(
     output_line: Annotated[int, Within(0)] = 0,
     input_line: Annotated[int | None, Within(0)] = None,
     force: bool = False,
+    details: bool = False,
     json: bool = False,
 ) -> None:
     """Plan ball-bar poses around the chucks.
 
     A pairing is one bar between one chuck (a magnetic cup on the table) and one sphere (a ball on the robot's end). With
-    --minutes, only the pairings that are worth mounting are planned. Prints the rank, the unidentifiable combinations, the predicted sigma of every parameter, the expected error in the region,
-    and the minutes.
+    --minutes, only the pairings that are worth mounting are planned.
 
     Example:
       truearm plan ballbar --model puma560 --rig rig.toml --minutes 40 --out plan.csv --program-out plan.script
@@ -113,13 +122,15 @@ def ballbar(
         File to write: the plan that record follows (.csv).
     poses : N
         Budget in poses. Give this or --minutes.
-    region : X0:X1,Y0:Y1,Z0:Z1
-        Box in which accuracy is wanted [mm, base frame]. Default: around the planned places of the spheres.
     bar : NAME
         Use only this bar (repeatable).
+    details
+        Print the pairings, what can be held out, the unidentifiable combinations and the predicted sigma of every parameter.
 
     Expert options
     --------------
+    region : X0:X1,Y0:Y1,Z0:Z1
+        Box in which accuracy is wanted [mm, base frame]. Default: around the planned places of the spheres.
     candidates : N
         Poses to choose from.
     spread_mm : MM
@@ -132,13 +143,12 @@ def ballbar(
     joint_laws
         Also predict how well the poses will determine the joints' error curves.
     """
-    from truearm.cli.plan_text import forecast_lines
     from truearm.workflows.plan import BallBarOptions, Budget, plan_ball_bar_files
 
     files = _plan_files(locals())
     options = fill(BallBarOptions, locals(), region=_region_of(region), bars=tuple(bar or ()))
     document = plan_ball_bar_files(files, Budget(poses, minutes), options)
-    print_result(document, forecast_lines(document, typed(context, "check_poses")), json)
+    _print(document, details, json)
 
 
 @app.command("line", cls=ProjectCommand)
@@ -170,12 +180,10 @@ def line(
     output_line: Annotated[int, Within(0)] = 0,
     input_line: Annotated[int | None, Within(0)] = None,
     force: bool = False,
+    details: bool = False,
     json: bool = False,
 ) -> None:
     """Plan lines for a line device, driven there and back, preferably where the expected error is large.
-
-    Prints the position of each line, the unidentifiable combinations, the predicted sigma of every parameter, the expected error,
-    and the minutes.
 
     Example:
       truearm plan line --model ur5e --rig rig.toml --lines 6 --out lines.csv --rig-out lines.toml --program-out lines.script
@@ -186,13 +194,15 @@ def line(
         File to write: the plan that record follows (.csv).
     lines : N
         Budget in lines. Give this or --minutes.
-    target : NAME
-        Target of the rig to measure. Default: its only one.
     rig_out : FILE
         Write the rig with these lines, for record and identify (.toml).
+    details
+        Print the position of each line, the unidentifiable combinations and the predicted sigma of every parameter.
 
     Expert options
     --------------
+    target : NAME
+        Target of the rig to measure. Default: its only one.
     length_mm : MM
         Length of the device.
     transverse_mm : MM
@@ -209,7 +219,6 @@ def line(
     candidates : N
         Lines to choose from.
     """
-    from truearm.cli.plan_text import forecast_lines
     from truearm.plan.cartesian_lines import Shape
     from truearm.workflows.plan import Budget, LineOptions, plan_line_files
 
@@ -217,7 +226,7 @@ def line(
     shape = Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points)
     options = fill(LineOptions, locals(), region=_region_of(region))
     document = plan_line_files(files, Budget(lines, minutes), options)
-    print_result(document, forecast_lines(document), json)
+    _print(document, details, json)
 
 
 @app.command("characterize", cls=ProjectCommand)
@@ -275,10 +284,9 @@ def characterize(
         Duration of one long rest at each pose, which measures the noise.
     result
     """
-    from truearm.cli.plan_text import approach_lines
     from truearm.workflows.plan import ApproachOptions, plan_approaches_files
 
     files = _plan_files(locals())
     options = fill(ApproachOptions, locals())
     document = plan_approaches_files(files, options)
-    print_result(document, approach_lines(document), json)
+    _print(document, False, json)

@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from truearm.cli.command import command, fill
-from truearm.cli.output import print_result
+from truearm.cli.output import print_json
 from truearm.cli.project import ProjectCommand, project_model, typed
 from truearm.errors import IncompleteError, InputError
 from truearm.exit_codes import ExitCode
@@ -79,7 +79,9 @@ def record(
     unchecked
         Record even if the box cannot measure what the plan or rig requires.
     """
-    from truearm.cli.record_text import document, lines
+    from truearm.cli.findings_text import show
+    from truearm.cli.record_text import document
+    from truearm.findings import findings_of
     from truearm.workflows.record import Request, nearest_osr, record_request
 
     osr = None if rate is None else nearest_osr(rate)
@@ -92,7 +94,11 @@ def record(
         sys.stderr,
         lambda text: typer.echo(text, err=True),
     )
-    print_result(document(recorded), lines(recorded), json)
+    summary = document(recorded)
+    if json:
+        print_json(summary)
+    else:
+        show(findings_of(summary), more="")
     if recorded.trouble:
         typer.echo(recorded.trouble, err=True)
     interrupted = recorded.summary.reason == "interrupted"

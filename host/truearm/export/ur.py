@@ -33,7 +33,9 @@ def ur_segments(robot: LinkFrames) -> tuple[Floats, Floats]:
     check_gains(robot, "a kinematics file")
     if len(robot.joints) != len(SEGMENTS) or any(joint.kind != "revolute" for joint in robot.joints):
         raise RobotError(
-            f"robot {robot.name}: a Universal Robots kinematics file has six revolute joints; use another format"
+            "unsuited-robot",
+            place=f"robot {robot.name}",
+            reason="a Universal Robots kinematics file has six revolute joints; use another format",
         )
     shifts = [elementary("tz", float(link[2, 3])) for link in robot.links[1:]]
     out = []
@@ -50,8 +52,9 @@ def ur_yaml(robot: LinkFrames, nominal: LinkFrames, comment: str = "") -> str:
     turns = np.stack([elementary("rx", roll) for roll in ROLLS])
     if np.abs(described[:, :3, :3] - turns[:, :3, :3]).max() > 1e-6 or np.abs(rest - np.eye(4)).max() > 1e-6:
         raise RobotError(
-            f"robot {robot.name}: its axes are not arranged like those of a Universal Robots arm in its drawing; use another "
-            "format, such as urdf"
+            "unsuited-robot",
+            place=f"robot {robot.name}",
+            reason="its axes are not arranged like those of a Universal Robots arm in its drawing; use another format, such as urdf",
         )
     segments, _ = ur_segments(robot)
     lines = [f"# {line}" for line in comment.splitlines()] + ["kinematics:"]

@@ -173,7 +173,7 @@ def check_writable(
 
 def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], bool] | None) -> None:
     if path.is_dir():
-        raise InputError("not-a-file", place=path)
+        raise InputError("unreadable-file", place=path)
     _check_regular(path)
     if any(same_file(path, other) for other in inputs):
         raise InputError("used-twice", place=path)
@@ -239,7 +239,7 @@ def own_folder(path: Path, mark: str) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not (path / mark).exists() and any(path.iterdir()):
-            raise InputError("foreign-folder", place=path)
+            raise InputError("foreign-file", place=path, folder=True)
         (path / mark).touch()
     except OSError as exc:
         raise _failure(f"{path}: cannot be used as a folder", exc) from exc
@@ -249,4 +249,4 @@ def _check_regular(path: Path) -> None:
     if path.is_symlink() and not path.exists() and _real(path).is_symlink():
         raise InputError(f"{path}: is a symbolic link loop; give another name")
     if path.exists() and not path.is_file():
-        raise InputError("not-a-file", place=path)
+        raise InputError("unreadable-file", place=path)

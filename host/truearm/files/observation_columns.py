@@ -78,10 +78,8 @@ def _quantity(title: str, where: str) -> tuple[str, str]:
     if match is None or (match[2] != "") != (match[1] in JOINTS):
         raise TableError("unknown-column", place=where, remedy=_suggestion(title))
     quantity, unit, known = match[1] + match[2], match[3] or "", units[match[1]]
-    if not unit and "" not in known:
-        raise TableError("missing-unit", place=where, names=[named(quantity, u) for u in known])
     if unit not in known:
-        raise TableError("wrong-unit", place=where, unit=unit, names=[named(quantity, u) for u in known])
+        raise TableError("wrong-unit", place=where, unit=unit and repr(unit), names=[named(quantity, u) for u in known])
     return sigma_column(SUFFIXES[unit].si) if quantity == "sigma" else quantity, unit
 
 

@@ -135,7 +135,7 @@ def _between(site: Site, start: Floats, end: Floats, pairing: Pairing, seed: int
         return via, False
     via = way_without_bar(site, start, end, seed)
     if via is None:
-        raise PlanError("no-path", place="two of the poses")
+        raise PlanError("no collision-free path to two of the poses was found; try another ", Argument("seed"))
     return via if len(via) else 0.5 * (start + end)[None], True
 
 

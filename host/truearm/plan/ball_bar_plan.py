@@ -112,7 +112,9 @@ def plan_ballbar(
     Raises PlanError for a missing budget or one that is too small, and the errors of the steps.
     """
     if (wanted.n_poses is None) == (wanted.minutes is None):
-        raise PlanError("exclusive", first="poses", second="minutes")
+        raise PlanError(
+            "exclusive", first=Argument("poses"), second=Argument("minutes"), neither=wanted.minutes is None
+        )
     if (wanted.n_poses or 0) > wanted.n_candidates:
         raise PlanError(
             f"{wanted.n_poses} poses cannot be chosen from {wanted.n_candidates} candidates; ask for fewer ",
@@ -250,7 +252,9 @@ def _within(planned: Callable[[int], Route], most: int, minutes: float, pace: Pa
         step = (minutes - fixed) / max(way.minutes - fixed, 1e-9)
         n = int(np.clip(n * step, low + 1, high - 1)) if step > 0.0 else (low + high) // 2
     if best is None:
-        raise PlanError("small-budget", reason=f"mounting one pairing takes {pace.mount:g} s", minutes=minutes)
+        raise PlanError(
+            f"{minutes:g} min are too few: mounting one pairing takes {pace.mount:g} s; give more ", Argument("minutes")
+        )
     return best
 
 

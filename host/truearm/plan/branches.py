@@ -25,7 +25,7 @@ def _check_kinds(chain: Chain) -> None:
     sliding = [joint.name for joint in chain.joints if joint.kind != "revolute"]
     if sliding:
         raise PlanError(
-            f"robot {chain.name}: joint {sliding[0]} is prismatic, and a plan is for arms with revolute joints only; "
+            f"joint {sliding[0]} of robot {chain.name} is prismatic, and a plan is for arms with revolute joints only; "
             "choose the poses yourself, and identify from a table"
         )
 

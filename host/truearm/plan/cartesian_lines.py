@@ -97,9 +97,7 @@ def candidate_lines(
             break
     if len(kept) < least:
         raise PlanError(
-            "out-of-reach",
-            reason=f"only {len(kept)} lines of {MM.text(shape.length)} fit within the arm's reach",
-            remedy="shorter, slower or fewer lines",
+            f"only {len(kept)} lines of {MM.text(shape.length)} fit within the arm's reach; ask for shorter, slower or fewer lines"
         )
     return Lines(*(np.array(part) for part in zip(*kept[:n], strict=True)))
 

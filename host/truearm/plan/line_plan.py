@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.estimate.information import of_rows
 from truearm.estimate.problem import settled
 from truearm.estimate.whitened_rows import whitened_blocks
@@ -74,7 +74,9 @@ def plan_lines(
     Raises PlanError if too few lines fit into the workspace or the budget, and the errors of the steps.
     """
     if (wanted.n_lines is None) == (wanted.minutes is None):
-        raise PlanError("exclusive", first="lines", second="minutes")
+        raise PlanError(
+            "exclusive", first=Argument("lines"), second=Argument("minutes"), neither=wanted.minutes is None
+        )
     point = np.array(known.rig.targets[target].xyz) if target else np.zeros(3)
     n = wanted.n_lines or _most(wanted)
     many = max(wanted.n_candidates, n if wanted.n_lines else 1)
@@ -230,7 +232,7 @@ def _stops(site: Site, lines: Lines, names: list[str], wanted: LinesWanted, pace
         if stops:
             via = way_without_bar(site, stops[-1].q, q[0], seed=number)
             if via is None:
-                raise PlanError("no-path", place=f"line {name}")
+                raise PlanError(f"no collision-free path to line {name} was found; try another ", Argument("seed"))
             way = [*via, q[0]]
         first = len(stops)
         for place in way:

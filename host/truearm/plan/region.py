@@ -68,5 +68,5 @@ def poses_in(site: Site, region: Region, p_end_point: Floats, seed: int = 0) -> 
         if len(kept) >= N_POSES:
             return kept[:N_POSES]
     if not len(kept):
-        raise PlanError("out-of-reach", reason="the arm cannot reach the region", remedy="another region")
+        raise PlanError("the arm cannot reach the region; ask for another ", Argument("region"))
     return kept

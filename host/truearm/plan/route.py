@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truearm.errors import PlanError
+from truearm.errors import Argument, PlanError
 from truearm.plan.bar_paths import Pace, move_seconds, way_without_bar
 from truearm.plan.measurement_limits import Pairing, Site, of_pairing, pairing_at
 from truearm.plan.roadmap import Roadmap, make_roadmap, passable
@@ -201,7 +201,7 @@ def _way(site: Site, plan: Plan, i: int, roadmap: Roadmap) -> tuple[Floats, bool
     via = way_without_bar(site, start, end, seed=i)
     if via is None:
         mounted = f"{pairing.bar}, {pairing.chuck}, {pairing.sphere}"
-        raise PlanError("no-path", place=f"pose {i} ({mounted})")
+        raise PlanError(f"no collision-free path to pose {i} ({mounted}) was found; try another ", Argument("seed"))
     if not len(via) and pairing == pairing_at(plan, i - 1):
         via = 0.5 * (start + end)[None]
     return via, True

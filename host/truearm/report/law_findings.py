@@ -22,7 +22,7 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     kept = [law for law in laws["tried"] if law["kept"]]
     dropped = [law for law in laws["tried"] if not law["kept"]]
     if not kept:
-        yield Finding("no-law-kept", {"tried": len(dropped)}) if dropped else Finding("no-law")
+        yield Finding("no-law", {"tried": len(dropped)})
         return
     for law in kept:
         yield _kept(law)
@@ -39,8 +39,7 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
     payloads = laws.get("payloads", [])
     masses = [f"{mass:g}" for mass in sorted({payload["mass_kg"] for payload in payloads})]
     if sags and any(payload["mass_kg"] for payload in payloads):
-        several = len(payloads) > 1
-        yield Finding("sag-of-payloads" if several else "sag-of-payload", {"masses": masses})
+        yield Finding("sag-of-payload", {"masses": masses, "several": len(payloads) > 1})
     noise = laws["noise"]
     terms = [f"{noise['factor']:.2g} times the declared variances"]
     if noise["shared_mm"]:

@@ -95,9 +95,9 @@ def _unusable(because: Unusable, document: Document) -> Finding:
         case Unusable.NO_FREEDOM:
             return Finding("no-freedom")
         case Unusable.WRONG_INPUTS:
-            return Finding("wrong-inputs", {"after": after})
+            return Finding("wrong-inputs", {"after": after, "large": False})
         case Unusable.RESIDUALS:
-            return Finding("large-residuals", {"after": after})
+            return Finding("wrong-inputs", {"after": after, "large": True})
         case Unusable.SCALE:
             scale = document["scale"]
             ratio = max(scale["factor"], 1.0 / scale["factor"]) if scale["factor"] > 0.0 else 1.0
@@ -138,15 +138,15 @@ def inputs(document: Document) -> Iterator[Finding]:
             "lead": "This explains them too" if number else "This explains the observations",
             "explanation": explanation["text"],
             "with_change": with_change,
-            "as_given": as_given,
+            "as_given": as_given if as_given != with_change else None,
             **(explanation["apply"] or {}),
         }
-        yield Finding("explanation-by-noise" if with_change == as_given else "explanation", values)
+        yield Finding("explanation", values)
     if document["status"] != "converged" and not SOLVERS[document["solver"]].ends_by_recipe and not explanations:
         is_line = any(re.fullmatch(r"(.*\.)?line\.[^.]*\.rx", entry["name"]) for entry in document["parameters"])
         is_weak = document["hardly_seen"] and document["prior"] == Prior.NONE
-        values = {"line": is_line, "limit": document["status"] == "max_iterations"}
-        yield Finding("meaningless-weak" if is_weak else "meaningless", values)
+        is_limited = document["status"] == "max_iterations" and not is_weak
+        yield Finding("meaningless", {"line": is_line, "weak": is_weak, "limit": is_limited})
 
 
 def little_freedom(document: Document) -> list[Finding]:
@@ -433,7 +433,7 @@ def _sessions(document: Document, paths: Mapping[str, str]) -> Iterator[Finding]
             none_fits = not count["used"] and set(rejected) == {DOUBTFUL}
             path = paths.get(count["session"], count["session"])
             values = {"session": count["session"], "n": n, "dwells": count["dwells"], "path": [path]}
-            yield Finding("no-dwell-fits" if none_fits else "doubtful-dwells", values)
+            yield Finding("doubtful-dwells", {**values, "none_fits": none_fits})
 
 
 def _rejected(reasons: Mapping[str, int]) -> list[str]:
@@ -503,9 +503,8 @@ def _identified(document: Document) -> Iterator[Finding]:
     if base or tool:
         yield Finding("held-frames", {"base": base, "tool": tool, "both": bool(base and tool)})
     for joint in defaults["still"]:
-        yield Finding("still", {"joint": joint["joint"], "spread": _size(joint["spread"], joint["unit"])})
-    if defaults["lost"]:
-        yield Finding("held-with-still", {"names": defaults["lost"]})
+        spread = _size(joint["spread"], joint["unit"])
+        yield Finding("still", {"joint": joint["joint"], "spread": spread, "held": defaults["lost"]})
     yield from displaced(document)
     for offset in (entry for entry in document["parameters"] if entry["unit"] == "s" and entry["free"]):
         name, value, sigma = offset["name"], offset["value"], offset["sigma"]
@@ -585,10 +584,8 @@ def _residuals(document: Document) -> Iterator[Finding]:
     before, raw = (sizes(document, name, units) for name in ("rms_before", "rms_raw"))
     rig = [entry["name"] for entry in document["parameters"] if entry["of"] == "rig" and entry["free"]]
     fitted = list(dict.fromkeys(name.rpartition(".")[0] for name in rig if name.endswith(PLACES)))
-    if before == raw:
-        yield Finding("before", {"fitted": fitted})
-    else:
-        yield Finding("before-placed", {"fitted": ["base and tool", *fitted], "raw": raw})
+    placed = before != raw
+    yield Finding("before", {"fitted": ["base and tool"] * placed + fitted, "raw": raw, "placed": placed})
 
 
 def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
@@ -604,14 +601,14 @@ def _noise_share(document: Document, by_chance: bool) -> Iterator[Finding]:
     less = {suffix: declared[suffix] for suffix in shares if suffix not in more}
     if less:
         units = [SUFFIXES[suffix].symbol for suffix in less] if more else None
-        yield Finding("noise-explains", {"declared": less, "units": units})
+        yield Finding("noise-share", {"declared": less, "unexplained": None, "rest": None, "units": units})
     if more:
         weighted = (
             "" if document["loss"] == Loss.LINEAR else f" or lie in rows that the {document['loss']} loss weights down"
         )
         remainder = f"may be chance{weighted}" if by_chance else "is unexplained"
         values = {"declared": {suffix: declared[suffix] for suffix in more}, "unexplained": more, "rest": remainder}
-        yield Finding("noise-leaves", values)
+        yield Finding("noise-share", {**values, "units": None})
 
 
 def outliers(document: Document) -> Iterator[Finding]:

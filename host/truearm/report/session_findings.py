@@ -7,27 +7,25 @@ from typing import Any
 
 from truearm.findings import Finding, ordered
 from truearm.session.dwells import MOUNTING, NEED_DECISION
-from truearm.session.losses import COUNTERS, EXTREMES
 from truearm.text import counted, faster, one_line
 from truearm.units import NS, UM, US
 
 Document = Mapping[str, Any]
 
 LOSSES = {  # the counters of a finding
-    "lost-on-link": ("frames_lost", "samples_lost"),
     "lost-in-box": ("samples_overrun", "overruns", "dropped"),
-    "converter-faults": ("converter_faults", "crc_errors", "converter_resets"),
+    "box-faults": ("converter_faults", "crc_errors", "converter_resets", "thermometer_errors", "restarts"),
     "missing-stop-pulses": ("missing_stops",),
-    "thermometer-errors": ("thermometer_errors",),
-    "box-restarted": ("restarts",),
-    "clock-unanswered": ("sync_unanswered",),
-    "not-frames": ("console_runs", "console_bytes", "console_text_runs"),
-    "odd-frames": (
-        *("frames_duplicated", "frames_late", "frames_malformed", "frames_unknown"),
-        *("blocks_without_ident", "bad_frames", "short_writes"),
-    ),
 }
-EXTREME_NAMES = ("loop_max_us", "gc_max_us", "heap_free_min")
+RECEIVED = ("frames", "samples", "blocks")
+REJECTED = {  # the reasons of a finding
+    "rejected-unsettled": ("too short", "still moving", "ringing", "drift"),
+    "rejected-sensor": ("gap", "rail", "noisy", "no samples"),
+    "rejected-out-of-range": ("out of travel", "out of range", "no stop pulses"),
+    "rejected-clock": ("no clock", "clock"),
+    "rejected-unlabelled": ("no plan match", "ambiguous"),
+    "rejected-line": ("too long", "not along the line"),
+}
 UNUSED_EDGES = ("unseen", "unclear", "rejected", "stray")
 
 
@@ -65,11 +63,11 @@ def _verdict(document: Document) -> Finding:
     if dwells["observations"] or passes["points"]:
         return Finding("session-usable", values | {"both": bool(dwells["observations"] and passes["points"])})
     if not document["streams"]:
-        return Finding("no-samples")
+        return Finding("no-box-data", {"problem": "sent no sample"})
     if not robot["readings"]:
         return Finding("no-joint-readings", {"bytes": robot["console_bytes"]})
     if not document["clock"]:
-        return Finding("no-box-clock")
+        return Finding("no-box-data", {"problem": "answered no clock request, so its samples have no time"})
     if not n_dwells and not passes["planned"]:
         return Finding("no-stops")
     if dwells["not_paired"]:
@@ -95,47 +93,31 @@ def _recording(document: Document) -> Finding:
 
 def _file(document: Document) -> Iterator[Finding]:
     """Return what is missing in the file, and where it comes from."""
-    metadata = document["metadata"]
     if document["truncated"]:
         yield Finding("session-incomplete")
     for damage in document["damage"]:
-        yield damage_finding(damage)
-    if recovered := metadata["recovered"]:
-        values = {"source": recovered.get("source", "?"), "lost": recovered.get("messages_lost", "?")}
-        yield Finding("session-recovered", values)
-    if added := metadata["joints-added"]:
-        yield Finding("joints-added", {"source": added.get("source", "?"), "time": added.get("time", "?")})
-    foreign = int(metadata["session-end"].get("robot_foreign", "0"))
+        yield Finding("session-damaged", damage)
+    foreign = int(document["metadata"]["session-end"].get("robot_foreign", "0"))
     if foreign:
         yield Finding("foreign-datagrams", {"n": foreign})
 
 
-def damage_finding(damage: Mapping[str, Any]) -> Finding:
-    """Return a damaged place of a session file."""
-    return Finding("session-headers-damaged" if damage["at"] is None else "session-damaged", damage)
-
-
 def _losses(losses: Document) -> Iterator[Finding]:
-    """Return what did not arrive, by what to do about it, and the counters of the box that have no finding."""
+    """Return what did not arrive, by what to do about it, and all other counters."""
     counters = {**losses["box"], **losses}
-    findings = [
-        Finding(code, {name: counters.get(name, 0) for name in names})
-        for code, names in LOSSES.items()
-        if any(counters.get(name) for name in names)
-    ]
-    if losses["silences"]:
-        periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
-        findings.append(Finding("box-silent", {"periods": periods, "missing": losses["samples_missing"]}))
+    names = {"lost-on-link": ("frames_lost", "samples_lost"), **LOSSES}
+    values: dict[str, dict[str, Any]] = {code: {name: counters.get(name, 0) for name in names[code]} for code in names}
+    periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
+    values["lost-on-link"] |= {"periods": periods, "missing": losses["samples_missing"] if periods else 0}
+    findings = [Finding(code, counts) for code, counts in values.items() if any(counts.values())]
     yield from findings or [Finding("nothing-lost")]
-    named = {name for names in LOSSES.values() for name in names} | {"sent"}
-    others = [f"{counters[name]} {name}" for name in COUNTERS if name not in named and counters[name]]
-    if others:
-        yield Finding("box-counters", {"counts": others})
-    if counters["heartbeats"]:
-        names = [name for _, name in EXTREMES.values()]
-        others = [f"{name} {counters[name]}" for name in names if name not in EXTREME_NAMES]
-        values = {name: counters[name] for name in ("heartbeats", *EXTREME_NAMES)}
-        yield Finding("heartbeats", {**values, "others": others})
+    named = {name for counts in values.values() for name in counts} | {"samples_missing", *RECEIVED}
+    others = [
+        f"{count} {name.replace('_', ' ')}"
+        for name, count in counters.items()
+        if name not in named and isinstance(count, int) and count
+    ]
+    yield Finding("received", {**{name: losses[name] for name in RECEIVED}, "counts": others})
 
 
 def _clock(reports: Iterable[Document]) -> Iterator[Finding]:
@@ -192,11 +174,15 @@ def _rejected(document: Document) -> Iterator[Finding]:
     if needed:
         session, n_dwells = document["file"], document["dwells"]["found"]
         yield Finding("doubtful-dwells", {"session": session, "n": needed, "dwells": n_dwells, "path": [session]})
-    counts = [(reason, counted(n, "dwell")) for reason, n in dwells.items()]
-    for reason, rejected in counts + [(reason, counted(n, "pass", "passes")) for reason, n in passes.items()]:
-        is_off_plan = reason == "no plan match" and document["plan_poses"]
-        code = "rejected-off-plan" if is_off_plan else f"rejected-{reason.replace(' ', '-')}"
-        yield Finding(code, {"rejected": rejected})
+    if document["plan_poses"] and (off_plan := dwells.pop("no plan match", 0)):
+        yield Finding("rejected-off-plan", {"rejected": counted(off_plan, "dwell")})
+    for code, reasons in REJECTED.items():
+        rejected = [f"{counted(dwells[reason], 'dwell')} ({reason})" for reason in reasons if reason in dwells]
+        rejected += [
+            f"{counted(passes[reason], 'pass', 'passes')} ({reason})" for reason in reasons if reason in passes
+        ]
+        if rejected:
+            yield Finding(code, {"rejected": rejected})
 
 
 def _passes(passes: Document) -> Iterator[Finding]:
@@ -213,11 +199,19 @@ def _passes(passes: Document) -> Iterator[Finding]:
 
 def _notes(document: Document) -> Iterator[Finding]:
     """Return what made the session, what it holds besides, and the temperature."""
-    session, dwells = document["metadata"]["session"], document["dwells"]
-    versions = {"version": session.get("version"), "clock": session.get("clock"), "firmware": document["firmware"]}
-    yield Finding("session-made", {**versions, "attached": document["attachments"]})
-    losses = document["losses"]
-    yield Finding("frames", {name: losses[name] for name in ("frames", "samples", "blocks")})
+    metadata, dwells = document["metadata"], document["dwells"]
+    session, recovered, added = metadata["session"], metadata["recovered"] or {}, metadata["joints-added"] or {}
+    values = {
+        "version": session.get("version"),
+        "clock": session.get("clock"),
+        "firmware": document["firmware"],
+        "attached": document["attachments"],
+        "recovered": recovered.get("source"),
+        "lost": recovered.get("messages_lost", "?"),
+        "joints": added.get("source"),
+        "time": added.get("time", "?"),
+    }
+    yield Finding("session-made", values)
     degc = document["temperature_degc"]
     read = [("box", degc["box"]), *((one_line(name) or "unnamed", ends) for name, ends in degc["thermometers"].items())]
     ranges = [f"{name} {ends[0]:.1f} to {ends[1]:.1f} °C" for name, ends in read if ends is not None]

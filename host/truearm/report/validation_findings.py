@@ -44,7 +44,7 @@ def _verdict(document: Document) -> Finding:
             from_shown(size, SUFFIXES[suffix].si) > FAR_OFF * UNITS[SUFFIXES[suffix].si].wide_sigma
             for suffix, size in values["after"].items()
         )
-        return Finding("validation-implausible" if implausible else "validation-no-help", values)
+        return Finding("validation-no-help", {**values, "implausible": implausible})
     if document["consistent"] is None or not due:
         return Finding("validation-unjudged", values)
     unexplained = sizes(document, "unexplained", list(due))
@@ -75,14 +75,11 @@ def _is_worse(region: Document, unit: str) -> bool:
 
 def _notes(document: Document) -> Iterator[Finding]:
     """Return what the tables mean, and what was estimated from the rows themselves."""
-    if any(region["region"].startswith(BY_PLACE) for region in document["regions"]):
-        yield Finding("validation-regions")
-    yield Finding("validation-expected")
+    by_place = any(region["region"].startswith(BY_PLACE) for region in document["regions"])
+    yield Finding("validation-terms", {"by_place": by_place})
     raw = sizes(document, "rms_raw", document["residual_units"])
-    yield Finding(
-        "before-placed" if document["placed"] else "before",
-        {"fitted": ["base and tool"] * document["placed"], "raw": raw},
-    )
+    placed = document["placed"]
+    yield Finding("before", {"fitted": ["base and tool"] * placed, "raw": raw, "placed": placed})
     if document["chi2_reduced"] is not None:
         values = {"chi2": chi2_text(document["chi2_reduced"]), "limit": document["chi2_limit"]}
         yield Finding("validation-chi2", values)

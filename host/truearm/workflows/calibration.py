@@ -176,10 +176,10 @@ class Calibration(Displayed):
         """
         masses = masses_of(self.stored.payloads)
         if has_payload_law(self.chain):
-            code = "sag-at-payload" if payloads is None else "sag-at-each-payload"
-            return [Finding(code, {"mass": self.chain.payload.mass, "masses": masses})]
+            values = {"mass": self.chain.payload.mass, "masses": masses, "each": payloads is not None}
+            return [Finding("sag-at-payload", values)]
         has_sag = any(isinstance(law, SagMasses) for law in self.stored.laws)
-        findings = [Finding("sag-of-payload", {"masses": masses})] if has_sag else []
+        findings = [Finding("sag-of-payload", {"masses": masses, "several": False})] if has_sag else []
         others = [payload for payload in payloads or () if not any(map(payload.is_like, self.stored.payloads))]
         if payloads and masses and others:
             values = {"n": len(others), "rows": len(payloads), "payload": masses_of(others), "masses": masses}

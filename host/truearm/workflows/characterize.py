@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,8 +28,10 @@ from truearm.files.noise_file import NoiseFile, format_noise, looks_like_noise
 from truearm.files.plan_file import read_plan
 from truearm.files.rig_file import read_rig
 from truearm.files.robot_file import RobotChoice
+from truearm.findings import entries
 from truearm.model.chain import Chain, along, trace_point
 from truearm.progress import step
+from truearm.report.repeatability_findings import remarks, repeatability_findings
 from truearm.session.box_ident import Ident, recorded_ident
 from truearm.session.dwells import Dwell
 from truearm.session.message_columns import Messages, Source, columns_of
@@ -67,12 +69,8 @@ class Part(NamedTuple):
 
 
 @step("characterizing")
-def characterize_files(
-    files: CharacterizeFiles,
-    bands: Sequence[float],
-    remarks: Callable[[Mapping[str, Any]], Iterable[str]] = lambda _: (),
-) -> dict[str, Any]:
-    """Read all parts of a session and write the noise file, headed by these remarks; return the results.
+def characterize_files(files: CharacterizeFiles, bands: Sequence[float]) -> dict[str, Any]:
+    """Read all parts of a session and write the noise file; return the results.
 
     ``bands`` [m]: for the settling time. Raises InputError, RigError, SessionError.
     """
@@ -90,7 +88,7 @@ def characterize_files(
     found, noise = characterized(parts, chain, rig, bands)
     if files.out is not None:
         write_atomic(files.out, format_noise(noise, list(remarks(found)), "m" in chain.joint_units))
-    return found
+    return {**found, "findings": entries(repeatability_findings(found))}
 
 
 def _rig(opened: Mapping[Path, Session], given: Path | None) -> Rig:

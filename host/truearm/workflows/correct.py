@@ -193,7 +193,7 @@ def corrected_poses(
     places = [f"pose {i}" for i in range(len(poses))]
     done, commanded = _corrected(_how(calibration, options), poses, options, places)
     if not partial:
-        _refuse(done, places, TargetError, then="")
+        _refuse(done, places, then="")
     refused = np.array([problem != "" for problem in done.problem])
     q, commanded = np.where(refused[:, None], np.nan, done.q), np.where(refused[:, None, None], np.nan, commanded)
     return replace(done, q=q, commanded=commanded)
@@ -220,9 +220,7 @@ def _corrected(
     if q_start is None and how.home is None:
         anywhere = np.full((1, len(how.pair.chain.joints)), np.nan)
         if several_fit(how.pair.chain, how.pair.nominal, ends[:1], anywhere, oriented).any():
-            raise TargetError(
-                f"{sources[0]}: {UNDETERMINED}; give joints near those of this target with ", Argument("home")
-            )
+            raise TargetError("uncorrectable", place=sources[0], reason=UNDETERMINED, home=True)
     done = at_tools(how.pair, how.correct(ends, Configuration(q_start, how.home), oriented), tool)
     return done, inverted(work) @ done.commanded @ tool
 
@@ -235,7 +233,7 @@ def _correct_table(path: Path, how: HowCorrected, options: CorrectOptions) -> Co
             f"{path}: positions without orientations cannot be moved by ", Argument("tool"), "; give rx, ry, rz too"
         )
     done, commanded = _corrected(how, targets.pose, options, targets.source, targets.q_start, targets.oriented)
-    _refuse(done, targets.source, TargetError)
+    _refuse(done, targets.source)
     text = format_corrected(targets, commanded, done.q, done.before, done.after, units, how.simulated)
     rows = tuple(f"row {source.rpartition(' ')[2]}" for source in targets.source)
     tools = np.broadcast_to(tool, commanded.shape)
@@ -263,14 +261,12 @@ def tool0_in_flange(robot: RobotChoice, chain: Chain) -> Floats | None:
     return np.asarray(inverted(next(poses)) @ next(poses))
 
 
-def _refuse(
-    done: Correction, sources: Sequence[str], error: type[InputError], then: str = "; nothing was written"
-) -> None:
-    """Raise for the first target that cannot be corrected."""
+def _refuse(done: Correction, sources: Sequence[str], then: str = "; nothing was written") -> None:
+    """Raise TargetError for the first target that cannot be corrected."""
     bad = [i for i, problem in enumerate(done.problem) if problem]
     if bad:
         more = f" ({len(bad)} of {len(sources)} targets cannot be corrected)" if len(bad) > 1 else ""
-        raise error(f"{sources[bad[0]]}: {done.problem[bad[0]]}{more}{then}")
+        raise TargetError("uncorrectable", place=sources[bad[0]], reason=f"{done.problem[bad[0]]}{more}{then}")
 
 
 def _frames(calibration: Calibration, own_frames: bool) -> Finding:

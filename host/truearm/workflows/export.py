@@ -119,7 +119,7 @@ def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> l
     }
     if fitted.exact and not fitted.refitted:
         return [Finding("exported-whole")]
-    findings = [Finding("exported-refitted" if fitted.refitted else "exported-in-part", values)]
+    findings = [Finding("exported", {**values, "refitted": fitted.refitted})]
     if fitted.missing:
         findings.append(Finding("format-lacks", {"format": form, "names": list(fitted.missing)}))
     if fitted.refitted and is_default:
@@ -194,7 +194,7 @@ def exported(calibration: Calibration, options: ExportOptions, over: Floats | No
     fitted = _fitted(calibration, options, over)
     contained = FORMATS[options.form].mountings and not options.own_frames
     values = mounting_values(calibration.chain, calibration.nominal, fitted.params)
-    mounted = Finding("file-with-mountings" if contained else "file-without-mountings", values)
+    mounted = Finding("file-mountings", {**values, "contained": contained})
     findings = ordered([*export_findings(options.form, fitted, over is None), mounted], calibration.simulated)
     remarks = [*([Finding("simulated")] if calibration.simulated else []), mounted]
     robot = RobotToWrite(

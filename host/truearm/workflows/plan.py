@@ -20,6 +20,7 @@ from truearm.files.plan_file import looks_like_plan, write_plan
 from truearm.files.rig_file import looks_like_rig, read_rig, write_rig
 from truearm.files.robot_file import RobotChoice
 from truearm.files.strict_json import number_or_null
+from truearm.findings import entries
 from truearm.kinds.table import ObservationTable
 from truearm.model.robot import Robot
 from truearm.model.workspace import Branch
@@ -39,6 +40,7 @@ from truearm.plan.route import Visits
 from truearm.plan.route_program import DIALECTS, check_joints, check_suffix, program
 from truearm.plan.route_stops import Signals, Stop, Task
 from truearm.progress import step
+from truearm.report.plan_findings import approach_findings, forecast_findings
 from truearm.types import BAR_MOUNTED, Floats, Plan, Rig
 from truearm.units import DEG, MM, MRAD
 from truearm.workflows.calibration import Calibration, read_calibration
@@ -185,12 +187,11 @@ Options = TypeVar("Options", BallBarOptions, ApproachOptions)
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    _check_budget(budget, "poses")
     known = _known(files)
     planned = planned_ball_bar(known, budget, with_reserve(options, files.result))
     route = planned.route
     _write(files, known, route.visits, route.stops, options.dwell)
-    return {
+    document = {
         **_document(planned.forecast),
         "poses": len(route.plan),
         "via_points": int(np.sum(route.pose < 0)),
@@ -202,6 +203,7 @@ def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOption
         **({"curves": _curves(known, route.plan)} if options.joint_laws else {}),
         "written": [str(path) for path in files.outputs],
     }
+    return {**document, "findings": entries(forecast_findings(document, options.check_poses))}
 
 
 def _pairings(known: Known, plan: Plan) -> dict[str, Any]:
@@ -281,7 +283,6 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> B
 def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
-    _check_budget(budget, "lines")
     known = _known(files)
     target = _target(known, options.target)
     wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
@@ -291,12 +292,13 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
         write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
     _write(files, known, planned.visits, planned.stops, 0.0, tool)
-    return {
+    document = {
         **_document(planned.forecast),
         "lines": _places(planned, known, np.array(tool)),
         "minutes": planned.minutes,
         "written": [str(path) for path in files.outputs],
     }
+    return {**document, "findings": entries(forecast_findings(document))}
 
 
 @step("planning")
@@ -310,7 +312,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
     site = make_site(known, limits, Sizes(), options.seed)
     route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell))
     _write(files, known, route.visits, route.stops, options.dwell)
-    return {
+    document = {
         **vars(pairing),
         "poses": options.poses,
         "via_points": int(np.sum(route.pose < 0)),
@@ -318,6 +320,7 @@ def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[st
         "minutes": route.minutes,
         "written": [str(path) for path in files.outputs],
     }
+    return {**document, "findings": entries(approach_findings(document))}
 
 
 def known_of(robot: Robot, rig: Rig, result: Calibration | None = None) -> Known:
@@ -385,11 +388,6 @@ def _target(known: Known, name: str | None) -> str:
     if name not in have:
         raise InputError(*_not_in_rig("target", name, have))
     return name
-
-
-def _check_budget(budget: Budget, what: str) -> None:
-    if (budget.n is None) == (budget.minutes is None):
-        raise InputError("exclusive", first=Argument(what), second=Argument("minutes"))
 
 
 def _check(files: PlanFiles) -> None:

@@ -220,7 +220,7 @@ def _work(request: Request) -> RecordingWork:
     from truearm.files.write_lock import is_held
 
     if (request.out is None) == (request.resume is None):
-        raise InputError("exclusive", first=Argument("out"), second=Argument("resume"))
+        raise InputError("exclusive", first=Argument("out"), second=Argument("resume"), neither=request.out is None)
     before = None if request.resume is None else earlier(request.resume)
     out = request.out if before is None else before.out
     assert out is not None

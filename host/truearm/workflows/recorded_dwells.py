@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from truearm.errors import TruearmError
-from truearm.text import counted
 
 if TYPE_CHECKING:
     from truearm.session.observations import SyncResult
@@ -28,15 +27,6 @@ class RecordedDwells:
     need_decision: int
     unusable: dict[str, int]
     lost: int
-
-    @property
-    def sentence(self) -> str:
-        """Return ``39 dwells: 31 usable, 8 need a decision``."""
-        parts = [f"{self.usable} usable"]
-        if self.need_decision:
-            parts.append(f"{self.need_decision} {'needs' if self.need_decision == 1 else 'need'} a decision")
-        parts += [f"{n} {reason}" for reason, n in self.unusable.items()]
-        return f"{counted(self.dwells, 'dwell')}: {', '.join(parts)}"
 
 
 def recorded_dwells(session: Path) -> RecordedDwells | None:

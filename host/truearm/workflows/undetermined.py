@@ -46,14 +46,16 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     own = np.array(chain.parameter_names)
     base = set(own[places.base].tolist())
     held = moving(calibration.stored.defaults.frames)
-    for key, codes, mask, outside in (
-        ("base", ("base-held", "base-held-for-rig"), places.base, own_frames),
-        ("tool", ("tool-held", "tool-held-for-rig"), places.tool, False),
+    for key, what, mask, outside in (
+        ("base", "pose of the base", places.base, own_frames),
+        ("tool", "mounting of the tool", places.tool, False),
     ):
         names = set(getattr(defaults, key) or own[mask].tolist())
         directions = [direction for direction in held if names.intersection(direction.names)]
         if directions and not outside:
-            findings.append(_held(codes, [name for name in own.tolist() if name in names], directions))
+            held_names = [name for name in own.tolist() if name in names]
+            values = {"what": what, "base": key == "base", **_held(held_names, directions)}
+            findings.append(Finding("mounting-held", values))
             if key == "base":
                 findings.append(Finding("own-frames-next"))
     null = moving(calibration.stored.null_space)
@@ -75,13 +77,12 @@ def unseen_within(calibration: Calibration) -> tuple[Floats, tuple[str, ...]]:
     return unseen[:, within], tuple(name for name in ("base", "tool") if placed[getattr(places, name)].any())
 
 
-def _held(codes: tuple[str, str], names: Sequence[str], directions: Sequence[NullDirection]) -> Finding:
-    """Return a choice of frame; items of the rig, such as "sphere.s1.x", tell why there was one."""
+def _held(names: Sequence[str], directions: Sequence[NullDirection]) -> dict[str, object]:
+    """Return the names of a choice of frame; items of the rig, such as "sphere.s1.x", tell why there was one."""
     parts = {part for direction in directions for name in direction.names for part in name.split(".")[:-1]}
     items = [words for item, words in ITEMS.items() if item in parts]
     moved = {name for direction in directions for name in direction.names}
-    values = {"names": [name for name in names if name in moved], "items": " and ".join(items)}
-    return Finding(codes[bool(items)], values)
+    return {"names": [name for name in names if name in moved], "items": " and ".join(items)}
 
 
 def _terms(direction: NullDirection) -> str:

@@ -1,0 +1,57 @@
+"""The findings of a plan, from the content of ``truearm plan --json``: what is measured and what it will determine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from truearm import option_defaults
+from truearm.findings import Finding, ordered
+
+Document = Mapping[str, Any]
+
+
+def forecast_findings(document: Document, asked_checks: int = 0) -> list[Finding]:
+    """Return the verdict, then what limits the plan. ``asked_checks``: the check poses that were asked for."""
+    return ordered([_planned(document), *_limits(document, asked_checks)])
+
+
+def _planned(document: Document) -> Finding:
+    rms, largest = document["cartesian_rms_mm"], document["cartesian_worst_mm"]
+    values = {
+        **{name: document.get(name) for name in ("poses", "mounts", "via_points")},
+        "lines": len(document.get("lines", ())),
+        "minutes": round(document["minutes"]),
+        "rms": None if rms is None else {"mm": rms},
+        "largest": None if rms is None else {"mm": largest},
+        "relative": rms is not None and document["cartesian_relative"],
+    }
+    return Finding("planned", values)
+
+
+def _limits(document: Document, asked_checks: int) -> Iterator[Finding]:
+    unseen, weak, defaults = document["null_space"], document["hardly_seen"], document["defaults"]
+    yield Finding(
+        "planned-rank",
+        {"rank": document["rank"], "rows": document["rows"], "unseen": len(unseen), "weak": len(weak)},
+    )
+    if "poses" in document and document["poses"] < document["rank"] + len(unseen):
+        yield Finding("few-poses", {"n": document["poses"]})
+    if defaults["base"] or defaults["tool"]:
+        both = bool(defaults["base"] and defaults["tool"])
+        yield Finding("held-frames", {"base": defaults["base"], "tool": defaults["tool"], "both": both})
+    if defaults["lost"] or defaults["believed"]:
+        yield Finding("planned-held", {name: defaults[name] for name in ("lost", "believed")})
+    if document.get("curves"):
+        yield Finding("planned-curves")
+    visits, checks = document.get("visits", 1), document.get("check_poses", 0)
+    if visits > 1 or checks:
+        yield Finding("against-drift", {"visits": visits if visits > 1 else None, "checks": checks})
+    if asked_checks not in (option_defaults.CHECK_POSES, checks):
+        yield Finding("fewer-checks", {"asked": asked_checks, "planned": checks, "visits": visits > 1})
+
+
+def approach_findings(document: Document) -> list[Finding]:
+    """Return what ``plan characterize`` planned."""
+    values = {name: document[name] for name in ("poses", "via_points", "bar", "chuck", "sphere")}
+    return [Finding("planned-approaches", {**values, "minutes": round(document["minutes"])})]

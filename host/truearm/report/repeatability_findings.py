@@ -1,0 +1,106 @@
+"""The findings of ``truearm characterize``, from its document, and its joints as rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from math import isfinite
+from typing import Any
+
+from truearm.findings import Finding, ordered
+from truearm.text import counted, one_line
+from truearm.units import MM, MRAD, MS, UM, S, Scale
+
+Document = Mapping[str, Any]
+
+JOINTS = ("joint", "backlash/mrad", "difference/mrad", "scatter/mrad", "sigma to use/mrad")
+
+
+def repeatability_findings(document: Document) -> list[Finding]:
+    """Return the repeatability, what identify uses, how the arm settles, and the noise; figures with intervals of 95 %."""
+    return ordered([_verdict(document), *_findings(document)], document["simulated"])
+
+
+def _verdict(document: Document) -> Finding:
+    spread = document["repeatability"]
+    backlash = [
+        (row["value"], joint, row) for joint, row in zip(document["joints"], spread["backlash_si"], strict=True)
+    ]
+    _, joint, largest = max(backlash, key=lambda entry: entry[0] if isfinite(entry[0]) else -1.0)
+    values = {
+        **{name: document[name] for name in ("visits", "poses", "sides", "bar")},
+        "along": interval(spread["along_m"], MM),
+        "alone": interval(spread["unexplained_m"], MM),
+        "backlash": interval(largest, MRAD),
+        "joint": joint,
+    }
+    return Finding("repeatability", values)
+
+
+def _findings(document: Document) -> Iterator[Finding]:
+    spread, settling, noise = (document[name] for name in ("repeatability", "settling", "noise"))
+    declared = {"mm": MM.of(noise["declared_bar_sigma_m"])}
+    yield Finding(
+        "noise-to-use", {"bar": document["bar"], "sigma": interval(noise["bar_sigma_m"], MM), "declared": declared}
+    )
+    if not spread["backlash_explains"]:
+        yield Finding("backlash-varies", {"probability": spread["misfit_probability"]})
+    bands = [
+        f"{MM.text(band['within_m'])} after {interval(band['median_s'], S)} (median) and {interval(band['share_95_s'], S)} "
+        f"(95th percentile) in {counted(band['visits'], 'visit')}"
+        for band in settling["bands"]
+        if band["visits"]
+    ]
+    begin = settling["dwells_begin_s"]
+    values = {"median": {"s": begin["median"]}, "largest": {"s": begin["largest"]}, "bands": bands}
+    yield Finding("settling-measured", values)
+    sensor, worst = document["sensor"], max(document["readings"], key=lambda row: row["reading_si"]["value"])
+    joints = {
+        "reading": interval(worst["reading_si"], MRAD),
+        "step": MRAD.text(worst["step_si"], ".3g"),
+        "mean": interval(worst["mean_si"], MRAD),
+        "rounding": f"{round(MRAD.of(worst['rounding_si']), 6):.2g} mrad",
+    }
+    yield Finding("reading-noise", joints)
+    floor = sensor["floor"]
+    values = {
+        "sample": interval(sensor["sample_m"], UM),
+        "period": MS.text(sensor["period_s"], ".3g"),
+        "independent": interval(sensor["independent_after_s"], MS),
+        "floor": floor and interval(floor, UM),
+        "over": floor and floor["tau_s"],
+    }
+    yield Finding("sensor-noise", values)
+
+
+def joint_rows(document: Document) -> Iterator[tuple[str, ...]]:
+    """Return the figures of each joint [mrad]."""
+    spread = document["repeatability"]
+    columns = [spread[name] for name in ("backlash_si", "reading_difference_si", "reading_spread_si")]
+    columns.append(document["noise"]["joint_sigma_si"])
+    for joint, *figures in zip(document["joints"], *columns, strict=True):
+        yield joint, *(interval(figure, MRAD, False) for figure in figures)
+
+
+def remarks(document: Document) -> Iterator[str]:
+    """Return what stands at the head of the noise file."""
+    noise = document["noise"]
+    if document["simulated"]:
+        yield Finding("simulated").text()
+    name = one_line(document["session"])
+    yield f"{name}: {counted(document['visits'], 'visit')} of {document['poses']} poses; intervals of 95 %"
+    for joint, sigma in zip(document["joints"], noise["joint_sigma_si"], strict=True):
+        yield f"{joint}: {interval(sigma, MRAD)}"
+    yield f"bar {document['bar']}: {interval(noise['bar_sigma_m'], MM)}"
+
+
+def interval(figure: Mapping[str, float], scale: Scale, unit: bool = True) -> str:
+    """Return a figure with its interval in some unit; "-" if nothing is known."""
+    value, low, high = (scale.of(figure[key]) for key in ("value", "low", "high"))
+    if not isfinite(value):
+        return "-"
+    upper = _digits(high) if isfinite(high) else "…"
+    return f"{_digits(value)} ({_digits(low)} to {upper})" + (f" {scale.symbol}" if unit else "")
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3f}" if abs(value) >= 0.01 else f"{value:.2g}"
