@@ -240,6 +240,18 @@ def test_a_short_silence_counts_where_the_link_was_lost(stream, tmp_path, run):
         assert (losses["samples_missing"] >= 900) == bool(silences)
 
 
+def test_what_came_late_after_a_silence_is_not_missing(stream, tmp_path, run):
+    """The computer slept for 6 s and then received everything: 6107 samples were said to be missing of which none is."""
+    start = min(m.t_host_ns for m in stream if m.topic.startswith("/box/"))
+    asleep, awake = start + 5 * 10**9, start + 11 * 10**9
+    late = [m._replace(t_host_ns=awake) if asleep < m.t_host_ns < awake else m for m in stream]
+    document = json.loads(run("inspect", write(tmp_path / "s.mcap", late), "--json")[1])
+    losses = document["losses"]
+    assert len(losses["silences"]) == 1
+    assert losses["samples_missing"] == losses["samples_lost"] == 0
+    assert "nothing-lost" in listed(document)
+
+
 def test_stops_between_poses_are_said_to_be_such(stream, tmp_path, run):
     plan = [m for m in stream if m.topic == "/plan"]
     rest = [m for m in stream if m.topic != "/plan"]

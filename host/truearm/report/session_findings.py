@@ -107,8 +107,9 @@ def _losses(losses: Document) -> Iterator[Finding]:
     counters = {**losses["box"], **losses}
     names = {"lost-on-link": ("frames_lost", "samples_lost"), **LOSSES}
     values: dict[str, dict[str, Any]] = {code: {name: counters.get(name, 0) for name in names[code]} for code in names}
-    periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"]]
-    values["lost-on-link"] |= {"periods": periods, "missing": losses["samples_missing"] if periods else 0}
+    missing = losses["samples_missing"]
+    periods = [f"{gap['from_s']:.1f} to {gap['to_s']:.1f} s" for gap in losses["silences"] if missing]
+    values["lost-on-link"] |= {"periods": periods, "missing": missing}
     findings = [Finding(code, counts) for code, counts in values.items() if any(counts.values())]
     yield from findings or [Finding("nothing-lost")]
     named = {name for counts in values.values() for name in counts} | {"samples_missing", *RECEIVED}

@@ -182,13 +182,14 @@ class Silences:
     """Times in a session when the box sent nothing at all: the link was lost or the box hung.
 
     ``gaps`` holds the host times [ns] of the last message before and the first one after, or of the session's last
-    message. Frames that a box sent meanwhile and the link lost also show in ``seq``, if the box came back.
+    message. Frames that a box sent meanwhile and the link lost also show in ``seq``, if the box came back. ``last_ns``:
+    of the session's newest message.
     """
 
     def __init__(self) -> None:
         self.gaps: list[tuple[int, int]] = []
         self._box_ns: int | None = None
-        self._last_ns = 0
+        self.last_ns = 0
         self._gone = False  # the recorder reported that it lost the box
 
     def take(self, messages: Messages) -> None:
@@ -213,11 +214,11 @@ class Silences:
             self._divide(t_ns[t_ns < newest[:-1]])
         else:
             self._gone |= bool(gone)
-        self._last_ns = max(self._last_ns, int(messages.t_host_ns.max(initial=0)))
+        self.last_ns = max(self.last_ns, int(messages.t_host_ns.max(initial=0)))
 
     def finish(self) -> list[tuple[int, int]]:
         """Return all gaps at the end of the session."""
-        self._close(self._last_ns)
+        self._close(self.last_ns)
         return self.gaps
 
     def _divide(self, late_ns: Ints) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from truearm.session.dwells import Dwell
     from truearm.session.line_passes import LinePass
+    from truearm.session.losses import Silences
     from truearm.session.message_columns import Messages
     from truearm.session.observations import Survey, SyncResult
     from truearm.session.session_file import Session
@@ -115,7 +116,7 @@ def describe(session: Session) -> dict[str, Any]:
         "simulated": any(ident.simulated for ident in found.idents.values()),
         "firmware": sorted({ident.firmware for ident in found.idents.values()}),
         "streams": [_stream(stream, found) for stream in found.streams],
-        "losses": asdict(found.losses) | _silences(contents.silences.finish(), min(times, default=0), found),
+        "losses": asdict(found.losses) | _silences(contents.silences, min(times, default=0), found),
         "console": [printable(data) for data in contents.console],
         "clock": [asdict(report) for report in found.clock_reports],
         "temperature_degc": {
@@ -159,15 +160,21 @@ def _stream(stream: Any, found: Survey) -> dict[str, Any]:
     }
 
 
-def _silences(gaps: list[tuple[int, int]], begin_ns: int, found: Survey) -> dict[str, Any]:
-    """Return the times when the box sent nothing, in seconds of the session, and the number of samples it would have
-    taken.
+def _silences(silences: Silences, begin_ns: int, found: Survey) -> dict[str, Any]:
+    """Return the times when nothing came from the box, in seconds of the session, and the number of samples lost in them.
+
+    After a silence the indices of the samples tell what is missing: a computer that slept receives everything late. They
+    do not where the box began again, or the silence never ended; then it is what the box would have taken.
     """
+    gaps, losses = silences.finish(), found.losses
     rate_hz = sum(NS.factor / stream.period_ns for stream in found.streams if stream.period_ns)
-    silent_s = NS.to_si(sum(end - start for start, end in gaps))
+    begun_again = losses.restarts or losses.starts
+    ended_ns = sum(end - start for start, end in gaps if end < silences.last_ns and not begun_again)
+    other_ns = sum(end - start for start, end in gaps) - ended_ns
+    counted = min(losses.samples_lost + losses.samples_overrun, round(NS.to_si(ended_ns) * rate_hz))
     return {
         "silences": [{"from_s": NS.to_si(a - begin_ns), "to_s": NS.to_si(b - begin_ns)} for a, b in gaps],
-        "samples_missing": round(silent_s * rate_hz),
+        "samples_missing": counted + round(NS.to_si(other_ns) * rate_hz),
     }
 
 
