@@ -25,7 +25,7 @@ BAD_TABLES = {
         "not-in-rig",
     ),
     "no rows": (HEADER, "", "no-rows"),
-    "ragged": (HEADER, ROW + ",1", "has 12 cells, the header has 11"),
+    "ragged": (HEADER, ROW + ",1", "row 2"),
 }
 
 
@@ -42,7 +42,7 @@ BAD_ARGUMENTS = {
     "no such prior": (["--prior", "strong"], "'--prior': 'strong'"),
     "no such solver": (["--solver", "magic"], "renders-1991"),
     "no such loss": (["--loss", "l1"], "cauchy"),
-    "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "lm and map; recursive has no"),
+    "a loss for a solver without": (["--solver", "recursive", "--loss", "huber"], "--loss huber"),
     "a prior for a solver without": (["--solver", "ls", "--prior", "weak"], "which knows no prior"),
     "a wide prior for it": (["--solver", "ls", "--prior", "wide"], "which knows no prior"),
     "no such robot": (["--model", "puma561"], "did you mean puma560?"),
@@ -51,7 +51,7 @@ BAD_ARGUMENTS = {
     "no such group": (["--hold-out", "shell=s99"], "it has inner, outer"),
     "every group": (["--hold-out", "inner", "--hold-out", "outer"], "nothing-left"),
     "no such parameter": (["--free", "link9.*"], "--free link9.*: matches no parameter"),
-    "no such folder": (["--out", "/none/result.json"], "does not exist"),
+    "no such folder": (["--out", "/none/result.json"], "missing-folder"),
     "a folder": (["--out", "/"], "unreadable-file"),
     "line breaks in a name": (["--out", "a\nb\x1b[31m/r.json"], "a b\\x1b[31m"),
 }
@@ -80,10 +80,9 @@ def test_bad_input_as_the_shell_sees_it(good: list[object], tmp_path: Path) -> N
 @pytest.mark.parametrize("name", ["rig.toml", "result.json", "arm.urdf"])
 def test_a_file_of_another_kind_as_observations(run: Run, good: list[object], tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("# a rig\njoint_sigma_rad = 1e-4, 2\n[[bar]]\n")
-    expected = "is a rig, where a session (.mcap) or a table of observations (.csv) is expected; give it as --rig"
-    told(run("identify", tmp_path / name, *good[2:]), expected)
+    told(run("identify", tmp_path / name, *good[2:]), "give it as --rig")
     (tmp_path / name).write_text("something else\n")
-    told(run("identify", tmp_path / name, *good[2:]), "observations (.csv) nor")
+    told(run("identify", tmp_path / name, *good[2:]), f"{name}: ")
 
 
 def test_help_and_version_and_no_command_are_no_errors(run: Run) -> None:

@@ -73,7 +73,7 @@ CASES = {
     "an empty session": (("identify", "empty.mcap", "--model", "puma560"), "not-a-session"),
     "a folder as session": (("identify", "folder.mcap", "--model", "puma560"), "unreadable-file"),
     "text as session": (("inspect", "text.mcap"), "not-a-session"),
-    "absurd lengths": (("inspect", "claims.mcap"), "is incomplete"),
+    "absurd lengths": (("inspect", "claims.mcap"), "incomplete-session"),
     "a name with a surrogate": (("identify", "\udcff", "--model", "puma560"), "missing-file"),
     "a robot with a NUL": (("identify", "t.csv", "--model", "a\0b"), "unknown-robot"),
     "a table as robot": (("identify", "t.csv", "--model", "t.csv"), "t.csv:"),

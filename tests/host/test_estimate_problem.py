@@ -95,7 +95,7 @@ def test_priors_by_name_and_by_array():
     ("arguments", "says"),
     [
         ({"free": np.ones(53, bool)}, "free must be 54 booleans"),
-        ({"free": np.ones(54)}, "free must be 54 booleans, is float64"),
+        ({"free": np.ones(54)}, "54 booleans.* float64"),
         ({"hold_out": np.zeros(17, bool)}, "hold_out must be 18 booleans"),
         ({"hold_out": np.ones(18, bool)}, "no observations"),
         ({"options": SolverOptions(solver="magic")}, "solver: 'magic'"),
@@ -149,7 +149,7 @@ def unchecked(part, **fields):
 )
 def test_numbers_of_the_rig_that_are_none(xyz, sigma):
     point = unchecked(Point("c1", (0.0, 0.0, 0.0)), xyz=xyz, sigma=sigma)
-    with pytest.raises(ProblemError, match=r"chuck\.c1\.x is .* must be finite"):
+    with pytest.raises(ProblemError, match=r"chuck\.c1\.x .*finite"):
         build_problem(CHAIN, Rig({**CHUCKS, "c1": point}, SPHERES, BARS), TABLE)
 
 
@@ -184,10 +184,10 @@ def tracker(**fields):
             tracker(sigma=0.0),
             "position",
             {"tracker": "t", **POINT},
-            r"tracker\.t has sigma 0 \(exactly known\) but no position",
+            r"tracker\.t .*sigma 0 .*xyz_mm",
         ),
-        (tracker(xyz=AT, sigma=-1.0), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is 1 ± -1"),
-        (tracker(xyz=(np.nan, 0.0, 0.0)), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x is nan"),
+        (tracker(xyz=AT, sigma=-1.0), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x .* 1 ± -1"),
+        (tracker(xyz=(np.nan, 0.0, 0.0)), "position", {"tracker": "t", **POINT}, r"tracker\.t\.x .*nan"),
         (tracker(), "pose", {"tracker": "t", **POINT}, "pose 1: a pose row needs rx, ry and rz"),
         (
             tracker(rotation_sigma=None),
@@ -202,7 +202,7 @@ def tracker(**fields):
             {"line": "l", "q_rate": np.array([[1.0] * 6, [1.0] * 5 + [np.nan]]), **POINT},
             "line 2:",
         ),
-        (unchecked(Rig(), time_offset=np.nan), "line", {"line": "l", **POINT}, "time_offset is nan"),
+        (unchecked(Rig(), time_offset=np.nan), "line", {"line": "l", **POINT}, "time_offset .*nan"),
         (Rig(), "plane", {"plane": "p"}, "plane 1: plane 'p'"),
         (Rig(planes={"p": FLAT}), "plane", {"plane": "p", "value": np.array([0.0, np.inf])}, "plane 2: its distance"),
         (Rig(joint_cov=((1.0,),)), "line", {"line": "l", **POINT}, "1 joint"),

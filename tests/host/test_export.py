@@ -365,7 +365,7 @@ def test_a_format_that_declares_what_it_does_not_write_is_refused(name, waving, 
     chain, nominal, calibrated = waving
     monkeypatch.setitem(FORMATS, name, FORMATS[name]._replace(holds=("offset", "wave")))
     found = fit_to(name, chain, nominal, calibrated, np.ones(nominal.size, dtype=bool), some_poses(chain))
-    with pytest.raises(RobotError, match=f"{name} declares that it holds wave of a joint, but its file says nothing"):
+    with pytest.raises(RobotError, match=f"{name} declares .* wave "):
         written(name, RobotToWrite(chain, nominal, found.params))
 
 
@@ -384,9 +384,7 @@ def test_where_nothing_sensible_can_be_written_nothing_is():
     _, calibrated = disturbed(chain)
     calibrated[against] = -1.0
     every = np.ones(nominal.size, dtype=bool)
-    with pytest.raises(
-        RobotError, match=r"urdf has no place for joint1\.gain, joint5\.gain.*use dh or .* or sheth-uicker"
-    ):
+    with pytest.raises(RobotError, match=r"urdf .* joint1\.gain, joint5\.gain.*dh or .* or sheth-uicker"):
         fit_to("urdf", chain, nominal, calibrated, every, some_poses(chain))
     assert fit_to("sheth-uicker", chain, nominal, calibrated, every, some_poses(chain)).exact
 

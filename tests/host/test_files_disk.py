@@ -88,7 +88,7 @@ def test_a_disk_that_fails_is_no_wrong_input(tmp_path, monkeypatch, number):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", fails)
-    with pytest.raises(WriteError, match=f"result.json: cannot be written: {os.strerror(number)}; ") as caught:
+    with pytest.raises(WriteError, match=f"result.json: cannot be written: {os.strerror(number)}") as caught:
         write_atomic(tmp_path / "result.json", "new")
     assert caught.value.exit_code == ExitCode.FAILED
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]

@@ -86,27 +86,28 @@ def test_a_plan_of_dwells_is_written_as_ever():
     ("old", "new", "says"),
     [
         (",via,,,,0.2", ",fly,,,,0.2", "row 3 column move: 'fly'"),
-        ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: names bar and chuck but not sphere; name all three or none"),
-        (",via,,,,0.2", ",via,left,,,0.2", "row 3 column line: only lines have this value"),
-        (",via,,,,0.2", ",via,,,100,0.2", "row 3 column speed_mm_s: only lines have this value"),
-        (",,,line,left,ball", "bar46,,,line,left,ball", "row 5 column bar: no bar is mounted"),
-        ("line,left,ball,62.5", "line,,ball,62.5", "row 5 column line: '' is not an identifier"),
-        ("line,left,ball,62.5", "line,left,a b,62.5", "row 5 column target: 'a b' is not an identifier"),
-        ("ball,62.5", "ball,", "row 5 column speed_mm_s: '' is not a speed"),
-        ("ball,62.5", "ball,0", "row 5 column speed_mm_s: '0' is not a speed"),
-        ("ball,62.5", "ball,10001", "row 5 column speed_mm_s: '10001' is not a speed"),
+        ("bar46,c1,s1,via", "bar46,c1,,via", "row 3: .*sphere"),
+        (",via,,,,0.2", ",via,left,,,0.2", "row 3 column line:"),
+        (",via,,,,0.2", ",via,,,100,0.2", "row 3 column speed_mm_s:"),
+        (",,,line,left,ball", "bar46,,,line,left,ball", "row 5 column bar:"),
+        ("line,left,ball,62.5", "line,,ball,62.5", "row 5 column line: ''"),
+        ("line,left,ball,62.5", "line,left,a b,62.5", "row 5 column target: 'a b'"),
+        ("ball,62.5", "ball,", "row 5 column speed_mm_s: ''"),
+        ("ball,62.5", "ball,0", "row 5 column speed_mm_s: '0'"),
+        ("ball,62.5", "ball,10001", "row 5 column speed_mm_s: '10001'"),
         (
             "0,bar46-c1,bar46,c1,s1,,,,,",
             "0,,,,,line,left,,100,",
-            "row 2: a line starts at the pose of the row before it",
+            "row 2: .*line",
         ),
-        (",sphere,move,line,target,speed_mm_s", ",sphere,move,line,target", "row 1: column 'q1_rad' is wrong"),
+        (",sphere,move,line,target,speed_mm_s", ",sphere,move,line,target", "row 1: column 'q1_rad'"),
     ],
 )
 def test_bad_moves_are_named(old, new, says):
     assert old in MOVING
-    with pytest.raises(PlanError, match=rf"^plan\.csv.*({says})"):
+    with pytest.raises(PlanError, match=rf"^plan\.csv.*{says}") as caught:
         parse_plan(MOVING.replace(old, new), "plan.csv")
+    assert caught.value.finding.code in ("malformed-file", "unknown-choice")
 
 
 def test_a_plan_that_measures_nothing():
@@ -139,26 +140,27 @@ def test_concatenate_and_select():
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        (GOOD, "", "is empty"),
-        ("0,bar46-c1", "", "row 2: has 6 cells, the header has 7"),
-        ("q2_rad", "q2_deg", "row 1: column 'q2_rad' is wrong|row 1: column 'q2_deg' is wrong"),
+        (GOOD, "", ": .*header"),
+        ("0,bar46-c1", "", "row 2: .* 6 .* 7"),
+        ("q2_rad", "q2_deg", "row 1: column 'q2_deg'"),
         ("q1_rad,q2_rad", "", "row 1"),
-        ("pose,shell", "shell,pose", "row 1: column 'shell' is wrong"),
-        ("1,,bar46", "2,,bar46", "row 3: pose is '2', expected 1"),
-        ("c1,s2", "c 1,s2", "row 3 column chuck: 'c 1' is not an identifier"),
-        ("c1,s2", ",s2", "row 3 column chuck: '' is not an identifier"),
-        ("-0.25", "nan", "row 2: 'nan' is not a number"),
-        ("-0.25", "1_0", "row 2: '1_0' is not a number"),
-        ("-0.25", "9e999", "row 2: 9e999 rad is more than ten turns"),
-        ("-0.25", "90", "are the joints in degrees"),
-        ("0.1,-0.25", "0.1", "row 2: has 6 cells"),
-        ("bar46-c1", '"bar46', "is not CSV"),
+        ("pose,shell", "shell,pose", "row 1: column 'shell'"),
+        ("1,,bar46", "2,,bar46", "row 3: pose .*'2', expected 1"),
+        ("c1,s2", "c 1,s2", "row 3 column chuck: 'c 1'"),
+        ("c1,s2", ",s2", "row 3 column chuck: ''"),
+        ("-0.25", "nan", "row 2: 'nan'"),
+        ("-0.25", "1_0", "row 2: '1_0'"),
+        ("-0.25", "9e999", "row 2: 9e999 rad"),
+        ("-0.25", "90", "row 2: 90 rad .*degrees"),
+        ("0.1,-0.25", "0.1", "row 2: .* 6 .* 7"),
+        ("bar46-c1", '"bar46', "row 3: .*CSV"),
     ],
 )
 def test_bad_plans_are_named(old, new, says):
     assert old in GOOD
-    with pytest.raises(PlanError, match=rf"^plan\.csv.*({says})"):
+    with pytest.raises(PlanError, match=rf"^plan\.csv.*{says}") as caught:
         parse_plan(GOOD.replace(old, new), "plan.csv")
+    assert caught.value.finding.code == "malformed-file"
 
 
 def test_a_header_alone_and_a_missing_file(tmp_path):

@@ -97,7 +97,7 @@ def test_base_and_tip_choose_a_path_and_ignore_the_rest():
     )
     assert [j.name for j in chain_from_urdf(text, tip="c").joints] == ["j1", "j2"]
     assert [j.name for j in chain_from_urdf(text, base="b", tip="c").joints] == ["j2"]
-    with pytest.raises(RobotError, match="2 end links; choose tip among d, e"):
+    with pytest.raises(RobotError, match=r"2 end links.* d, e"):
         chain_from_urdf(text)
     with pytest.raises(RobotError, match="path mimics"):
         chain_from_urdf(text, tip="d")
@@ -111,42 +111,42 @@ HOP = joint("j1", "revolute", "a", "b")
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "not valid XML"),
-        ("<robot>", "not valid XML"),
+        ("", "valid XML"),
+        ("<robot>", "valid XML"),
         ("<sdf/>", "starts with <sdf>"),
         ("<robot/>", "no links"),
-        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>', "has <xacro:include>; expand it first"),
-        (robot(HOP, links="ab").replace("<robot", '<robot xmlns:x="http://ros.org/wiki/xacro"').replace("</robot>", '<x:gripper parent="b"/></robot>'), "has <xacro:gripper>; expand it first"),
+        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="arm.xacro"/></robot>', "<xacro:include>"),
+        (robot(HOP, links="ab").replace("<robot", '<robot xmlns:x="http://ros.org/wiki/xacro"').replace("</robot>", '<x:gripper parent="b"/></robot>'), "<xacro:gripper>"),
         ("<!DOCTYPE robot []>" + robot(HOP, links="ab"), "document type"),
         ('<!DOCTYPE r [<!ENTITY a "1"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "document type"),
         ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot>&x;</robot>', "document type"),
         (robot(HOP, joint("j2", "revolute", "b", "a"), links="ab"), "no root links"),
-        (robot(HOP, joint("j2", "revolute", "c", "d"), joint("j3", "revolute", "d", "c"), links="abcd"), "above link 'c' form a loop"),
-            (robot(HOP, joint("j2", "revolute", "d", "c"), links="abcd"), "not below"),
+        (robot(HOP, joint("j2", "revolute", "c", "d"), joint("j3", "revolute", "d", "c"), links="abcd"), "link 'c' form"),
+            (robot(HOP, joint("j2", "revolute", "d", "c"), links="abcd"), "link 'c' .*link 'a'"),
         (robot(HOP, joint("j2", "revolute", "c", "b"), links="abc"), "more than one parent of link 'b'"),
         (robot(HOP, joint("j1", "revolute", "b", "c"), links="abc"), "more than one joint name 'j1'"),
-        (robot(joint("j1", "ball", "a", "b"), links="ab"), "type 'ball' is not known"),
-        (robot(joint("j1", "revolute", "a", "x"), links="ab"), "link 'x', which does not exist"),
+        (robot(joint("j1", "ball", "a", "b"), links="ab"), "joint j1: type 'ball'"),
+        (robot(joint("j1", "revolute", "a", "x"), links="ab"), "joint j1 .*link 'x'"),
         (robot(HOP.replace("<child link=\"b\"/>", ""), links="ab"), "no <child"),
-        (robot(HOP.replace('name="j1"', ""), links="ab"), "without a name"),
-        (robot(joint("j1", "revolute", "a", "b", xyz="0 nan 0"), links="ab"), "not finite"),
-        (robot(joint("j1", "revolute", "a", "b", xyz="0 inf 0"), links="ab"), "not finite"),
+        (robot(HOP.replace('name="j1"', ""), links="ab"), "joint without"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 nan 0"), links="ab"), "joint j1: origin xyz='0 nan 0'"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0 inf 0"), links="ab"), "joint j1: origin xyz='0 inf 0'"),
         (robot(joint("j1", "revolute", "a", "b", xyz="0 0 333"), links="ab"), "larger than 100"),
         (robot(joint("j1", "revolute", "a", "b", xyz="0 0"), links="ab"), "needs 3 numbers"),
-        (robot(joint("j1", "revolute", "a", "b", xyz="0_1 0 0"), links="ab"), "write digits with a decimal point"),
+        (robot(joint("j1", "revolute", "a", "b", xyz="0_1 0 0"), links="ab"), "joint j1: origin xyz='0_1 0 0'"),
         (robot(joint("j1", "revolute", "a", "b", rpy="0 ${pi} 0"), links="ab"), "expand xacro"),
-        (robot(joint("j1", "revolute", "a", "b", axis="0 0 0"), links="ab"), "axis has no length"),
+        (robot(joint("j1", "revolute", "a", "b", axis="0 0 0"), links="ab"), "joint j1: its axis"),
         (robot(joint("j1", "revolute", "a", "b", more=""), links="ab"), "needs a <limit>"),
         (robot(joint("j1", "revolute", "a", "b", more='<limit lower="2" upper="1"/>'), links="ab"), "above its upper"),
         (robot(joint("j1", "fixed", "a", "b", more=""), links="ab"), "no joint moves"),
         (robot(links="a"), "same link"),
-        (robot(HOP, links="ab") + " " * MAX_TEXT, "limit is"),
+        (robot(HOP, links="ab") + " " * MAX_TEXT, "limit .* 8000000"),
         (robot(*[joint(f"j{i}", "revolute", f"l{i}", f"l{i + 1}") for i in range(70)], links=[f"l{i}" for i in range(71)]),
          "more than 64 joints"),
     ],
 )  # fmt: skip
 def test_bad_text_is_one_clear_line(text, says):
-    tip = "c" if "'c'" in says or "not below" in says else None
+    tip = "c" if "'c'" in says else None
     with pytest.raises(RobotError, match=says) as caught:
         chain_from_urdf(text, base="a" if tip else None, tip=tip)
     assert "\n" not in str(caught.value)
@@ -155,12 +155,12 @@ def test_bad_text_is_one_clear_line(text, says):
 def test_a_base_fixed_beside_the_path_is_named_with_its_parent():
     """Universal Robots' base hangs on base_link, as the arm does."""
     text = robot(joint("j1", "revolute", "a", "b"), joint("beside", "fixed", "a", "d", more=""))
-    with pytest.raises(RobotError, match="or base 'a', to which 'd' is fixed"):
+    with pytest.raises(RobotError, match=r"base 'a', .*'d'"):
         chain_from_urdf(text, base="d", tip="b")
 
 
 def test_unknown_base_and_tip():
-    with pytest.raises(RobotError, match="no link 'flange'; it has a, b"):
+    with pytest.raises(RobotError, match=r"no link 'flange'.* a, b"):
         chain_from_urdf(robot(HOP, links="ab"), tip="flange")
     with pytest.raises(RobotError, match="no link 'world'"):
         chain_from_urdf(robot(HOP, links="ab"), base="world")

@@ -99,7 +99,7 @@ WRONG = {
         [],
         "joints in order from",
     ),
-    "an unknown joint": (["pan", "lid"], "has no joint 'lid'; it has elbow,lift"),
+    "an unknown joint": (["pan", "lid"], "no joint 'lid'.* elbow,lift"),
 }
 
 
@@ -119,17 +119,17 @@ def test_a_topic_that_is_not_there(tmp_path, storage):
 
 
 STATES = {
-    "cut off": (joint_state(T0, NAMES, [0.0] * 6)[:-3], "is not a sensor_msgs/msg/JointState"),
-    "empty": (b"", "is not a sensor_msgs/msg/JointState"),
-    "text": (b"hello there, this is not a state", "is not a sensor_msgs/msg/JointState"),
+    "cut off": (joint_state(T0, NAMES, [0.0] * 6)[:-3], "sensor_msgs/msg/JointState"),
+    "empty": (b"", "sensor_msgs/msg/JointState"),
+    "text": (b"hello there, this is not a state", "sensor_msgs/msg/JointState"),
     "endless": (
         b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f",
-        "is not a sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/JointState",
     ),
-    "no positions": (joint_state(T0, NAMES, []), "does not have a finite position"),
-    "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "does not have a finite position"),
-    "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "which is not a valid time"),
-    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "this message is compressed"),
+    "no positions": (joint_state(T0, NAMES, []), "finite position"),
+    "not a number": (joint_state(T0, NAMES, [0.0] * 5 + [math.nan]), "finite position"),
+    "before 1970": (joint_state(-(10**18), NAMES, [0.0] * 6), "valid time"),
+    "compressed": (b"\x28\xb5\x2f\xfd" + bytes(40), "compressed"),
 }
 
 
@@ -181,7 +181,7 @@ def test_a_database_that_is_more_than_it_seems(tmp_path, sql):
         )
         connection.execute("INSERT INTO topics VALUES(1, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
         connection.execute(sql)
-    with pytest.raises(InputError, match="has no plain table 'messages'"):
+    with pytest.raises(InputError, match="plain table 'messages'"):
         read(path)
 
 

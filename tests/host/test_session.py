@@ -115,7 +115,7 @@ class TestCrash:
         whole = (tmp_path / "s.mcap").read_bytes()
         for size in [*range(8, 400), *range(400, len(whole) - 1, 97), len(whole) - 1]:
             (tmp_path / "cut.mcap").write_bytes(whole[:size])
-            with pytest.raises(SessionError, match="is incomplete"):
+            with refused("incomplete-session", place=tmp_path / "cut.mcap"):
                 open_session(tmp_path / "cut.mcap")
             session = open_session(tmp_path / "cut.mcap", allow_damaged=True)
             read = list(session.messages())
@@ -234,7 +234,7 @@ class TestStrangers:
             chunk = SeekingReader(file).get_summary().chunk_indexes[0].chunk_start_offset
         whole[chunk + 4] ^= 1  # the chunk's length: 16 MiB more, beyond the file's end
         (tmp_path / "s.mcap").write_bytes(whole)
-        with pytest.raises(SessionError, match=f"damaged at byte {chunk}"):
+        with refused("damaged-session", where=f"byte {chunk}"):
             open_session(tmp_path / "s.mcap")
         session = open_session(tmp_path / "s.mcap", allow_damaged=True)
         assert not session.truncated
@@ -378,7 +378,7 @@ class TestWriterErrors:
             written(path, 3)
         before = path.read_bytes() if earlier else b""
         with SessionWriter(path, Lab(), overwrite=earlier, hold=True) as first:
-            with pytest.raises(InputError, match="is still being written" if earlier else "choose another name"):
+            with refused("in-use" if earlier else "file-exists"):
                 SessionWriter(path, Lab(), overwrite=earlier, hold=True)
             assert path.read_bytes()[: len(before)] == before
             first.keep()
