@@ -26,7 +26,7 @@ from mkdocs.structure.pages import Page
 
 import truearm
 from truearm.cli.main import command_tree
-from truearm.finding_texts import STATEMENTS
+from truearm.finding_texts import REASONS, STATEMENTS
 
 ROOT = Path(__file__).resolve().parents[2]
 COPIED = {"protocol/SPEC.md": "reference/wire.md", "CHANGELOG.md": "changes.md"}  # file of the repository → page
@@ -93,11 +93,12 @@ def _link(found: re.Match[str], home: str, uri: str) -> str:
 
 
 def finding_table() -> str:
-    """All findings: code, severity, cause and remedy."""
+    """All findings: code, severity, cause and remedy; then the reasons that are values of findings about programs."""
     rows = [
         f"| `{code}` | {statement.severity} | {_escaped(statement.sentence)} | {_escaped(statement.remedy)} |"
         for code, statement in STATEMENTS.items()
     ]
+    rows += [f"| `{code}` | of a move | {_escaped(clause)} | |" for code, clause in REASONS.items()]
     return "\n".join(["| code | severity | sentence | remedy |", "|---|---|---|---|", *rows])
 
 

@@ -274,8 +274,6 @@ class LinkError(TruearmError):
 class LinkClosed(LinkError):
     """The other side ended the stream normally, without a reason."""
 
-    default_code = "link-closed"
-
 
 class RefusedError(LinkError):
     """The box refuses a command; ``code`` is defined in protocol/SPEC.md §4."""

@@ -264,8 +264,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         f"No row with {{names}} is left in the fit.[{{proposed:!}} If you did not intend this, hold out others]{PROPOSAL}[{{proposed:!}}.]",
     ),
-    "rig-from-held-out": Statement(
-        NOTE, "{n:#unknown of the rig was|unknowns of the rig were} estimated from the rows that judge."
+    "rig-unknowns": Statement(
+        NOTE,
+        "{n:#unknown of the rig was|unknowns of the rig were} [{kept:!}held as identified||estimated from the rows that judge].",
     ),
     "rows-not-judged": Statement(
         NOTE,
@@ -285,10 +286,9 @@ IDENTIFICATION: Mapping[str, Statement] = {
         NOTE,
         "No joint law is [{tried:!}supported by the evidence ({tried:#law} tried)||used]: the geometry alone is fitted.",
     ),
-    "sag-kept": Statement(NOTE, "{joint} sag: {rms} RMS, evidence {nats:.0f} nats."),
-    "curve-kept": Statement(
+    "law-kept": Statement(
         NOTE,
-        "{joint} curve: {rms} RMS, evidence {nats:.0f} nats, covered {covered}, [strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}covered range too short for a spectrum].",
+        "{joint} {term}: {rms} RMS, evidence {nats:.0f} nats[, covered {covered}][, strongest cycles per turn: {periods}; the covered range resolves {resolution:.2g} cycles per turn][{short:!}, covered range too short for a spectrum].",
     ),
     "laws-dropped": Statement(NOTE, "Tried and dropped, with their evidence in nats (6 are needed): {laws}."),
     "gravity-assumed": Statement(
@@ -331,7 +331,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     "uncorrectable": (REASON, "[{home:!}give joints near those of this target with {@home}]"),
     "incomplete": (REASON, ""),
     "link-lost": (REASON, ""),
-    "link-closed": (REASON, ""),
     "refused-by-box": (REASON, ""),
     "other-protocol": (REASON, ""),
     "usage": ("{reason} (see {command} {@help})", ""),
@@ -349,7 +348,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "give another name[{folder:!} or an empty folder||, or remove it]",
     ),
     "missing-folder": ("{place}: the folder {folder} does not exist", "create it first"),
-    "used-twice": ("{place}: is already an input or output of this command", "give each file once"),
     "wrong-suffix": ("{place}: has the name of another kind of file", "give a name that ends in {suffixes}"),
     "in-use": ("{place}: is still being written", "end that recording first, or give another name"),
     "no-file-name": ("-: is not a file name", "give a file[; {@as_json} prints {what} to standard output]"),
@@ -363,7 +361,7 @@ ERRORS: Mapping[str, tuple[str, str]] = {
         "{place}: {what} {name!r} is not in the rig[, which has {names}]",
         "correct the name, or give a rig that has it",
     ),
-    "given-twice": ("{place}: {what} is given twice", "keep one"),
+    "given-twice": ("{place}: [{what} is given twice||is already an input or output of this command]", "keep one"),
     "exclusive": (
         "[{neither:!}neither {first} nor {second} is given||{first} and {second} exclude each other]",
         "give one of them",
@@ -407,7 +405,6 @@ ERRORS: Mapping[str, tuple[str, str]] = {
     ),
     "no-rig": ("{place}: was recorded without a rig", "give one as {@rig}"),
     "no-joint-readings": ("{place}: no joint readings", "add them with truearm session add-joints"),
-    "nothing-to-undo": ("{place}: nothing was relabelled; there is nothing to undo", ""),
     "no-project": ("no {file} here or in a folder above", "create one with truearm init"),
     # box and robot
     "no-box": ("{place}: not found", "plug the box in"),
@@ -484,9 +481,6 @@ REASONS = {
     "type": "it is no {type}",
     "undeclared": "{name} is declared in none of the files[{subject:!}; give {@tool} or {@work} NAME=X,Y,Z,RX,RY,RZ]",
 }
-PROGRAMS: Mapping[str, Statement] = {
-    code: Statement(REFUSAL, f"[its {{subject}}: ]{clause}") for code, clause in REASONS.items()
-}
 
 WAIT = "Wait longer at each pose ({@dwell_s} of the plan)."
 LINK = "Close other programs that use the port, use a shorter USB cable, or a faster computer."
@@ -537,7 +531,7 @@ SESSION: Mapping[str, Statement] = {
     ),
     "session-made": Statement(
         NOTE,
-        "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.]",
+        "Recorded by truearm {version}[ ({clock} clock)][; firmware {firmware}][; attached: {attached}].[ Recovered from {recovered}: {lost} messages are known to be lost.][ The joint readings were added from {joints}: their arrival was not observed. Controller time: {time}; its error is unknown.][ Temperature: {ranges}.]",
     ),
     # what did not arrive
     "nothing-lost": Statement(NOTE, "Nothing lost, nothing duplicated, no restart."),
@@ -564,7 +558,6 @@ SESSION: Mapping[str, Statement] = {
     "received": Statement(
         NOTE, "{frames:#frame} received, {samples:#sample} in {blocks:#block}[; also counted: {counts}]."
     ),
-    "temperature": Statement(NOTE, "Temperature: {ranges}."),
     # time
     "box-clock": Statement(
         NOTE,
@@ -652,13 +645,9 @@ REPEATABILITY: Mapping[str, Statement] = {
         NOTE,
         "Dwells begin {median:.2f} (median) after the joints stop, {largest:.2f} at most.[ Settled within {bands}. A visit counts if the length was, on the way, at least four times this distance from its final value, and its noise is below a sixth of it.]",
     ),
-    "reading-noise": Statement(
+    "noise-measured": Statement(
         NOTE,
-        "Joint readings at the noisiest joint: noise {reading}, resolution {step}; sigma of a dwell's mean {mean} from the noise, {rounding} from the resolution.",
-    ),
-    "sensor-noise": Statement(
-        NOTE,
-        "Sensor: noise of a sample {sample}, a sample every {period}; samples that are {independent} apart are independent[; lowest Allan deviation {floor}][ in means over {over:.2g} s].",
+        "Joint readings at the noisiest joint: noise {reading}, resolution {step}; sigma of a dwell's mean {mean} from the noise, {rounding} from the resolution. Sensor: noise of a sample {sample}, a sample every {period}; samples that are {independent} apart are independent[; lowest Allan deviation {floor}][ in means over {over:.2g} s].",
     ),
 }
 
@@ -728,7 +717,6 @@ VALIDATION: Mapping[str, Statement] = {
     "validation-chi2": Statement(
         NOTE, "χ² per degree of freedom {chi2}; declared noise alone leaves it below {limit:.3g} (99 %)."
     ),
-    "rig-kept": Statement(NOTE, "{n:#unknown} of the rig held as identified."),
 }
 
 CALIBRATION: Mapping[str, Statement] = {  # of commands that use a calibration
@@ -847,16 +835,9 @@ CORRECTION: Mapping[str, Statement] = {
         "Only the joints near the first target determine the configuration; in the arm's other ones the corrections would differ by up to {spread}, and the expected error is between {least} and {most}.",
     ),
     # frames, and what is left as it is
-    "targets-in-own-frames": Statement(
+    "targets-frames": Statement(
         NOTE,
-        f"Targets are in the robot's own base and flange frames. These mountings are not corrected: {MOUNTINGS}",
-    ),
-    "mountings-nominal": Statement(
-        NOTE,
-        f"{TARGETS}. The mountings of robot and tool were held at their nominal values, so they are not corrected.",
-    ),
-    "mountings-corrected": Statement(
-        NOTE, f"{TARGETS}. The mountings are corrected as far as they were identified: {MOUNTINGS}"
+        f"[{{own:!}}Targets are in the robot's own base and flange frames||{TARGETS}].[{{own:!}} These mountings are not corrected: {MOUNTINGS}][{{held:!}} The mountings of robot and tool were held at their nominal values, so they are not corrected.][{{corrected:!}} The mountings are corrected as far as they were identified: {MOUNTINGS}]",
     ),
     "controller-frames": Statement(NOTE, "The controller's base is {base}. Its flange is {flange}."),
     "routines-absent": Statement(
@@ -869,10 +850,9 @@ CORRECTION: Mapping[str, Statement] = {
 }
 
 EXPORT: Mapping[str, Statement] = {
-    "exported-whole": Statement(RESULT, "The file holds everything that was identified; no refit was needed."),
     "exported": Statement(
         RESULT,
-        "[{refitted:!}The file differs from the identified robot by||Error of what the file cannot hold:] {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS[{refitted:!}, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}].",
+        "[{exact:!}The file holds everything that was identified; no refit was needed.||The file differs from the identified robot by {left:.3f} RMS ({largest:.3f} at most) and {left_turn:.4f} RMS][{refitted:!}, after a refit over {n:#pose}; without it by {dropped:.3f} and {dropped_turn:.4f}][{exact:!}||.]",
     ),
     "format-lacks": Statement(WARNING, "The format {format} has no place for {names}."),
     "file-mountings": Statement(
@@ -887,7 +867,7 @@ PLAN: Mapping[str, Statement] = {
     # the verdict
     "planned": Statement(
         RESULT,
-        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
+        "[{poses:#pose}][{lines:#line}] in {minutes:#minute}[, with {mounts:#mount} of the bar][ and {via_points:#via point}][, every mount visited {visits} times][, {checks:#pose} of the first mount visited again half-way and at the end]: the error in the region will be [{rms} RMS and {largest} at the worst pose||unknown, because an unidentifiable combination moves the tool][{relative:!} (excluding the pose of the base)].",
     ),
     "planned-approaches": Statement(
         RESULT,
@@ -908,15 +888,6 @@ PLAN: Mapping[str, Statement] = {
         NOTE,
         "[Held, because their joints hardly move: {lost}. ][With a weak prior, because they are weakly identifiable: {believed}.]",
     ),
-    "planned-curves": Statement(
-        NOTE,
-        "Outside the ranges of the error curves, corrections use geometry and sag alone. The sigmas and the error in the region are those of the geometry: curves and sag add to them.",
-        "Measure where the robot will work.",
-    ),
-    "against-drift": Statement(
-        NOTE,
-        "To reveal drift[{visits:!} and slip], [every mount is visited {visits} times||{checks:#check pose} of the first mount are visited again half-way and at the end].",
-    ),
     "fewer-checks": Statement(
         WARNING,
         "{@check_poses} {asked}: {planned:#check pose} planned[{visits:!}: with several visits of every mount there are none||: at most one per 36 poses, and none below 108 poses].",
@@ -925,7 +896,6 @@ PLAN: Mapping[str, Statement] = {
 
 STATEMENTS: Mapping[str, Statement] = {
     **IDENTIFICATION,
-    **PROGRAMS,
     **{code: Statement(ERROR, *texts) for code, texts in ERRORS.items()},
     **SESSION,
     **RECORDING,

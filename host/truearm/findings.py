@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from string import Formatter
 from typing import Any
 
-from truearm.finding_texts import STATEMENTS, Severity
+from truearm.finding_texts import REASONS, STATEMENTS, Severity, Statement
 from truearm.text import counted, listed, one_line
 from truearm.units import SUFFIXES, UNITS
 
@@ -38,18 +38,32 @@ class Finding:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def statement(self) -> Statement:
+        """The entry of the code."""
+        return STATEMENTS[self.code]
+
+    @property
     def severity(self) -> Severity:
-        return STATEMENTS[self.code].severity
+        return self.statement.severity
 
     def text(self, argument: Callable[[str], str] = str) -> str:
         """Return the sentence and the remedy; ``argument`` is the format of arguments of truearm."""
-        severity, *templates = STATEMENTS[self.code]
+        severity, *templates = self.statement
         texts = (worded(template, self.values, argument) for template in templates)
         return ("; " if severity is Severity.ERROR else " ").join(filter(None, texts))
 
     def entry(self) -> dict[str, Any]:
         """Return the finding as JSON."""
         return {"code": self.code, "severity": self.severity.value, "text": self.text(), "values": dict(self.values)}
+
+
+class Reason(Finding):
+    """Why a move of a program is not corrected: a value of the findings about programs."""
+
+    @property
+    def statement(self) -> Statement:
+        """The clause of the reason, about the move's tool or the like if the values have a subject."""
+        return Statement(Severity.REFUSAL, f"[its {{subject}}: ]{REASONS[self.code]}")
 
 
 def ordered(findings: Sequence[Finding], simulated: bool = False) -> list[Finding]:

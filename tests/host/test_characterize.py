@@ -299,7 +299,7 @@ def test_from_a_session_file_to_a_noise_file(tmp_path, run):
     assert len(text.splitlines()) <= 15
     assert text.endswith(f"Written: {out}\n")
     assert shown["settling-measured"]["bands"][0].startswith("0.02 mm ")
-    assert shown["sensor-noise"]["floor"].endswith(" µm")
+    assert shown["noise-measured"]["floor"].endswith(" µm")
     assert read_noise(out).bar_sigma["bar46"] == said(1)[1].bar_sigma["bar46"]
     code, text, _ = run("characterize", path, "--model", "puma560", "--json", "--out", out, "--force")  # again
     document = json.loads(text)

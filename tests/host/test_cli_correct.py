@@ -221,7 +221,7 @@ def test_own_frames_leave_the_mountings_out(bench, capsys):
         *("--out", out, "--own-frames", "--json"),
     )
     assert code == 0
-    values = listed(json.loads(said))["targets-in-own-frames"]
+    values = listed(json.loads(said))["targets-frames"]
     assert values["base_frame"] == "chuck_fixture"
     said = f"{values['base']} {values['end']}"
     found = read_calibration(bench.folder / "result.json")
@@ -347,7 +347,7 @@ def test_nothing_is_overwritten(bench, capsys):
     before = program.read_bytes()
     (bench.folder / "other.mod").write_bytes(before)
     for out, says in (
-        (program, "used-twice"),
+        (program, "given-twice"),
         (bench.folder / "program.script", "wrong-suffix"),
         (bench.folder / "other.mod", "file-exists"),
     ):

@@ -103,11 +103,11 @@ def test_outputs_over_inputs_and_inputs_twice_are_refused(run: Run, tmp_path: Pa
     mine = tmp_path / "mine.json"
     mine.write_text('{"my": "notes"}')
     for more, text in (
-        (["--out", table], "used-twice"),
-        (["--table-out", table], "used-twice"),
-        (["--out", tmp_path / "x", "--table-out", tmp_path / "x"], "used-twice"),
+        (["--out", table], "given-twice"),
+        (["--table-out", table], "given-twice"),
+        (["--out", tmp_path / "x", "--table-out", tmp_path / "x"], "given-twice"),
         (["--out", mine], "foreign-file"),
-        ([table], "used-twice"),
+        ([table], "given-twice"),
     ):
         outcome = run(*map(str, [*good, *more]))
         told(outcome, text)
@@ -158,8 +158,8 @@ def test_the_page_replaces_a_page_but_nothing_else(run: Run, good: list[object],
     told(run(*good, "--report", diary, "--force"), "foreign-file")
     told(run(*good, "--report", diary), "foreign-file")
     new = tmp_path / "new"
-    told(run(*good, "--report", new, "--out", new), "used-twice")
-    told(run(*good, "--report", good[1]), "used-twice")
+    told(run(*good, "--report", new, "--out", new), "given-twice")
+    told(run(*good, "--report", good[1]), "given-twice")
     told(run(*good, "--report", tmp_path / "none" / "r.html"), "missing-folder")
     assert diary.read_text() == "<!DOCTYPE html><p>Dear diary</p>"
 

@@ -227,7 +227,7 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--json").out)
     findings = listed(document)
     # Sockets at unknown places determine neither base nor tool, so neither was fitted.
-    assert {"rows-were-fitted", "rig-from-held-out", "before"} <= set(findings)
+    assert {"rows-were-fitted", "rig-unknowns", "before"} <= set(findings)
     assert "rig-missing" not in findings
     assert "rows-unseen" in [finding.code for finding in validation_findings({**document, "unseen": 5})]
     document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--json").out)
@@ -244,7 +244,7 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     given = ("correct", tmp_path / "r.json", targets, home, "--model", urdf, "--out", tmp_path / "c.csv", "--json")
     code, said, err = run(*given)
     assert code == 0, err
-    assert "mountings-nominal" in listed(json.loads(said))
+    assert listed(json.loads(said))["targets-frames"]["held"]
     code, _, err = run("report", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--out", tmp_path / "r.html")
     assert code == 0, err  # base and tip are those of the result
 
@@ -256,7 +256,7 @@ def test_bad_input_is_one_line(folder, tmp_path, run):
     cases = [
         ((tmp_path / "none.csv",), "missing-file"),
         ((tmp_path / "one.csv",), "no row can judge"),
-        ((tmp_path / "one.csv", tmp_path / "one.csv"), "used-twice"),
+        ((tmp_path / "one.csv", tmp_path / "one.csv"), "given-twice"),
         (
             (folder / "result.json",),
             "session (.mcap) or",

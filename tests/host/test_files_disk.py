@@ -21,7 +21,7 @@ def test_an_input_is_never_an_output(tmp_path):
     (tmp_path / "link.csv").symlink_to(data)
     os.link(data, tmp_path / "hard.csv")
     for name in ("data.csv", "link.csv", "hard.csv", "../" + tmp_path.name + "/data.csv"):
-        with refused("used-twice"):
+        with refused("given-twice"):
             check_writable(tmp_path / name, inputs=[data])
     assert same_file(tmp_path / "new.csv", tmp_path / "." / "new.csv"), "neither exists, both would be one file"
     check_writable(tmp_path / "other.csv", inputs=[data])

@@ -177,7 +177,7 @@ class TestRefusals:
         if linked:
             out = tmp_path / "link.mcap"
             out.symlink_to(cut)
-        ended(self.refused(capsys, cut, "--out", out, "--force"), "used-twice")
+        ended(self.refused(capsys, cut, "--out", out, "--force"), "given-twice")
         assert cut.read_bytes() == before
 
     @pytest.mark.parametrize("size", [0, 3, 8, 60])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import typer
 from operator_scripts import Visit, forgetful, lengths, pairing_at, script, write_session
+from tests.refusals import ended
 
 from truearm.cli.main import main
 from truearm.files.labels_file import labels_path, read_labels
@@ -183,7 +184,7 @@ class TestOneMissedEnter:
         assert os.listdir(path.parent) == ["s.mcap"]
         capsys.readouterr()
         assert main(["session", "relabel", str(path), "--undo"]) == 2
-        assert "nothing to undo" in capsys.readouterr().err
+        ended(capsys.readouterr().err, "no-effect")
 
     def test_answers_are_asked_run_by_run(self, path, plan):
         asked = []

@@ -37,6 +37,7 @@ def tables(document: Document) -> Iterator[Table | str]:
         yield from (f"{words}: {_direction(direction)}" for direction in document[key])
     if document.get("curves"):
         yield table_of(CURVES, map(_curve, document["curves"]))
+        yield "Outside these ranges, corrections use geometry and sag alone. Curves and sag add to the other sigmas."
 
 
 def _line(row: Document) -> tuple[str, ...]:

@@ -176,7 +176,7 @@ def _check_writable(path: Path, inputs: Iterable[Path], ours: Callable[[bytes], 
         raise InputError("unreadable-file", place=path)
     _check_regular(path)
     if any(same_file(path, other) for other in inputs):
-        raise InputError("used-twice", place=path)
+        raise InputError("given-twice", place=path)
     if not path.parent.is_dir():
         raise InputError("missing-folder", place=path, folder=path.parent)
     if not os.access(path.parent, os.W_OK):

@@ -50,9 +50,14 @@ def law_findings(document: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def _kept(law: Mapping[str, Any]) -> Finding:
-    values = {"joint": law["joint"], "rms": {"mrad": float(f"{law['rms_mrad']:.2g}")}, "nats": law["nats"]}
+    values = {
+        "joint": law["joint"],
+        "term": law["term"],
+        "rms": {"mrad": float(f"{law['rms_mrad']:.2g}")},
+        "nats": law["nats"],
+    }
     if law["term"] != "curve":
-        return Finding("sag-kept", values)
+        return Finding("law-kept", values)
     periods = [f"{period['cycles']:.0f} ({period['amplitude_mrad']:.2g} mrad)" for period in law["periods"]]
     values |= {"covered": intervals_text(law["covered_deg"]), "periods": periods, "short": not periods}
-    return Finding("curve-kept", {**values, "resolution": law["resolution_cycles"]})
+    return Finding("law-kept", {**values, "resolution": law["resolution_cycles"]})

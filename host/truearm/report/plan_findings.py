@@ -20,6 +20,8 @@ def _planned(document: Document) -> Finding:
     rms, largest = document["cartesian_rms_mm"], document["cartesian_worst_mm"]
     values = {
         **{name: document.get(name) for name in ("poses", "mounts", "via_points")},
+        "visits": document["visits"] if document.get("visits", 1) > 1 else None,
+        "checks": document.get("check_poses"),
         "lines": len(document.get("lines", ())),
         "minutes": round(document["minutes"]),
         "rms": None if rms is None else {"mm": rms},
@@ -42,13 +44,9 @@ def _limits(document: Document, asked_checks: int) -> Iterator[Finding]:
         yield Finding("held-frames", {"base": defaults["base"], "tool": defaults["tool"], "both": both})
     if defaults["lost"] or defaults["believed"]:
         yield Finding("planned-held", {name: defaults[name] for name in ("lost", "believed")})
-    if document.get("curves"):
-        yield Finding("planned-curves")
-    visits, checks = document.get("visits", 1), document.get("check_poses", 0)
-    if visits > 1 or checks:
-        yield Finding("against-drift", {"visits": visits if visits > 1 else None, "checks": checks})
+    checks = document.get("check_poses", 0)
     if asked_checks not in (option_defaults.CHECK_POSES, checks):
-        yield Finding("fewer-checks", {"asked": asked_checks, "planned": checks, "visits": visits > 1})
+        yield Finding("fewer-checks", {"asked": asked_checks, "planned": checks, "visits": document["visits"] > 1})
 
 
 def approach_findings(document: Document) -> list[Finding]:

@@ -54,22 +54,19 @@ def _findings(document: Document) -> Iterator[Finding]:
     values = {"median": {"s": begin["median"]}, "largest": {"s": begin["largest"]}, "bands": bands}
     yield Finding("settling-measured", values)
     sensor, worst = document["sensor"], max(document["readings"], key=lambda row: row["reading_si"]["value"])
-    joints = {
+    floor = sensor["floor"]
+    values = {
         "reading": interval(worst["reading_si"], MRAD),
         "step": MRAD.text(worst["step_si"], ".3g"),
         "mean": interval(worst["mean_si"], MRAD),
         "rounding": f"{round(MRAD.of(worst['rounding_si']), 6):.2g} mrad",
-    }
-    yield Finding("reading-noise", joints)
-    floor = sensor["floor"]
-    values = {
         "sample": interval(sensor["sample_m"], UM),
         "period": MS.text(sensor["period_s"], ".3g"),
         "independent": interval(sensor["independent_after_s"], MS),
         "floor": floor and interval(floor, UM),
         "over": floor and floor["tau_s"],
     }
-    yield Finding("sensor-noise", values)
+    yield Finding("noise-measured", values)
 
 
 def joint_rows(document: Document) -> Iterator[tuple[str, ...]]:

@@ -649,7 +649,7 @@ def _held_out(document: Document) -> Iterator[Finding]:
         proposed = document.get("hold_out_proposal")
         yield Finding("group-held-out", {"names": names, "proposed": bool(proposed), **_proposal(proposed)})
     if held_out and held_out["n_settled"]:
-        yield Finding("rig-from-held-out", {"n": held_out["n_settled"]})
+        yield Finding("rig-unknowns", {"n": held_out["n_settled"], "kept": False})
     if held_out and held_out["n_left_out"]:
         yield Finding("rows-not-judged", {"n": held_out["n_left_out"]})
     if held_out is None and document["held_out_by"]:

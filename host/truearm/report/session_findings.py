@@ -201,6 +201,9 @@ def _passes(passes: Document) -> Iterator[Finding]:
 def _notes(document: Document) -> Iterator[Finding]:
     """Return what made the session, what it holds besides, and the temperature."""
     metadata, dwells = document["metadata"], document["dwells"]
+    degc = document["temperature_degc"]
+    read = [("box", degc["box"]), *((one_line(name) or "unnamed", ends) for name, ends in degc["thermometers"].items())]
+    ranges = [f"{name} {ends[0]:.1f} to {ends[1]:.1f} °C" for name, ends in read if ends is not None]
     session, recovered, added = metadata["session"], metadata["recovered"] or {}, metadata["joints-added"] or {}
     values = {
         "version": session.get("version"),
@@ -211,13 +214,9 @@ def _notes(document: Document) -> Iterator[Finding]:
         "lost": recovered.get("messages_lost", "?"),
         "joints": added.get("source"),
         "time": added.get("time", "?"),
+        "ranges": ranges,
     }
     yield Finding("session-made", values)
-    degc = document["temperature_degc"]
-    read = [("box", degc["box"]), *((one_line(name) or "unnamed", ends) for name, ends in degc["thermometers"].items())]
-    ranges = [f"{name} {ends[0]:.1f} to {ends[1]:.1f} °C" for name, ends in read if ends is not None]
-    if ranges:
-        yield Finding("temperature", {"ranges": ranges})
     settling = sorted(row["settling_s"] for row in dwells["table"] if not row["reason"])
     values = {"stops": dwells["mountings"], "events": [f"{n} {kind}" for kind, n in document["events"].items()]}
     if settling:

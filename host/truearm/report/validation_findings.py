@@ -83,13 +83,11 @@ def _notes(document: Document) -> Iterator[Finding]:
     if document["chi2_reduced"] is not None:
         values = {"chi2": chi2_text(document["chi2_reduced"]), "limit": document["chi2_limit"]}
         yield Finding("validation-chi2", values)
-    for code, n in (
-        ("rig-from-held-out", document["settled"]),
-        ("rig-kept", document["kept"]),
-        ("rows-not-judged", document["left_out"]),
-    ):
-        if n:
-            yield Finding(code, {"n": n})
+    for name in ("settled", "kept"):
+        if document[name]:
+            yield Finding("rig-unknowns", {"n": document[name], "kept": name == "kept"})
+    if document["left_out"]:
+        yield Finding("rows-not-judged", {"n": document["left_out"]})
 
 
 def error_tables(document: Document) -> list[list[tuple[str, ...]]]:

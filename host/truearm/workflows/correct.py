@@ -272,7 +272,6 @@ def _refuse(done: Correction, sources: Sequence[str], then: str = "; nothing was
 def _frames(calibration: Calibration, own_frames: bool) -> Finding:
     """Return in which frames the targets are, and which mountings are corrected."""
     frames = calibration.chain, calibration.nominal, calibration.identified
-    if own_frames:
-        return Finding("targets-in-own-frames", mounting_values(*frames))
-    is_nominal = np.allclose(mountings(*frames), np.eye(4), rtol=0.0, atol=NOTHING)
-    return Finding("mountings-nominal" if is_nominal else "mountings-corrected", mounting_values(*frames))
+    held = not own_frames and np.allclose(mountings(*frames), np.eye(4), rtol=0.0, atol=NOTHING)
+    values = {"own": own_frames, "held": held, "corrected": not own_frames and not held}
+    return Finding("targets-frames", {**values, **mounting_values(*frames)})

@@ -36,7 +36,7 @@ from truearm.correct.programs.reread import difference, target_poses
 from truearm.correct.programs.tokens import Source
 from truearm.correct.straight_moves import straight_moves
 from truearm.errors import Argument, InputError
-from truearm.findings import Finding
+from truearm.findings import Finding, Reason
 from truearm.model.chain import joint_jacobian
 from truearm.model.poses import Six, apart, frame_of, inverted
 from truearm.text import counted
@@ -342,15 +342,15 @@ def _finding(row: int, visit: Visit, language: str, solution: Solution, has_home
     """Return why a goal cannot be corrected: it has no correction, or another one than on its first visit."""
     first, problem = solution.rows[visit.goal], solution.correction.problem[row]
     if visit.goal.is_joints and not visit.goal.target.literal.spans:
-        return Finding("joints")
+        return Reason("joints")
     if not solution.determined[row] and not has_home:
-        return Finding("configuration")
+        return Reason("configuration")
     if problem:
-        return Finding("solution", {"problem": problem})
+        return Reason("solution", {"problem": problem})
     if row != first and np.abs(apart(solution.told[first][None], solution.told[row][None])).max() > SAME_TARGET:
-        return Finding("other-configuration")
+        return Reason("other-configuration")
     if not _turns_fit(visit, language, solution.correction.q_nominal[row], solution.correction.q[row]):
-        return Finding("turns")
+        return Reason("turns")
     return None
 
 

@@ -118,7 +118,7 @@ def export_findings(form: str, fitted: FormatFit, is_default: bool = False) -> l
         "largest": {"mm": float(MM.of(fitted.left.max()))},
     }
     if fitted.exact and not fitted.refitted:
-        return [Finding("exported-whole")]
+        return [Finding("exported", {"exact": True})]
     findings = [Finding("exported", {**values, "refitted": fitted.refitted})]
     if fitted.missing:
         findings.append(Finding("format-lacks", {"format": form, "names": list(fitted.missing)}))

@@ -87,10 +87,10 @@ def check_files(sources: Sources, robot: RobotChoice, outputs: Sequence[Output] 
     counted = [path for path in (*sources.inputs, sources.noise) if path is not None]
     for i, path in enumerate(counted):
         if any(same_file(path, other) for other in counted[:i]):
-            raise InputError("used-twice", place=path)
+            raise InputError("given-twice", place=path)
     for i, (path, *_) in enumerate(outputs):
         if any(same_file(path, other) for other, *_ in outputs[:i]):
-            raise InputError("used-twice", place=path)
+            raise InputError("given-twice", place=path)
     for path, ours, suffix in outputs:
         check_writable(path, force, inputs=[*sources.files, *robot.files], ours=ours, suffixes=[suffix])
 

@@ -148,7 +148,7 @@ def undo(session: Path) -> dict[str, Any]:
     paths = session_parts(session)
     before = {path: labels for path in paths if (labels := read_labels(path)) is not None}
     if not before:
-        raise InputError("nothing-to-undo", place=session)
+        raise InputError("no-effect", place=Argument("undo"), reason=f"nothing of {session} was relabelled")
     for path, labels in before.items():
         write_labels(path, replace(labels, decisions=labels.decisions[:-1]))
     return {

@@ -16,7 +16,7 @@ import numpy as np
 
 from truearm.correct.programs.data import Datum, Place
 from truearm.correct.programs.program import Goal, Move, Program
-from truearm.findings import Finding
+from truearm.findings import Finding, Reason
 from truearm.model.poses import apart, inverted
 from truearm.types import Floats
 
@@ -77,7 +77,7 @@ class Census:
                 if replaceable(move):
                     self.own.add(move)
                 else:
-                    move.reason = Finding("shared-use", {"name": datum.name, "where": self.program.where(use)})
+                    move.reason = Reason("shared-use", {"name": datum.name, "where": self.program.where(use)})
                     waiting += self.uses(move)
 
     def settle(self, wanted: dict[Goal, Floats]) -> None:
@@ -94,7 +94,7 @@ class Census:
         while unsettled:
             place, _ = unsettled.popitem()
             for move in self._settle_literal(place, users[place], wanted):
-                self.refuse(move, Finding("other-numbers", {"where": self.program.where(place)}))
+                self.refuse(move, Reason("other-numbers", {"where": self.program.where(place)}))
             for move in self._released:
                 unsettled.update((goal.target.literal.place, None) for goal in move.goals if goal in wanted)
             self._released.clear()

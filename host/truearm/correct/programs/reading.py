@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from truearm.correct.programs.data import Datum, Place
 from truearm.correct.programs.program import Goal, Move, Program, Surroundings
 from truearm.correct.programs.tokens import Tokens
-from truearm.findings import Finding
+from truearm.findings import Reason
 from truearm.types import Floats
 
 MOST_TARGETS = 1_000  # of one argument, such as the elements of a list
@@ -22,7 +22,7 @@ class Uncertain(Exception):
 
     def __init__(self, code: str, **values: object) -> None:
         super().__init__(code)
-        self.finding = Finding(code, values)
+        self.finding = Reason(code, values)
 
     def again(self) -> Uncertain:
         """Return the same reason for another move: an exception that is raised again keeps all its tracebacks."""
@@ -109,4 +109,4 @@ class Reading:
         except Uncertain as uncertain:
             move.goals, move.reason = [], uncertain.finding
         except RecursionError:
-            move.goals, move.reason = [], Finding("deep")
+            move.goals, move.reason = [], Reason("deep")
