@@ -18,7 +18,7 @@ def test_a_chuck_that_nobody_measured_has_more_poses_than_coordinates_or_none():
         for name in ("chucks", "spheres")
     }
     known = known_of(robot, replace(rig, **unknown))
-    planned = planned_ball_bar(known, Budget(40), BallBarOptions(candidates=300))
+    planned = planned_ball_bar(known, Budget(40), BallBarOptions(candidates=300), False)
     assert len(planned.route.plan) == 40
     for column in ("chuck", "sphere"):
         _, poses = np.unique(getattr(planned.route.plan, column), return_counts=True)

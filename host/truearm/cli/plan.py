@@ -220,12 +220,13 @@ def line(
         Lines to choose from.
     """
     from truearm.plan.cartesian_lines import Shape
-    from truearm.workflows.plan import Budget, LineOptions, plan_line_files
+    from truearm.plan.line_plan import LinesWanted
+    from truearm.workflows.plan import plan_line_files
 
     files = _plan_files(locals())
     shape = Shape(MM.to_si(length_mm), MM.to_si(transverse_mm), MM_S.to_si(speed_mm_s), points)
-    options = fill(LineOptions, locals(), region=_region_of(region))
-    document = plan_line_files(files, Budget(lines, minutes), options)
+    wanted = LinesWanted(lines, minutes, shape, passes, candidates, criterion, seed)
+    document = plan_line_files(files, wanted, _region_of(region), target)
     _print(document, details, json)
 
 
@@ -284,9 +285,11 @@ def characterize(
         Duration of one long rest at each pose, which measures the noise.
     result
     """
-    from truearm.workflows.plan import ApproachOptions, plan_approaches_files
+    from truearm.plan.approaches import ApproachesWanted
+    from truearm.workflows.plan import plan_approaches_files
 
     files = _plan_files(locals())
-    options = fill(ApproachOptions, locals())
-    document = plan_approaches_files(files, options)
+    wanted = ApproachesWanted(poses, rounds, long_dwell_s, seed=seed)
+    reserve = None if reserve_mm is None else MM.to_si(reserve_mm)
+    document = plan_approaches_files(files, wanted, {"bar": bar, "chuck": chuck, "sphere": sphere}, dwell_s, reserve)
     _print(document, False, json)

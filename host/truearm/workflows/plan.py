@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from truearm.plan.approaches import ApproachesWanted, plan_approaches
 from truearm.plan.ball_bar_plan import MOVE, BallBarPlan, Wanted, all_pairings, make_site, plan_ballbar
 from truearm.plan.bar_paths import Pace
 from truearm.plan.branches import branch_of
-from truearm.plan.cartesian_lines import Shape
 from truearm.plan.collision_shapes import Sizes
 from truearm.plan.criteria import Criterion
 from truearm.plan.forecast import Forecast, Known, bar_table, forecast, with_rig_values
@@ -50,7 +49,6 @@ from truearm.workflows.inputs import Sources, observed
 from truearm.workflows.selection import held_out_rows
 from truearm.workflows.session_parts import with_parts
 
-APPROACH_CANDIDATES = 400
 LEAST_CHECKS = 3  # fewer reveal little about a drift, and a short plan has no pose to spare
 POSES_A_CHECK = 36  # check poses are visited twice more: at most a twentieth of the poses
 NO_SIGNALS = Signals()
@@ -147,48 +145,12 @@ class BallBarOptions(Checked):
     joint_laws: bool = False
 
 
-@dataclass(frozen=True)
-class LineOptions:
-    """How lines are chosen, and what moves along them: ``target`` is the rig's target to be measured."""
-
-    shape: Shape
-    passes: int = option_defaults.PASSES
-    target: str | None = None
-    criterion: str = option_defaults.CRITERION
-    region: Region | None = None
-    candidates: int = option_defaults.LINE_CANDIDATES
-    seed: int = option_defaults.SEED
-
-
-@dataclass(frozen=True)
-class ApproachOptions:
-    """The poses of ``plan characterize``, on one pairing (by default the rig's first), each reached ``rounds`` times
-    from eight sides.
-
-    ``long_dwell`` and ``dwell`` [s]: one long rest at each pose, and all others. ``reserve`` [m] as in
-    ``BallBarOptions``.
-    """
-
-    bar: str | None = None
-    chuck: str | None = None
-    sphere: str | None = None
-    poses: int = option_defaults.APPROACH_POSES
-    rounds: int = option_defaults.ROUNDS
-    long_dwell: float = option_defaults.LONG_DWELL
-    dwell: float = option_defaults.DWELL
-    reserve: float | None = None
-    seed: int = option_defaults.SEED
-
-
-Options = TypeVar("Options", BallBarOptions, ApproachOptions)
-
-
 @step("planning")
 def plan_ball_bar_files(files: PlanFiles, budget: Budget, options: BallBarOptions) -> dict[str, Any]:
     """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
     _check(files)
     known = _known(files)
-    planned = planned_ball_bar(known, budget, with_reserve(options, files.result))
+    planned = planned_ball_bar(known, budget, options, files.result is not None)
     route = planned.route
     _write(files, known, route.visits, route.stops, options.dwell)
     document = {
@@ -258,12 +220,12 @@ def _visits(budget: Budget, options: BallBarOptions) -> Visits:
     return Visits(options.visits, checks if checks >= LEAST_CHECKS else 0)
 
 
-def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> BallBarPlan:
-    """Return the best poses for a budget, in order, and the forecast.
+def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions, is_identified: bool) -> BallBarPlan:
+    """Return the best poses for a budget, in order, and the forecast. ``is_identified``: the robot is that of a result.
 
     Raises InputError for a bar with too little travel for the reserve, and PlanError as ``plan_ballbar`` does.
     """
-    limits = _limits(options.reserve)
+    limits = _limits(options.reserve, is_identified)
     _check_travel(known, limits.reserve, options.spread)
     wanted = Wanted(
         budget.n,
@@ -280,14 +242,14 @@ def planned_ball_bar(known: Known, budget: Budget, options: BallBarOptions) -> B
 
 
 @step("planning")
-def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> dict[str, Any]:
-    """Plan, write the requested files, and return the forecast. Raises InputError with a one-line message."""
+def plan_line_files(
+    files: PlanFiles, wanted: LinesWanted, region: Region | None = None, name: str | None = None
+) -> dict[str, Any]:
+    """Plan, write the requested files, and return the forecast; ``name``: of the rig's target. Raises InputError."""
     _check(files)
     known = _known(files)
-    target = _target(known, options.target)
-    wanted = LinesWanted(*budget, options.shape, options.passes, options.candidates, options.criterion, options.seed)
-    site = make_site(known, Limits(), Sizes(), options.seed)
-    planned = plan_lines(site, known, wanted, Pace(), options.region, target)
+    target = _target(known, name)
+    planned = plan_lines(make_site(known, Limits(), Sizes(), wanted.seed), known, wanted, Pace(), region, target)
     if files.rig_out is not None:
         write_rig(files.rig_out, planned.rig)
     tool = known.rig.targets[target].xyz if target else (0.0, 0.0, 0.0)
@@ -302,19 +264,27 @@ def plan_line_files(files: PlanFiles, budget: Budget, options: LineOptions) -> d
 
 
 @step("planning")
-def plan_approaches_files(files: PlanFiles, options: ApproachOptions) -> dict[str, Any]:
-    """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message."""
+def plan_approaches_files(
+    files: PlanFiles,
+    wanted: ApproachesWanted,
+    names: Mapping[str, str | None],
+    dwell: float = option_defaults.DWELL,
+    reserve: float | None = None,
+) -> dict[str, Any]:
+    """Plan, write the requested files, and return what is planned. Raises InputError with a one-line message.
+
+    ``names``: of bar, chuck and sphere, by default the rig's first. ``dwell`` [s] and ``reserve`` [m] as in ``BallBarOptions``.
+    """
     _check(files)
     known = _known(files)
-    limits = _limits(with_reserve(options, files.result).reserve)
-    pairing = Pairing(**{key: _named(key, getattr(options, key), known.rig.mounted()[key]) for key in BAR_MOUNTED})
-    wanted = ApproachesWanted(options.poses, options.rounds, options.long_dwell, APPROACH_CANDIDATES, options.seed)
-    site = make_site(known, limits, Sizes(), options.seed)
-    route = plan_approaches(site, pairing, wanted, Pace(dwell=options.dwell))
-    _write(files, known, route.visits, route.stops, options.dwell)
+    limits = _limits(reserve, files.result is not None)
+    pairing = Pairing(**{key: _named(key, names[key], known.rig.mounted()[key]) for key in BAR_MOUNTED})
+    site = make_site(known, limits, Sizes(), wanted.seed)
+    route = plan_approaches(site, pairing, wanted, Pace(dwell=dwell))
+    _write(files, known, route.visits, route.stops, dwell)
     document = {
         **vars(pairing),
-        "poses": options.poses,
+        "poses": wanted.n_poses,
         "via_points": int(np.sum(route.pose < 0)),
         "mounts": route.n_mounts,
         "minutes": route.minutes,
@@ -352,15 +322,11 @@ def _not_in_rig(what: str, given: str | None, have: Sequence[str]) -> tuple[str,
     return Argument(what), f" {given}: is not in the rig; use one of {listed}"
 
 
-def _limits(reserve: float | None) -> Limits:
+def _limits(reserve: float | None, is_identified: bool) -> Limits:
+    """Return the limits of the bar with this reserve, by default that of a nominal or of an identified robot."""
+    if reserve is None and is_identified:
+        reserve = option_defaults.RESULT_RESERVE
     return Limits() if reserve is None else Limits(reserve=reserve)
-
-
-def with_reserve(options: Options, result: object | None) -> Options:
-    """Return options with the reserve for a robot that was identified, if there is a ``result``, unless they state one."""
-    if result is None or options.reserve is not None:
-        return options
-    return replace(options, reserve=option_defaults.RESULT_RESERVE)
 
 
 def _places(planned: LinePlan, known: Known, point: Floats) -> list[dict[str, Any]]:
