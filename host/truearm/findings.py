@@ -94,8 +94,8 @@ def worded(template: str, values: Mapping[str, Any], argument: Callable[[str], s
     words = _Words(argument)
 
     def present(optional: re.Match[str]) -> str:
-        names = [name for _, name, _, _ in words.parse(optional[1]) if name and not name.startswith("@")]
         text, _, otherwise = optional[1].partition("||")
+        names = [name for _, name, _, _ in words.parse(text) if name and not name.startswith("@")]
         return otherwise if any(values.get(name) in _ABSENT for name in names) else text
 
     return words.vformat(_OPTIONAL.sub(present, template), (), values)

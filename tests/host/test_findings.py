@@ -29,6 +29,8 @@ HOST = Path(truearm.finding_texts.__file__).parent
         ("{size}", {"size": {"mm": None}}, "-"),
         ("a[ b {x}][{y:!} c].", {"x": None, "y": True}, "a c."),
         ("a[ b {x}][{y:!} c].", {"x": 3, "y": False}, "a b 3."),
+        ("a[{y:!} b|| {x:g}].", {"x": 0.0, "y": True}, "a b."),
+        ("a[{y:!} b|| {x:g}].", {"x": 0.0, "y": False}, "a 0."),
         ("give {@leave_out} {x}", {"x": "a\nb"}, "give --leave_out a b"),
         ("give {rows:@allow}", {"rows": ["a b", "c"]}, "give --allow 'a b' --allow c"),
         ("{text}", {"text": "[{not} a template]"}, "[{not} a template]"),

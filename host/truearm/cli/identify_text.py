@@ -14,9 +14,8 @@ from rich.table import Table
 from truearm.cli.findings_text import show, table_of
 from truearm.report.law_words import law_steps
 from truearm.report.parameter_cells import parameter_cells
-from truearm.report.result_findings import MAX_TERMS, has_little_freedom, result_findings
-from truearm.report.result_words import SMALLEST_WEIGHT, kind_name
-from truearm.results import largest_terms
+from truearm.report.result_findings import has_little_freedom, result_findings
+from truearm.report.result_words import direction_text, kind_name
 from truearm.text import counted, one_line
 from truearm.units import SUFFIXES, UNITS, title
 
@@ -55,18 +54,12 @@ def _parameter_table(document: Document) -> Table:
 
 
 def _directions(directions: list[Mapping[str, Any]], field: str) -> list[str]:
-    lines = [f"  {direction_text(direction)}" for direction in directions[:MAX_DIRECTIONS]]
+    lines = [
+        f"  {direction_text(direction['weights'], direction['names'])}" for direction in directions[:MAX_DIRECTIONS]
+    ]
     if len(directions) > MAX_DIRECTIONS:
         lines.append(f"  and {len(directions) - MAX_DIRECTIONS} more ({field} in the JSON result)")
     return lines
-
-
-def direction_text(direction: Mapping[str, Any]) -> str:
-    """Format a null direction as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
-    terms = largest_terms(direction["weights"], direction["names"])
-    shown = [(weight, name) for weight, name in terms[:MAX_TERMS] if abs(weight) >= SMALLEST_WEIGHT]
-    words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
-    return " ".join(words).removeprefix("+ ") + f" and {len(terms) - len(shown)} smaller" * (len(terms) > len(shown))
 
 
 def _error_table(document: Document, suffix: str) -> Table:

@@ -8,9 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from truearm.cli.findings_text import table_of
-from truearm.report.result_findings import MAX_TERMS
-from truearm.results import largest_terms
-from truearm.text import counted
+from truearm.report.result_words import direction_text
 from truearm.types import BAR_MOUNTED
 from truearm.units import UNITS
 
@@ -34,7 +32,7 @@ def tables(document: Document) -> Iterator[Table | str]:
     if document["null_space"] or document["hardly_seen"]:
         yield "Combinations of parameters, with weights in m, rad and 1:"
     for key, words in (("null_space", "unidentifiable"), ("hardly_seen", "weakly identifiable")):
-        yield from (f"{words}: {_direction(direction)}" for direction in document[key])
+        yield from (f"{words}: {direction_text(direction.values(), direction)}" for direction in document[key])
     if document.get("curves"):
         yield table_of(CURVES, map(_curve, document["curves"]))
         yield "Outside these ranges, corrections use geometry and sag alone. Curves and sag add to the other sigmas."
@@ -54,13 +52,6 @@ def _hold_out(row: Document) -> tuple[object, ...]:
 def _sigma(parameter: Document) -> tuple[str, str]:
     name, unit, sigma = (parameter[key] for key in ("name", "unit", "sigma"))
     return name, "unidentifiable" if sigma is None else f"± {UNITS[unit].scale.text(sigma, '.2g')}"
-
-
-def _direction(weights: Mapping[str, float]) -> str:
-    """Format its largest terms; --json has all."""
-    terms = largest_terms(weights.values(), weights)
-    more = f" and {counted(len(terms) - MAX_TERMS, 'other')}" * (len(terms) > MAX_TERMS)
-    return " ".join(f"{weight:+.2f}·{name}" for weight, name in terms[:MAX_TERMS]) + more
 
 
 def _curve(curve: Document) -> tuple[str, ...]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from truearm.kinds.registry import kinds
-from truearm.results import Estimate
-from truearm.text import with_article
+from truearm.results import Estimate, largest_terms
+from truearm.text import one_line, with_article
 from truearm.units import MS, UNITS, tolerances
 
 SMALLEST_WEIGHT = 0.005  # of a parameter in a combination; below this, "0.00" would be shown
+MAX_TERMS = 4  # of a combination that are shown
 PARTS = {"m": "position", "rad": "rotation"}  # for a kind that has residuals in both units
 
 # In steps of ``tolerances("weak")``; estimate.identifiability defines the four.
@@ -17,6 +20,14 @@ OBSERVABILITY = {
     "o3": ("the weakest combination: change of all residuals together in σ, caused by one step", "σ"),
     "o4": ("O2 times O3: small if either is", "σ"),
 }
+
+
+def direction_text(weights: Iterable[float], names: Iterable[str], most: int = MAX_TERMS) -> str:
+    """Format a combination of parameters as "1.00 link1.z - 0.50 link2.z", its largest terms first."""
+    terms = largest_terms(weights, names)
+    shown = [(weight, name) for weight, name in terms[:most] if abs(weight) >= SMALLEST_WEIGHT]
+    words = [f"{'-' if weight < 0.0 else '+'} {abs(weight):.2f} {one_line(name)}" for weight, name in shown]
+    return " ".join(words).removeprefix("+ ") + f" and {len(terms) - len(shown)} smaller" * (len(terms) > len(shown))
 
 
 def before_words(e: Estimate, lead: str = " ") -> str:

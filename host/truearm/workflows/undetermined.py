@@ -9,13 +9,12 @@ import numpy as np
 from truearm.estimate.frame_choice import mounting
 from truearm.findings import Finding
 from truearm.model.chain import point_jacobians
-from truearm.results import MOVES, NullDirection, largest_terms, weights_of
-from truearm.text import one_line
+from truearm.report.result_words import direction_text
+from truearm.results import MOVES, NullDirection, weights_of
 from truearm.types import Floats
 from truearm.workflows.calibration import Calibration
 
 SHOWN, TERMS = 3, 3  # combinations, and parameters of each
-SMALLEST = 0.005  # weight in a combination that is shown
 # In names of the rig's numbers, such as "sphere.s1.x", and in words.
 ITEMS = {
     "chuck": "chucks",
@@ -62,7 +61,10 @@ def undetermined(calibration: Calibration, q: Floats, own_frames: bool) -> list[
     if own_frames:  # a turn of the base together with the rig moves no target relative to the robot
         null = [direction for direction in null if set(own.tolist()).intersection(direction.names) - base]
     if null:
-        values = {"terms": [_terms(direction) for direction in null[:SHOWN]], "more": max(len(null) - SHOWN, 0)}
+        values = {
+            "terms": [direction_text(direction.weights, direction.names, TERMS) for direction in null[:SHOWN]],
+            "more": max(len(null) - SHOWN, 0),
+        }
         findings.append(Finding("null-space-moves-end", values))
     return findings
 
@@ -83,9 +85,3 @@ def _held(names: Sequence[str], directions: Sequence[NullDirection]) -> dict[str
     items = [words for item, words in ITEMS.items() if item in parts]
     moved = {name for direction in directions for name in direction.names}
     return {"names": [name for name in names if name in moved], "items": " and ".join(items)}
-
-
-def _terms(direction: NullDirection) -> str:
-    terms = [term for term in largest_terms(direction.weights, direction.names) if abs(term[0]) >= SMALLEST]
-    more = f" and {len(terms) - TERMS} more" * (len(terms) > TERMS)
-    return " ".join(f"{weight:+.2f} {one_line(name)}" for weight, name in terms[:TERMS]) + more
