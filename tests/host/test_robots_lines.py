@@ -407,6 +407,7 @@ class TestUdp:
             thread.join()
         assert code == 0
         assert shown["recording-disturbed"]["robot_foreign"] > 0
+        capsys.readouterr()
         assert [kind for kind in events(out) if kind.startswith("robot")] == [
             "robot-foreign",
             "robot-lost",
