@@ -2,18 +2,18 @@
 
 It follows ABB's technical reference manual (RAPID instructions, functions and data types, RAPID kernel): identifiers
 have at most 32 characters, strings 80; words are case-insensitive; names in a module are unique; arrays count from 1.
-It is independent of ``truearm.plan.route_rapid`` and of ``truearm.correct.programs``: statements become closures over a
-frame of variables, and the values choose the program's branches.
+It is independent of ``truearm.plan.route_rapid`` and of ``truearm.correct.programs``: as in ``urscript_machine``, each
+statement becomes one of Python, in which S has the variables of a call, F the routines, and E makes an index of an element.
 """
 
 import copy
-import operator
 import re
-from itertools import repeat, takewhile
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from tests.host.controllers import ProgramFault, pose_from
+from tests.host.urscript_machine import Runner, Scope
 
 TOKEN = re.compile(
     r"""(?P<comment>![^\n]*|%%%[^%]*%%%|<[A-Z]{3}>)|(?P<string>"(?:[^"\n]|"")*")|(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)
@@ -33,352 +33,282 @@ COMPONENTS = {
     "trans": 0, "rot": 1, "robconf": 2, "extax": 3, "robax": 0, "x": 0, "y": 1, "z": 2, "q1": 0, "q2": 1, "q3": 2, "q4": 3,
     "robhold": 0, "tframe": 1, "tload": 2, "ufprog": 1, "ufmec": 2, "uframe": 3, "oframe": 4,
 }  # fmt: skip
-OPERATORS = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "div": operator.floordiv, "mod": operator.mod,
-    "=": operator.eq, "<>": operator.ne, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
-    "and": lambda a, b: a and b, "or": lambda a, b: a or b, "xor": operator.ne,
-}  # fmt: skip
-LEVELS = (("or", "xor"), ("and",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "div", "mod"))
-TURNS = 10_000  # of all loops together: a program that runs longer is not a test
+WORDS = {"and": "and", "or": "or", "not": "not", "xor": "!=", "div": "//", "mod": "%", "true": "True", "false": "False"}
+SIGNS = {"=": "==", "<>": "!=", ":=": "="}
+DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
+ENDS = {"then", "do", ";", ":"}  # of a statement or condition
 
 
 def tokens_of(text):
-    tokens = [(match.lastgroup, match[0]) for match in TOKEN.finditer(text)]
-    for kind, word in tokens:
+    """Return tokens (kind, word, line) without comments, names in lower case."""
+    tokens, line = [], 1
+    for match in TOKEN.finditer(text):
+        kind, word = match.lastgroup, match[0]
         if kind == "other" or len(word) > {"name": 32, "string": 82}.get(kind, 1000):
             raise ProgramFault(f"{word!r} is not RAPID, or too long")
-    return [token for token in tokens if token[0] not in ("space", "comment")]
+        if kind not in ("space", "comment"):
+            tokens.append((kind, word.lower() if kind == "name" else word, line))
+        line += word.count("\n")
+    return tokens
 
 
 def run_rapid(text, controller, choices=()):
     """Load a module and execute its main. ``choices``: the values of its inputs (DInput), one after the other."""
-    return Machine(tokens_of(text), controller, choices).module()
+    machine = Machine(tokens_of(text), controller, choices)
+    machine.load()
+    return machine
 
 
-class Cell:
-    """A variable, or an argument that represents one."""
-
-    def __init__(self, value):
-        self.value = value
-
-
-class Part:
-    """An element of an array or a component of a record, as a variable."""
-
-    def __init__(self, of, at):
-        self.of, self.at = of, at
-        if self.of.value is None or not 0 <= at < len(self.of.value):
-            raise ProgramFault("no such element")
-
-    @property
-    def value(self):
-        return self.of.value[self.at]
-
-    @value.setter
-    def value(self, new):
-        self.of.value[self.at] = new
+def pieces(tokens, signs):
+    """Yield (sign before, tokens) of what stands between signs outside of brackets."""
+    depth, sign, piece = 0, "", []
+    for token in tokens:
+        depth += DEPTH.get(token[1], 0)
+        if not depth and token[1] in signs:
+            yield sign, piece
+            sign, piece = token[1], []
+        else:
+            piece.append(token)
+    yield sign, piece
 
 
-class Returned(Exception):
-    """The end of a routine."""
+def closing(tokens, start):
+    """Return the index of the bracket that closes the one at ``start``."""
+    depth = 0
+    for index in range(start, len(tokens)):
+        depth += DEPTH.get(tokens[index][1], 0)
+        if not depth:
+            return index
+    raise ProgramFault("a bracket is not closed")
 
 
-class Machine:
+def element(number):
+    """Return the index of an element by its number."""
+    if number < 1:
+        raise ProgramFault("no such element")
+    return int(number) - 1
+
+
+class Variables(Scope):
+    """The variables of a call, all declared. A record or array keeps its place, so that INOUT arguments are shared."""
+
+    def __setattr__(self, name, value):
+        old = getattr(self, name)
+        if type(old) is type(value) is list:
+            old[:] = value
+        else:
+            super().__setattr__(name, value)
+
+
+class Machine(Runner):
     """A module's data and routines, and the built-in instructions and functions."""
 
     def __init__(self, tokens, controller, choices=()):
-        self.tokens, self.at = [*tokens, ("end", "")], 0
-        self.controller, self.names, self.routines = controller, set(), {}
-        self.data = {name: Cell(copy.deepcopy(value)) for name, value in [*DATA.items(), *zip(SIGNALS, SIGNALS)]}
-        self.is_watched = True
-        self.choices, self.turns = list(choices), TURNS
+        super().__init__(controller, Variables())
+        self.tokens, self.index, self.code, self.indent, self.blocks = tokens, 0, [], 0, []
+        self.names, self.components = set(), dict(COMPONENTS)
+        vars(self.program).update(copy.deepcopy({**DATA, **dict(zip(SIGNALS, SIGNALS, strict=True))}))
+        self.is_watched, self.choices = True, list(choices)
 
-    # grammar
+    # translation
 
-    def word(self):
-        kind, word = self.tokens[self.at]
-        return word.lower() if kind == "name" else word
+    def load(self):
+        """Translate the module and run its main."""
+        while self.index < len(self.tokens):
+            self.statement()
+        if self.blocks or self.tokens[-1][1] != "endmodule" or "main" not in self.names:
+            raise ProgramFault("a module has a main and ends with ENDMODULE")
+        names = {"E": element, "numbers": lambda a, b: np.arange(a, b + 1.0).tolist()}
+        self.run([*self.code, "F.main()"], names)
 
-    def take(self, *expected):
-        kind, word = self.tokens[self.at]
-        if expected and self.word() not in expected:
-            raise ProgramFault(f"{word!r} stands where {' or '.join(expected)} was expected")
-        self.at += 1
-        return kind, word.lower() if kind == "name" else word
+    def take(self, *words):
+        """Return the next word, which is one of these, if any are given."""
+        kind, word, _ = self.tokens[self.index] if self.index < len(self.tokens) else ("end", "", 0)
+        if words and (word not in words or kind == "string"):
+            raise ProgramFault(f"{word!r} stands where {' or '.join(words)} was expected")
+        self.index += 1
+        return word
 
-    def taken(self, *expected):
-        """Return whether one of these words is next; it is consumed."""
-        if self.word() in expected and self.tokens[self.at][0] != "string":
-            self.at += 1
-            return True
-        return False
+    def before(self, *words):
+        """Return the tokens before the next of these words, which is consumed."""
+        start = self.index
+        while self.index < len(self.tokens) and self.tokens[self.index][1] not in words:
+            self.index += 1
+        self.take(*words)
+        return self.tokens[start : self.index - 1]
+
+    def emit(self, *lines):
+        self.code += [" " * self.indent + line for line in lines]
+
+    def begin(self, line, end=""):
+        """Begin a block with a line of Python, up to a word that ends it, or another branch of the last one."""
+        self.indent -= not end
+        self.emit(line)
+        self.blocks += [end] * bool(end)
+        self.indent += 1
+        self.emit("pass")
 
     def new_name(self, is_local=False):
-        kind, name = self.take()
-        if kind != "name" or name in RESERVED - {"main"} or (not is_local and name in self.names | set(DATA)):
+        name = self.take()
+        if not name.isidentifier() or name in RESERVED - {"main"} or (not is_local and name in self.names | set(DATA)):
             raise ProgramFault(f"{name!r} is not a new name")
         self.names |= set() if is_local else {name}
         return name
 
-    def module(self):
-        self.take("module")
-        self.new_name()
-        declarations = []
-        while not self.taken("endmodule"):
-            self.taken("local") or self.taken("task")
-            if self.word() in ("var", "pers", "const"):
-                declarations.append(self.declaration())
-            else:
-                self.routine()
-        if self.tokens[self.at][0] != "end" or "main" not in self.routines:
-            raise ProgramFault("a module has a main and ends with ENDMODULE")
-        for name, value in declarations:
-            self.data[name] = Cell(value({}))
-        self.enter("main", [])
-        return self
-
-    def declaration(self, is_local=False):
-        """Return a name and the source of its first value."""
-        self.take("var", "pers", "const")
-        first = {"num": 0.0, "bool": False, "string": ""}.get(self.take()[1])
-        name = self.new_name(is_local)
-        size = self.index() if self.taken("{") else None
-        value = self.expression() if self.taken(":=") else lambda _: first if size is None else [first] * int(size({}))
-        self.take(";")
-        return name, lambda frame: copy.deepcopy(value(frame))
-
-    def index(self):
-        index = self.expression()
-        self.take("}")
-        return index
-
-    def routine(self):
-        kind = self.take("proc", "func")[1]
-        self.at += kind == "func"
-        name, parameters, local = self.new_name(), [], []
-        self.take("(")
-        while not self.taken(")"):
-            is_shared = self.taken("inout", "var", "pers")
-            self.take()
-            parameters.append((self.new_name(True), is_shared))
-            self.taken(",")
-        while self.word() in ("var", "pers", "const"):
-            local.append(self.declaration(True))
-        ends = f"end{kind}", "error", "undo", "backward"
-        body = self.block(*ends)
-        while not self.taken(f"end{kind}"):  # no error is raised here
-            self.take("error", "undo", "backward")
-            self.block(*ends)
-        self.routines[name] = parameters, local, body
-
-    def block(self, *ends):
-        """Return the statements up to one of the words that end them, which is not consumed."""
-        steps = []
-        while self.word() not in ends:
-            if self.tokens[self.at][0] == "end":
-                raise ProgramFault(f"the file ends where {' or '.join(ends)} should stand")
-            steps.append(self.statement())
-        return lambda frame: [step(frame) for step in steps]
-
     def statement(self):
-        word = self.word()
-        control = {
-            "if": self.choice,
-            "for": self.counted,
-            "while": self.loop,
-            "test": self.test,
-            "return": self.returned,
-        }
-        if self.taken(*control):
-            return control[word]()
-        if word in ("connect", "raise", "retry", "trynext"):  # of traps and errors, which do not occur here
-            while not self.taken(";"):
-                self.take()
-            return lambda frame: None
-        if self.tokens[self.at + 1][1] in (":=", "{", "."):
-            place = self.place()
-            self.take(":=")
-            value = self.expression()
-            self.take(";")
-            return lambda frame: setattr(place(frame), "value", copy.deepcopy(value(frame)))
-        name = self.take()[1]
-        arguments = self.arguments(";")
-        return lambda frame: self.call(INSTRUCTIONS, name, arguments, frame)
-
-    def choice(self):
-        cases = [(self.expression(), self.block("elseif", "else", "endif") if self.taken("then") else None)]
-        if cases[0][1] is None:
-            cases = [(cases[0][0], self.statement())]
+        """Translate the next statement, or the beginning or end of a block."""
+        self.emit(f"at({self.tokens[self.index][2]})")
+        word = self.take()
+        if word == "module":
+            self.new_name()
+            self.blocks.append("endmodule")
+        elif word.startswith("end") and self.blocks[-1:] == [word]:
+            self.indent -= self.blocks.pop() != "endmodule"
+        elif word in ("local", "task"):
+            self.statement()
+        elif word in ("var", "pers", "const"):
+            self.declaration()
+        elif word == "record":
+            self.new_name()
+            fields = [piece for _, piece in pieces(self.before("endrecord"), ";") if piece]
+            self.components |= {piece[1][1]: index for index, piece in enumerate(fields)}
+        elif word in ("proc", "func"):
+            self.header(word)
+        elif self.blocks[1:] == []:
+            raise ProgramFault(f"{word!r} stands outside of a routine")
+        elif hasattr(self, f"do_{word}"):
+            getattr(self, f"do_{word}")()
+        elif word in ("connect", "raise", "retry", "trynext"):  # of traps and errors, which do not occur here
+            self.before(";")
+        elif word in ("error", "undo", "backward"):
+            self.emit("return")
         else:
-            while self.taken("elseif"):
-                condition = self.expression()
-                self.take("then")
-                cases.append((condition, self.block("elseif", "else", "endif")))
-            if self.taken("else"):
-                cases.append((lambda _: True, self.block("endif")))
-            self.take("endif")
-        return lambda frame: next((block for condition, block in cases if condition(frame)), NOTHING)(frame)
+            self.index -= 1
+            self.instruction(self.before(";"))
 
-    def test(self):
-        value, cases, other = self.expression(), [], NOTHING
-        while self.taken("case"):
-            values = [self.expression()]
-            while self.taken(","):
-                values.append(self.expression())
-            self.take(":")
-            cases.append((values, self.block("case", "default", "endtest")))
-        if self.taken("default"):
-            self.take(":")
-            other = self.block("endtest")
-        self.take("endtest")
-        matching = lambda f: (block for values, block in cases if value(f) in [one(f) for one in values])  # noqa: E731
-        return lambda frame: next(matching(frame), other)(frame)
+    def instruction(self, tokens):
+        """Translate an assignment or a call of a procedure."""
+        name = tokens[0][1]
+        sign = next((k for k, token in enumerate(tokens) if token[1] == ":="), 0)
+        if sign and tokens[1][1] in (":=", "{", "."):
+            self.emit(f"{self.expression(tokens[:sign])} = copy({self.expression(tokens[sign + 1 :])})")
+        elif name in ("incr", "add"):
+            by = [self.expression(piece) for _, piece in pieces(tokens[1:], ",")]
+            self.emit(f"{by[0]} += {[*by, '1.0'][1]}")
+        else:
+            self.emit(f"F.{name}({self.arguments(tokens[1:])})")
 
-    def counted(self):
+    def declaration(self):
+        kind = self.take()
+        name = self.new_name(len(self.blocks) > 1)
+        tokens = self.before(";")
+        first = {"num": 0.0, "bool": False, "string": ""}.get(kind, [])
+        (_, size), *value = pieces(tokens, {":="})
+        text = f"[{first!r}] * int({self.expression(size[1:-1])})" if size else repr(first)
+        self.emit(f"vars(S)[{name!r}] = copy({self.expression(value[0][1]) if value else text})")
+
+    def header(self, kind):
+        self.index += kind == "func"
+        name = self.new_name()
+        self.take("(")
+        parameters = [[word for _, word, _ in piece] for _, piece in pieces(self.before(")"), ",") if piece]
+        shared = [(words[-1], words[0] in ("inout", "var", "pers")) for words in parameters]
+        self.emit(f"@routine({name!r}, {shared!r})")
+        self.begin("def _(S):", f"end{kind}")
+
+    def do_if(self):
+        end = next(k for k in range(self.index, len(self.tokens)) if self.tokens[k][1] in ("then", ";"))
+        if self.tokens[end][1] == "then":
+            self.begin(f"if {self.expression(self.before('then'))}:", "endif")
+            return
+        start = self.index
+        while not self.begins_statement():
+            self.index += 1
+        self.begin(f"if {self.expression(self.tokens[start : self.index])}:", ";")
+        self.statement()
+        self.blocks.pop()
+        self.indent -= 1
+
+    def begins_statement(self):
+        """Return whether a name follows an operand."""
+        (before, last, _), (kind, word, _) = self.tokens[self.index - 1 : self.index + 1]
+        is_operand = (before != "sign" and last not in ("if", *WORDS)) or last in (")", "]", "}", "true", "false")
+        return is_operand and kind == "name" and word not in WORDS
+
+    def do_elseif(self):
+        self.begin(f"elif {self.expression(self.before('then'))}:")
+
+    def do_else(self):
+        self.begin("else:")
+
+    def do_test(self):
+        end = next(
+            k for k in range(self.index, len(self.tokens)) if self.tokens[k][1] in ("case", "default", "endtest")
+        )
+        self.emit(f"value_{self.indent} = {self.expression(self.tokens[self.index : end])}")
+        self.index = end
+        self.begin("if False:", "endtest")
+
+    def do_case(self):
+        self.begin(f"elif value_{self.indent - 1} in [{self.expression(self.before(':'))}]:")
+
+    def do_default(self):
+        self.take(":")
+        self.begin("else:")
+
+    def do_for(self):
         name = self.new_name(True)
         self.take("from")
-        first = self.expression()
-        self.take("to")
-        last = self.expression()
-        self.take("do")
-        numbers = lambda frame: np.arange(first(frame), last(frame) + 1.0).tolist()  # noqa: E731
-        return self.repeated(lambda frame: ({**frame, name: Cell(k)} for k in numbers(frame)), "endfor")
+        first, last = self.expression(self.before("to")), self.expression(self.before("do"))
+        self.begin(f"for vars(S)[{name!r}] in [*numbers({first}, {last}), None]:", "endfor")
+        self.emit(f"if vars(S)[{name!r}] is None: vars(S).pop({name!r}); break")  # the data outside are seen again
 
-    def loop(self):
-        condition = self.expression()
-        self.take("do")
-        return self.repeated(lambda frame: takewhile(condition, repeat(frame)), "endwhile")
+    def do_while(self):
+        self.begin(f"while {self.expression(self.before('do'))}:", "endwhile")
 
-    def repeated(self, frames, end):
-        block = self.block(end)
-        self.take(end)
+    def do_return(self):
+        self.emit(f"return copy({self.expression(self.before(';')) or None})")
 
-        def run(frame):
-            for inner in frames(frame):
-                self.turns -= 1
-                if self.turns < 0:
-                    raise ProgramFault("a loop without an end")
-                block(inner)
+    def arguments(self, tokens):
+        """Return arguments in Python: those in order, then those by name."""
+        positional, named = [], []
+        for sign, piece in pieces(tokens, {",", "\\"}):
+            if sign == "\\":
+                named.append(f"{piece[0][1]} {self.expression(piece[1:]) or '= True'}")
+            elif piece:
+                positional.append(self.expression(piece))
+        return ", ".join(positional + named)
 
-        return run
-
-    def returned(self):
-        value = None if self.word() == ";" else self.expression()
-        self.take(";")
-
-        def leave(frame):
-            raise Returned(copy.deepcopy(value(frame)) if value else None)
-
-        return leave
-
-    def arguments(self, end):
-        """Return the sources of the arguments: those in order, and those by name. A variable yields its cell."""
-        values, options = [], {}
-        while not self.taken(end):
-            if self.taken("\\"):
-                option = self.take()[1]
-                options[option] = self.reference() if self.taken(":=") else lambda _: True
-            elif not self.taken(","):
-                values.append(self.reference())
-        return values, options
-
-    def reference(self):
-        """Return an argument: a variable's place if it is one."""
-        start = self.at
-        if self.tokens[self.at][0] == "name" and self.word() not in ("true", "false", "not"):
-            try:
-                place = self.place()
-            except ProgramFault:
-                place = None
-            if place is not None and self.word() in (",", ";", ")", "\\"):
-                return place
-        self.at = start
-        return self.expression()
-
-    def call(self, table, name, arguments, frame):
-        values = [one(frame) for one in arguments[0]]
-        options = {key: one(frame) for key, one in arguments[1].items()}
-        if name in self.routines:
-            return self.enter(name, values)
-        if name not in table:
-            raise ProgramFault(f"no routine {name!r}")
-        if name not in WRITES:
-            values = [value_of(value) for value in values]
-            options = {key: value_of(value) for key, value in options.items()}
-        try:
-            return table[name](self, *values, **options)
-        except TypeError as exc:
-            raise ProgramFault(f"{name}: {exc}") from exc
-
-    def enter(self, name, values):
-        parameters, local, body = self.routines[name]
-        if len(values) != len(parameters):
-            raise ProgramFault(f"{name} has {len(parameters)} arguments")
-        inner = {}
-        for (parameter, shared), value in zip(parameters, values, strict=True):
-            inner[parameter] = value if shared else Cell(copy.deepcopy(value_of(value)))
-            if not isinstance(inner[parameter], Cell | Part):
-                raise ProgramFault(f"{parameter} of {name} needs a variable")
-        for variable, value in local:
-            inner[variable] = Cell(value(inner))
-        try:
-            body(inner)
-        except Returned as exc:
-            return exc.args[0]
-        return None
-
-    def place(self):
-        """Return the source of the cell of a variable, an element or a component."""
-        kind, name = self.take()
-        if kind != "name" or self.word() == "(":
-            raise ProgramFault(f"{name!r} is not a variable")
-
-        def root(frame):
-            if name not in frame and name not in self.data:
-                raise ProgramFault(f"{name!r} is not known here")
-            return frame.get(name) or self.data[name]
-
-        found = root
-        while self.word() in ("{", ".") and self.tokens[self.at][0] == "sign":
-            if self.taken("."):
-                place = COMPONENTS[self.take(*COMPONENTS)[1]]
-                found = lambda frame, of=found, place=place: Part(of(frame), place)  # noqa: E731
+    def expression(self, tokens):
+        """Return an expression or a place in Python."""
+        words, index = [], 0
+        while index < len(tokens):
+            kind, word, _ = tokens[index]
+            after = tokens[index + 1][1] if index + 1 < len(tokens) else ""
+            if kind == "name" and after == "(" and word not in WORDS:
+                end = closing(tokens, index + 1)
+                words.append(f"F.{word}({self.arguments(tokens[index + 2 : end])})")
+                index = end
+            elif kind == "sign" and word == "{":
+                end = closing(tokens, index)
+                words += [f"[E({self.expression(piece)})]" for _, piece in pieces(tokens[index + 1 : end], {","})]
+                index = end
+            elif kind == "sign" and word == ".":
+                words.append(f"[{self.components[after]}]")
+                index += 1
+            elif kind == "name":
+                words.append(WORDS.get(word) or f"S.{word}")
             else:
-                self.take("{")
-                found = lambda frame, of=found, index=self.index(): Part(of(frame), int(index(frame)) - 1)  # noqa: B008, E731
-        return found
+                plain = {"number": lambda word: repr(float(word)), "string": lambda word: repr(word[1:-1])}
+                words.append(plain.get(kind, lambda word: SIGNS.get(word, word))(word))
+            index += 1
+        return " ".join(words)
 
-    def expression(self, level=0):
-        if level == len(LEVELS):
-            return self.unary()
-        left = self.expression(level + 1)
-        while self.word() in LEVELS[level] and self.tokens[self.at][0] != "string":
-            function, right, first = OPERATORS[self.take()[1]], self.expression(level + 1), left
-            left = lambda frame, f=function, a=first, b=right: f(a(frame), b(frame))  # noqa: E731
-        return left
-
-    def unary(self):
-        kind, word = self.tokens[self.at][0], self.word()
-        if kind == "sign" and word in "+-":
-            self.take()
-            inner = self.unary()
-            return lambda frame: inner(frame) * (-1.0 if word == "-" else 1.0)
-        if kind in ("number", "string") or word in ("true", "false"):
-            self.take()
-            value = float(word) if kind == "number" else word[1:-1] if kind == "string" else word == "true"
-            return lambda _: value
-        if kind == "sign" and self.taken("["):
-            values = [self.expression()]
-            while self.take(",", "]")[1] == ",":
-                values.append(self.expression())
-            return lambda frame: [value(frame) for value in values]
-        if kind == "name" and self.tokens[self.at + 1][1] == "(":
-            self.take()
-            self.take("(")
-            arguments = self.arguments(")")
-            return lambda frame: self.call(FUNCTIONS, word, arguments, frame)
-        place = self.place()
-        return lambda frame: place(frame).value
+    def builtin(self, name):
+        for table in (INSTRUCTIONS, FUNCTIONS):
+            if name in table:
+                return partial(table[name], self)
+        raise ProgramFault(f"no routine {name!r}")
 
     # meaning of the values
 
@@ -436,8 +366,8 @@ class Machine:
 
     def SearchL(self, signal, found, target, speed, tool, stop=False):
         """Search without finding anything: the search ends at its target, which is where it stopped."""
-        self.MoveL(target.value, value_of(speed), "fine", value_of(tool))
-        found.value = copy.deepcopy(target.value)
+        self.MoveL(target, speed, "fine", tool)
+        found[:] = copy.deepcopy(target)
 
     def ConfL(self, off=False, on=False):
         self.is_watched = not off
@@ -460,9 +390,6 @@ class Machine:
 
     def Stop(self):
         self.controller.said.append((len(self.controller.moves), self.text))
-
-    def Incr(self, variable):
-        variable.value += 1.0
 
     def CalcRobT(self, target, tool, wobj=None):
         frame = self.use(tool, wobj)
@@ -491,16 +418,8 @@ class Machine:
         return float(len(array))
 
 
-def NOTHING(frame):
-    pass
-
-
 class Computed(list):
     """A robtarget that was not taught."""
-
-
-def value_of(of):
-    return of.value if isinstance(of, Cell | Part) else of
 
 
 def linear(places):
@@ -510,9 +429,8 @@ def linear(places):
 
 INSTRUCTIONS = {
     name.lower(): getattr(Machine, name)
-    for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "ConfL", "SetDO", "WaitTime", "WaitDI", "TPWrite", "Stop", "Incr", "SearchL")
+    for name in ("MoveAbsJ", "MoveJ", "MoveL", "MoveC", "ConfL", "SetDO", "WaitTime", "WaitDI", "TPWrite", "Stop", "SearchL")
 }  # fmt: skip
 INSTRUCTIONS |= {"confj": lambda machine, **_: None}
 INSTRUCTIONS |= {"triggl": linear((0, 1, 3, 4)), "arcl": linear((0, 1, 4, 5)), "spotl": linear((0, 1, 1, 4))}
 FUNCTIONS = {name.lower(): getattr(Machine, name) for name in ("CalcRobT", "Offs", "RelTool", "DInput", "Dim")}
-WRITES = ("searchl", "incr")  # arguments that they change

@@ -24,7 +24,7 @@ class Controller:
     """An arm in motion, its clock, and a server socket with one client."""
 
     def __init__(self):
-        self.t, self.calls, self.parts = 0.0, [], []
+        self.t, self.calls, self.parts, self.moves = 0.0, [], [], []
         self.rng = np.random.default_rng(7)
         self.read = []
 

@@ -103,12 +103,61 @@ def expression(tokens):
     return out
 
 
-class Machine:
-    """The routines and the built-in functions. ``lines``: of the statements that moved, one line per move."""
+class Runner:
+    """Runs statements that became Python. ``lines``: of the statements that moved, one line per move."""
+
+    def __init__(self, controller, program):
+        self.controller, self.routines, self.lines = controller, {}, []
+        self.line, self.statements, self.program = 0, 0, program
+
+    def run(self, code, names):
+        """Run lines of Python with the names that they use."""
+        names |= {
+            "S": self.program,
+            "F": Functions(self),
+            "at": self.at,
+            "routine": self.routine,
+            "copy": copy.deepcopy,
+        }
+        try:
+            exec(compile("\n".join(code), "program", "exec"), names)
+        except Halted:
+            pass
+        except (SyntaxError, TypeError, AttributeError, LookupError, ValueError, RecursionError, ZeroDivisionError) as exc:  # fmt: skip
+            raise ProgramFault(f"line {self.line}: {exc}") from exc
+        self.at(0)
+
+    def at(self, line):
+        """Note the line of the next statement."""
+        self.lines += [self.line] * (len(self.controller.moves) - len(self.lines))
+        self.line, self.statements = line, self.statements + 1
+        if self.statements > MOST_STATEMENTS or len(self.controller.moves) > MOST_MOVES:
+            raise ProgramFault("a loop without end")
+
+    def routine(self, name, parameters):
+        """Return a decorator for the body of a routine, a function of its scope. Parameters: (name, by reference)."""
+
+        def define(body):
+            def call(*values):
+                if len(values) != len(parameters):
+                    raise ProgramFault(f"{name} takes {len(parameters)} arguments")
+                line, scope = self.line, type(self.program)(self.program)
+                for (parameter, is_shared), value in zip(parameters, values, strict=True):
+                    vars(scope)[parameter] = value if is_shared else copy.deepcopy(value)
+                value = body(scope)
+                self.at(line)
+                return value
+
+            self.routines[name] = call
+
+        return define
+
+
+class Machine(Runner):
+    """The routines and the built-in functions."""
 
     def __init__(self, controller):
-        self.controller, self.routines, self.lines = controller, {}, []
-        self.line, self.statements, self.program = 0, 0, Scope()
+        super().__init__(controller, Scope())
 
     def execute(self, lines):
         """Translate lines (number, text) of a program and run them."""
@@ -130,19 +179,16 @@ class Machine:
                 raise ProgramFault(f"line {number}: an end too many")
         if indent:
             raise ProgramFault("an end is missing")
-        names = {"S": self.program, "G": self.program, "F": Functions(self), "P": Pose, "at": self.at, "routine": self.routine, "copy": copy.deepcopy, "Halted": Halted}  # fmt: skip
-        try:
-            exec(compile("\n".join(code), "program", "exec"), names)
-        except Halted:
-            pass
-        except (SyntaxError, TypeError, AttributeError, LookupError, ValueError, RecursionError, ZeroDivisionError) as exc:  # fmt: skip
-            raise ProgramFault(f"line {self.line}: {exc}") from exc
+        self.run(code, {"G": self.program, "P": Pose, "Halted": Halted})
 
     def translated(self, word, tokens):
         """Return a statement in Python."""
         if word in ("def", "thread"):
             self.check_name(tokens[1][1])
-            return [f"@routine({tokens[1][1]!r}, {[word for kind, word in tokens[3:-2] if kind == 3]})", "def _(S):"]
+            return [
+                f"@routine({tokens[1][1]!r}, {[(word, False) for kind, word in tokens[3:-2] if kind == 3]})",
+                "def _(S):",
+            ]
         if word == "halt" or word in UNOBSERVED:
             return ["raise Halted" if word == "halt" else "pass"]
         scope = word if word in ("global", "local") else ""
@@ -161,27 +207,10 @@ class Machine:
         if name in KEYWORDS or name in BUILTINS:
             raise ProgramFault(f"{name} redefines what the language has")
 
-    def at(self, line):
-        self.line, self.statements = line, self.statements + 1
-        if self.statements > MOST_STATEMENTS or len(self.controller.moves) > MOST_MOVES:
-            raise ProgramFault("a loop without end")
-
-    def routine(self, name, parameters):
-        """Return a decorator for the body of a routine, a function of its scope."""
-
-        def define(body):
-            def call(*values):
-                if len(values) != len(parameters):
-                    raise ProgramFault(f"{name} takes {len(parameters)} arguments")
-                line, scope = self.line, Scope(self.program)
-                vars(scope).update(zip(parameters, copy.deepcopy(values), strict=True))
-                value = body(scope)
-                self.line = line
-                return value
-
-            self.routines[name] = call
-
-        return define
+    def builtin(self, name):
+        if name not in BUILTINS:
+            raise ProgramFault(f"no function {name}")
+        return getattr(self, name)
 
     # the manual's functions, with its argument names and defaults
 
@@ -193,20 +222,16 @@ class Machine:
             raise ProgramFault("a target has six joints")
         return np.array(target, dtype=float)
 
-    def moved(self, move, *arguments):
-        move(*arguments)
-        self.lines += [self.line] * (len(self.controller.moves) - len(self.lines))
-
     def movej(self, q, a=1.4, v=1.05, t=0, r=0):
         there, here = self.joints(q), self.controller.q
         if t == 0 and here is not None:  # trapezoid, for the joint that turns most
             far = np.abs(there - here).max()
             t = far / v + v / a if far > v * v / a else 2.0 * np.sqrt(far / a)
-        self.moved(self.controller.move_joints, there, float(t))
+        self.controller.move_joints(there, float(t))
 
     def movel(self, pose, a=1.2, v=0.25, t=0, r=0):
         there = pose.matrix() if isinstance(pose, Pose) else self.controller.pose_of(self.joints(pose))
-        self.moved(self.controller.move_line, there, v)
+        self.controller.move_line(there, v)
 
     movep = servoc = movel
 
@@ -222,7 +247,7 @@ class Machine:
         self.movel(pose_to, v=v)
 
     def servoj(self, q, a=0, v=0, t=0.002, lookahead_time=0.1, gain=300):
-        self.moved(self.controller.move_joints, self.joints(q), t)
+        self.controller.move_joints(self.joints(q), t)
 
     def get_inverse_kin(self, x, qnear=None, maxPositionError=1e-10, maxOrientationError=1e-10, tcp=None):
         near = self.controller.q if qnear is None else np.array(qnear)
@@ -281,7 +306,7 @@ class Machine:
         return self.controller.answered()
 
 
-OWN = {"execute", "translated", "check_name", "at", "routine", "joints", "moved"}
+OWN = {"execute", "translated", "check_name", "builtin", "joints"}
 BUILTINS = {name for name in vars(Machine) if not name.startswith("_")} - OWN
 
 
@@ -292,8 +317,4 @@ class Functions:
         self.machine = machine
 
     def __getattr__(self, name):
-        if name in self.machine.routines:
-            return self.machine.routines[name]
-        if name not in BUILTINS:
-            raise ProgramFault(f"no function {name}")
-        return getattr(self.machine, name)
+        return self.machine.routines.get(name) or self.machine.builtin(name)
