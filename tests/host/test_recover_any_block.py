@@ -48,6 +48,10 @@ def recording(tmp_path_factory):
     return recorded(tmp_path_factory.mktemp("recording") / "session.mcap", 240.0)
 
 
+def recorded_messages(path):
+    return sorted(message for message in open_session(path).messages() if message.topic != "/robot/columns")
+
+
 def zeroed(recording, begin, n_bytes, path):
     damaged = bytearray(recording.whole)
     damaged[begin : begin + n_bytes] = bytes(len(damaged[begin : begin + n_bytes]))
@@ -74,7 +78,7 @@ def check_block(recording, begin, path):
         if not lost or is_of_head(message)
     ]
     mended = open_session(out)
-    assert sorted(m for m in mended.messages() if m.topic != "/robot/columns") == sorted(expected)
+    assert recorded_messages(out) == sorted(expected)
     assert found.samples == N * sum(message.topic == "/box/adc" for message in expected)
     assert found.topics["/box/ident"].lost == 0  # a later copy serves
     assert mended.attachments == {"rig.toml": RIG}
@@ -124,6 +128,18 @@ def test_the_last_chunks_with_what_the_summary_says_of_them(recording, tmp_path)
 def test_every_block(recording, tmp_path, shift):
     for begin in range(shift, len(recording.whole), BLOCK_BYTES):
         check_block(recording, begin, tmp_path / "session.mcap")
+
+
+def test_a_damaged_summary(recording, tmp_path, capsys):
+    """No data are lost, but other programs find the chunks by it. The file was called intact, with nothing to recover."""
+    path = tmp_path / "session.mcap"
+    zeroed(recording, recording.whole.rindex(DATA_END) + 2000, 500, path)
+    assert main(["inspect", str(path)]) == 2
+    assert "damaged in its summary" in capsys.readouterr().err
+    assert main(["session", "recover", str(path)]) == 0
+    recovered = recorded_messages(path.with_name("session-recovered.mcap"))
+    path.write_bytes(recording.whole)
+    assert recovered == recorded_messages(path)
 
 
 def test_head_of_4_kb(recording, tmp_path, capsys):

@@ -197,7 +197,10 @@ def _scan(path: Path, file: BinaryIO) -> tuple[Session, bool]:
         if opcode == Opcode.DATA_END:
             _check_chunks(path, file, walk, n_chunks)
             proven = _check_crc(path, file, at, length)
-            return Session(path, metadata, attachments, not has_footer(file, size), ((start, end),)), proven
+            complete = has_footer(file, size)
+            if complete:
+                _check_summary(path, file, at + length, size)
+            return Session(path, metadata, attachments, not complete, ((start, end),)), proven
         if opcode == Opcode.CHUNK:
             last_chunk = at, length
             n_chunks += 1
@@ -223,14 +226,27 @@ def _check_crc(path: Path, file: BinaryIO, at: int, length: int) -> bool:
     written = int.from_bytes(body_of(path, file, at, length, MAX_METADATA_BYTES)[:4], "little")
     if written == 0:
         return False
-    left, crc = at - RECORD.size, 0
-    file.seek(0)
-    while left and (block := file.read(min(left, _CRC_BLOCK))):
-        crc = zlib.crc32(block, crc)
-        left -= len(block)
-    if crc != written:
+    if _crc(file, 0, at - RECORD.size) != written:
         raise SessionError("damaged-session", place=path, where="somewhere: its CRC does not match")
     return True
+
+
+def _check_summary(path: Path, file: BinaryIO, begin: int, size: int) -> None:
+    """Check the summary, by which other programs read the file, against the CRC in the footer, unless that is 0."""
+    end = size - len(MCAP0_MAGIC) - 4
+    file.seek(end)
+    written = int.from_bytes(file.read(4), "little")
+    if written not in (0, _crc(file, begin, end)):
+        raise SessionError("damaged-session", place=path, where="in its summary: the CRC does not match")
+
+
+def _crc(file: BinaryIO, begin: int, end: int) -> int:
+    file.seek(begin)
+    crc = 0
+    while begin < end and (block := file.read(min(end - begin, _CRC_BLOCK))):
+        crc = zlib.crc32(block, crc)
+        begin += len(block)
+    return crc
 
 
 def _check_chunks(path: Path, file: BinaryIO, summary: Iterator[tuple[int, int, int]], n_chunks: int) -> None:
