@@ -521,8 +521,12 @@ SESSION: Mapping[str, Statement] = {
     ),
     "session-damaged": Statement(
         WARNING,
-        "Damaged[ at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on||: the CRC of the whole file does not match, although those of all its parts do; a header may be wrong].",
-        "[{at:!}||Copy the file again.]",
+        "Damaged at byte {at}: {lost_s:.1f} of {of_s:.1f} s lost, from {from_s:.1f} s on.",
+    ),
+    "session-headers-damaged": Statement(
+        WARNING,
+        "Damaged: a CRC of the file does not match, although those of all its parts do; a header or the summary may be wrong.",
+        "Copy the file again.",
     ),
     "foreign-datagrams": Statement(
         WARNING,

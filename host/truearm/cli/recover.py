@@ -60,7 +60,7 @@ def recover(
 
 def lines(found: Recovered) -> list[str]:
     """What was saved and what was lost, for people."""
-    from truearm.findings import Finding
+    from truearm.report.session_findings import damage_finding
 
     messages = sum(account.saved for account in found.topics.values())
     text = [
@@ -72,7 +72,7 @@ def lines(found: Recovered) -> list[str]:
         lost = f", {account.lost} lost" if account.lost else ""
         text.append(f"         {one_line(topic):<{width}}  {account.saved}{lost}")
     for damage in found.damage[:SHOWN]:
-        text.append(f"lost   {Finding('session-damaged', vars(damage)).text()}")
+        text.append(f"lost   {damage_finding(vars(damage)).text()}")
     if len(found.damage) > SHOWN:
         text.append(f"lost   and in {counted(len(found.damage) - SHOWN, 'place')} more")
     if found.undescribed:

@@ -96,10 +96,15 @@ def _file(document: Document) -> Iterator[Finding]:
     if document["truncated"]:
         yield Finding("session-incomplete")
     for damage in document["damage"]:
-        yield Finding("session-damaged", damage)
+        yield damage_finding(damage)
     foreign = int(document["metadata"]["session-end"].get("robot_foreign", "0"))
     if foreign:
         yield Finding("foreign-datagrams", {"n": foreign})
+
+
+def damage_finding(damage: Mapping[str, Any]) -> Finding:
+    """Return a damaged place of a session file, which may be byte 0."""
+    return Finding("session-headers-damaged" if damage["at"] is None else "session-damaged", damage)
 
 
 def _losses(losses: Document) -> Iterator[Finding]:

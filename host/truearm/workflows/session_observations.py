@@ -143,7 +143,7 @@ def observations_of_session(path: Path, rig: Rig | None = None, options: Session
 
 def observations_of_opened(session: Session, rig: Rig | None, options: SessionOptions) -> SyncResult:
     """Do the same as ``observations_of_session`` with a session that was opened with the same ``allow_damaged``."""
-    from truearm.findings import Finding
+    from truearm.report.session_findings import damage_finding
     from truearm.session.box_ident import recorded_ident
     from truearm.session.line_passes import LineRules
     from truearm.session.observations import observations
@@ -151,7 +151,7 @@ def observations_of_opened(session: Session, rig: Rig | None, options: SessionOp
 
     path = session.path
     if session.damage:
-        said = " ".join(Finding("session-damaged", vars(damage)).text() for damage in session.damage[:SAID])
+        said = " ".join(damage_finding(vars(damage)).text() for damage in session.damage[:SAID])
         more = f" And in {counted(len(session.damage) - SAID, 'place')} more." if len(session.damage) > SAID else ""
         options.say(one_line(f"{path}: {said}{more}"))
     rig = rig or recorded_rig(session, path)
