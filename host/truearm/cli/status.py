@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import TYPE_CHECKING, Any
 
 from truearm.cli.command import command
 from truearm.cli.output import print_result
@@ -52,9 +52,7 @@ def _lines(state: ProjectState) -> Iterator[str]:
         f"{_session(session)} (not in {project.sessions}: if it is no rehearsal, move it there)"
         for session in state.other_sessions
     ]
-    others += [
-        f"{_result(result)} (of {os.path.relpath(result.session)})" for result in state.other_results if result.session
-    ]
+    others += [f"{_result(row)} (of {os.path.relpath(row.session)})" for row in state.other_results if row.session]
     for title, line in zip(("not used", *[""] * len(others)), others, strict=False):
         yield f"{title:<10}{line}"
     command, why = _next(state)
@@ -85,35 +83,27 @@ def _unusable(result: ResultState) -> str:
 
 def _next(state: ProjectState) -> tuple[str, str]:
     """Return the command that comes next, and why."""
-    from truearm.workflows.project import NextStep
-
-    match state.next:
-        case NextStep.DESCRIBE:
-            return f"write {state.project.rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
-        case NextStep.PLAN:
-            return "truearm plan ballbar --minutes 30", "there is no plan yet"
-        case NextStep.RECORD:
-            if state.sessions:
-                return "type q and Enter in truearm record", "the recording is under way"
-            return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
-        case NextStep.RECOVER:
-            cut = next(one.path for one in state.sessions if not one.complete)
-            return f"truearm session recover {os.path.relpath(cut)}", "its recording was cut off"
-        case NextStep.IDENTIFY:
-            return "truearm identify --hold-out 0.2", f"{state.sessions[-1].path.name} is not identified yet"
-        case NextStep.INSPECT:
-            return (
-                f"truearm inspect {os.path.relpath(state.sessions[-1].path)}",
-                f"the last fit {'is not usable' if state.results[-1].status == 'converged' else 'did not converge'}",
-            )
-        case NextStep.CORRECT:
-            result = os.path.relpath(state.results[-1].path)
-            return (
-                f"truearm correct {result} PROGRAM --out CORRECTED",
-                "the robot is identified; if no rows were held out, judge it first with truearm validate",
-            )
-        case _:
-            assert_never(state.next)
+    if state.rig is None:
+        return f"write {state.project.rig}", f"the rig is not described yet; {page('Build and measure the rig')}"
+    if not state.sessions and state.plan is None:
+        return "truearm plan ballbar --minutes 30", "there is no plan yet"
+    if not state.sessions:
+        return "truearm record", "nothing is recorded yet; truearm simulate rehearses it without hardware"
+    if any(session.written for session in state.sessions):
+        return "type q and Enter in truearm record", "the recording is under way"
+    cut = next((session.path for session in state.sessions if not session.complete), None)
+    if cut is not None:
+        return f"truearm session recover {os.path.relpath(cut)}", "its recording was cut off"
+    session, result = state.sessions[-1].path, state.results[-1] if state.results else None
+    if result is None or result.path.stat().st_mtime < session.stat().st_mtime:
+        return "truearm identify --hold-out 0.2", f"{session.name} is not identified yet"
+    if result.status != "converged" or result.unusable is not None:
+        why = "is not usable" if result.status == "converged" else "did not converge"
+        return f"truearm inspect {os.path.relpath(session)}", f"the last fit {why}"
+    return (
+        f"truearm correct {os.path.relpath(result.path)} PROGRAM --out CORRECTED",
+        "the robot is identified; if no rows were held out, judge it first with truearm validate",
+    )
 
 
 def _document(state: ProjectState) -> dict[str, Any]:
@@ -124,13 +114,10 @@ def _document(state: ProjectState) -> dict[str, Any]:
         "rig": str(state.rig) if state.rig else None,
         "plan": str(state.plan) if state.plan else None,
         "poses": state.poses,
-        "sessions": [_session_document(session) for session in state.sessions],
-        "results": [_result_document(result) for result in state.results],
-        "other_sessions": [_session_document(session) for session in state.other_sessions],
-        "other_results": [
-            {**_result_document(result), "session": str(result.session) if result.session else None}
-            for result in state.other_results
-        ],
+        "sessions": list(map(_session_document, state.sessions)),
+        "results": list(map(_result_document, state.results)),
+        "other_sessions": list(map(_session_document, state.other_sessions)),
+        "other_results": [{**_result_document(row), "session": str(row.session)} for row in state.other_results],
         "next": _next(state)[0],
         "why": _next(state)[1],
     }

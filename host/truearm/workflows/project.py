@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from enum import Enum, auto
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -88,22 +87,6 @@ class Created(NamedTuple):
     plan: dict[str, Any] | None
 
 
-class NextStep(Enum):
-    """The next step of a project.
-
-    This is to describe its rig, to plan, to record, to recover a recording that was cut off, to fit, or to check a
-    failed fit; or the project is done.
-    """
-
-    DESCRIBE = auto()
-    PLAN = auto()
-    RECORD = auto()
-    RECOVER = auto()
-    IDENTIFY = auto()
-    INSPECT = auto()
-    CORRECT = auto()
-
-
 @dataclass(frozen=True)
 class SessionState:
     """A recording: file, size [byte], whether it was completed, and whether it is still being written.
@@ -134,7 +117,7 @@ class ResultState:
 
 @dataclass(frozen=True)
 class ProjectState:
-    """The contents of a project's folder, and the next step.
+    """The contents of a project's folder.
 
     Sessions outside the project's folder for them and results made from these are ``other_sessions`` and
     ``other_results``: the next step does not depend on a rehearsal.
@@ -149,7 +132,6 @@ class ProjectState:
     results: tuple[ResultState, ...]
     other_sessions: tuple[SessionState, ...]
     other_results: tuple[ResultState, ...]
-    next: NextStep
 
 
 def sessions_of(folder: Path) -> list[Path]:
@@ -333,13 +315,13 @@ def _rig_text(rig: Rig, name: str) -> str:
 
 
 def state_of(path: Path) -> ProjectState:
-    """Return what a project has and its next step; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
+    """Return what a project has; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
     own_sessions = home / project.sessions
     others = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
     results = [_result(path, others) for path in results_of(home / project.results)]
-    state = ProjectState(
+    return ProjectState(
         project,
         home,
         rig,
@@ -349,22 +331,7 @@ def state_of(path: Path) -> ProjectState:
         results=tuple(result for result in results if result.session is None),
         other_sessions=tuple(_session(path, project) for path in others),
         other_results=tuple(result for result in results if result.session is not None),
-        next=NextStep.DESCRIBE,
     )
-    return replace(state, next=_next(state))
-
-
-def _next(state: ProjectState) -> NextStep:
-    if state.rig is None:
-        return NextStep.DESCRIBE
-    if not state.sessions:
-        return NextStep.PLAN if state.plan is None else NextStep.RECORD
-    if any(not one.complete for one in state.sessions):
-        return NextStep.RECORD if any(one.written for one in state.sessions) else NextStep.RECOVER
-    if not state.results or state.results[-1].path.stat().st_mtime < state.sessions[-1].path.stat().st_mtime:
-        return NextStep.IDENTIFY
-    last = state.results[-1]
-    return NextStep.CORRECT if last.status == "converged" and last.unusable is None else NextStep.INSPECT
 
 
 def _poses(plan: Path | None) -> int:
