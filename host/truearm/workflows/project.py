@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -85,53 +85,6 @@ class Created(NamedTuple):
 
     written: tuple[Path, ...]
     plan: dict[str, Any] | None
-
-
-@dataclass(frozen=True)
-class SessionState:
-    """A recording: file, size [byte], whether it was completed, and whether it is still being written.
-
-    ``model``: the robot for which it was recorded, if it names another one than the project, else "".
-    """
-
-    path: Path
-    size: int
-    complete: bool
-    written: bool
-    model: str = ""
-
-
-@dataclass(frozen=True)
-class ResultState:
-    """A result: file, held-out error [mm] if rows were held out, how the fit ended, and why it is not usable if so.
-
-    ``session`` is the session outside the project's folder that it was made from, such as a rehearsal's.
-    """
-
-    path: Path
-    held_out_mm: float | None
-    status: str
-    unusable: str | None = None
-    session: Path | None = None
-
-
-@dataclass(frozen=True)
-class ProjectState:
-    """The contents of a project's folder.
-
-    Sessions outside the project's folder for them and results made from these are ``other_sessions`` and
-    ``other_results``: the next step does not depend on a rehearsal.
-    """
-
-    project: Project
-    home: Path
-    rig: Path | None
-    plan: Path | None
-    poses: int
-    sessions: tuple[SessionState, ...]
-    results: tuple[ResultState, ...]
-    other_sessions: tuple[SessionState, ...]
-    other_results: tuple[ResultState, ...]
 
 
 def sessions_of(folder: Path) -> list[Path]:
@@ -314,24 +267,29 @@ def _rig_text(rig: Rig, name: str) -> str:
     return "\n".join([*parts, OTHERS])
 
 
-def state_of(path: Path) -> ProjectState:
-    """Return what a project has; ``path`` is its truearm.toml. Raises InputError if that is invalid."""
+def state_of(path: Path) -> dict[str, Any]:
+    """Return what a project has, as JSON; ``path`` is its truearm.toml. Raises InputError if that is invalid.
+
+    Sessions outside the project's folder for them and results made from these are ``other_sessions`` and
+    ``other_results``: the next step does not depend on a rehearsal.
+    """
     project, home = read_project(path), path.parent
     rig, plan = ((home / name) if (home / name).exists() else None for name in (project.rig, project.plan))
     own_sessions = home / project.sessions
     others = by_time(path for folder in folders_of(home) if folder != own_sessions for path in sessions_of(folder))
     results = [_result(path, others) for path in results_of(home / project.results)]
-    return ProjectState(
-        project,
-        home,
-        rig,
-        plan,
-        _poses(plan),
-        sessions=tuple(_session(path, project) for path in sessions_of(own_sessions)),
-        results=tuple(result for result in results if result.session is None),
-        other_sessions=tuple(_session(path, project) for path in others),
-        other_results=tuple(result for result in results if result.session is not None),
-    )
+    return {
+        "format": "truearm-status",
+        "project": vars(project),
+        "folder": str(home),
+        "rig": str(rig) if rig else None,
+        "plan": str(plan) if plan else None,
+        "poses": _poses(plan),
+        "sessions": [_session(path, project) for path in sessions_of(own_sessions)],
+        "results": [result for result in results if "session" not in result],
+        "other_sessions": [_session(path, project) for path in others],
+        "other_results": [result for result in results if "session" in result],
+    }
 
 
 def _poses(plan: Path | None) -> int:
@@ -340,7 +298,8 @@ def _poses(plan: Path | None) -> int:
     return 0 if plan is None else int(read_plan(plan).dwells.sum())
 
 
-def _session(path: Path, project: Project) -> SessionState:
+def _session(path: Path, project: Project) -> dict[str, Any]:
+    """Return a recording: ``other_robot`` is the one for which it was recorded if that is not the project's."""
     from truearm.files.write_lock import is_held
     from truearm.session.message_columns import has_footer
     from truearm.workflows.session_parts import recorded_model
@@ -349,20 +308,26 @@ def _session(path: Path, project: Project) -> SessionState:
     with path.open("rb") as file:
         complete = has_footer(file, size)
     model = recorded_model(path)
-    other = model if model != Path(project.model).name else ""
-    return SessionState(path, size, complete, not complete and is_held(path), other)
+    return {
+        "file": str(path),
+        "size_bytes": size,
+        "complete": complete,
+        "written": not complete and is_held(path),
+        "other_robot": model if model and model != Path(project.model).name else None,
+    }
 
 
-def _result(path: Path, others: Sequence[Path]) -> ResultState:
-    """Return the state of a result; ``others`` are the sessions outside the project's folder."""
+def _result(path: Path, others: Sequence[Path]) -> dict[str, Any]:
+    """Return a result; ``session`` is the one of ``others``, outside the project's folder, that it was made from."""
     from truearm.files.result_file import read_result
 
-    document = result_document(path)
-    session = next((session for session in others if was_read(session, document)), None)
+    document, held_out, unusable = result_document(path), None, None
     try:
         read_result(path)
+        status, unusable = str(document["status"]), document.get("unusable_because")
+        held_out = (document.get("held_out") or {}).get("rms_mm")
     except (TruearmError, ValueError, OSError) as exc:
-        return ResultState(path, None, f"cannot be read: {exc}", session=session)
-    held_out = document.get("held_out") or {}
-    status, unusable = str(document["status"]), document.get("unusable_because")
-    return ResultState(path, held_out.get("rms_mm"), status, unusable, session)
+        status = f"cannot be read: {exc}"
+    entry = {"file": str(path), "held_out_rms_mm": held_out, "status": status, "unusable_because": unusable}
+    sessions = [str(session) for session in others if was_read(session, document)]
+    return {**entry, "session": sessions[0]} if sessions else entry
