@@ -225,3 +225,11 @@ def test_the_order_of_measurement_has_its_sessions_and_mounts():
     heights = np.array([float(point.split(",")[1]) for point in mean])
     first, second = np.split(heights, 2)
     assert second.max() < first.min(), "y of a drawing counts down"
+
+
+def test_the_label_of_y_is_beside_its_ticks():
+    """Six letters of 7 pixels reach into a label 14 pixels from the edge, of a letter's height, where 62 are left for both."""
+    plots = [svg.Plot(svg.linear_axis("x", 0.0, 1.0), svg.linear_axis("y", 0.0, high)) for high in (1.0, 0.002, 2e-5)]
+    for plot in plots:
+        assert plot.left - 7.0 - 7.0 * max(map(len, plot.y.tick_labels)) >= 14.0 + 6.0
+    assert plots[0].left == 62.0

@@ -238,7 +238,7 @@ def by_group(rows: ResidualRows) -> Figure | None:
     values = svg.linear_axis(rows.name, *_reach(rows.residual[np.isin(inverse, shown)]))
     categories = svg.category_axis("", [str(names[g]) for g in shown[::-1]])
     left = max(104.0, 16.0 + LETTER * max(map(len, categories.tick_labels)))
-    plot = svg.Plot(values, categories, height, left=left, right=66.0)
+    plot = svg.Plot(values, categories, height, least_left=left, right=66.0)
     parts = [svg.axes(plot), svg.label(plot.width - 4, 18, f"RMS [{rows.unit}]", "end")]
     parts.append(svg.legend(plot, [(css, name) for css, name, _ in _sets(rows)]))
     for k, g in enumerate(shown[::-1]):

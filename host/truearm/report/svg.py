@@ -96,10 +96,15 @@ class Plot:
     y: Axis
     height: float = 300.0
     width: float = 480.0
-    left: float = 62.0
+    least_left: float = 62.0
     right: float = 20.0  # half of the last tick's label
     top: float = 30.0
     bottom: float = 46.0
+
+    @property
+    def left(self) -> float:
+        """Return room for the tick labels of y, and of its own label beside them."""
+        return max(self.least_left, 27.0 + 7.0 * max(map(len, self.y.tick_labels)) if self.y.label else 0.0)
 
     def px(self, values: ArrayLike) -> Floats:
         return self.left + self.x.fraction(values) * (self.width - self.left - self.right)
