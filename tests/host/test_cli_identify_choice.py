@@ -76,7 +76,7 @@ def test_the_seed_decides_the_draw() -> None:
         (["0.2", "0.3"], "hold_out"),
         (["1.5"], "between 0 and 1"),
         (["nan"], "between 0 and 1"),
-        (["0.01"], "one row of 10"),
+        (["0.01"], "less than one row"),
         (["0.99"], "no observations"),
         (["a", "b", "c"], "no observations"),
     ],

@@ -155,9 +155,9 @@ class TestCsv:
         ("header", "says"),
         [
             ("seq,q1_rad", "has no column t_s"),
-            ("t_s", "columns of q "),
-            ("t_s,q2_rad", "columns of q "),
-            ("t_s,q1_rad,q2_rad,q1_cmd_rad", "columns of q_cmd "),
+            ("t_s", "columns"),
+            ("t_s,q2_rad", "columns"),
+            ("t_s,q1_rad,q2_rad,q1_cmd_rad", "q_cmd"),
             ("t_s,q1_rad,q1_deg", "given twice"),
             ("t_s,t_ms,q1_rad", "given twice"),
             ("t_s,q1_grad", "'q1_grad'"),
@@ -165,7 +165,7 @@ class TestCsv:
             ("t_s,q1_rad,qd1_rad", "'qd1_rad'"),
             ("t_s,q1_rad,q1_rad_s", "'q1_rad_s'"),
             ("t_s,q0_rad", "'q0_rad'"),
-            ("t_s," + ",".join(f"q{i}_rad" for i in range(1, 34)), "columns of q "),
+            ("t_s," + ",".join(f"q{i}_rad" for i in range(1, 34)), "columns"),
             ("t_s," + ",".join(f"x_{i}" for i in range(300)), "301 columns"),
         ],
     )
