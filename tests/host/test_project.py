@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from result_schema import signed
 from session_stream import RIG, session
 from tests.refusals import ended
 
@@ -351,6 +352,16 @@ def test_status_of_a_recording_that_was_cut_off(project, run):
     assert [Path(one["file"]).name for one in state["sessions"]] == ["2026-01-01-recovered.mcap"]
 
 
+def test_status_leads_from_a_simulated_result_to_no_correction(project, files, run):
+    recorded(project / "sessions" / "2026-01-01.mcap")
+    result = project / "results" / "2026-01-01.json"
+    assert run("identify", files / "poses.csv", "--rig", files / "rig.toml", "--out", result).code == 0
+    assert json.loads(run("status", "--json").out)["next"].startswith("truearm correct")
+    result.write_text(signed({**json.loads(result.read_text()), "simulated": True}))
+    assert json.loads(run("status", "--json").out)["next"] == "truearm record"
+    assert "2026-01-01.json, simulated, converged" in run("status").out
+
+
 def test_a_result_that_is_not_named_is_the_newest_that_was_measured(project, files, run):
     """Before the files that are typed, of which the first may be no result; a rehearsal's is used if there is no other."""
     shutil.copytree(files, "data")
@@ -414,6 +425,7 @@ def test_status_names_a_session_of_another_robot(project, run):
         "irb120": "irb120",
     }
     assert text.count("recorded for another robot") == 1
+    assert state["next"] == "move sessions/irb120.mcap out of sessions"  # truearm identify refuses it beside the other
 
 
 def test_record_takes_address_and_rig(project, run):

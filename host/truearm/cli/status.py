@@ -69,7 +69,7 @@ def _result(row: State) -> str:
     held_out, unusable = row["held_out_rms_mm"], row["unusable_because"]
     why = f", not usable ({unusable})" if unusable is not None and row["status"] == "converged" else ""
     held = "" if held_out is None else f", {held_out:.4f} mm RMS held out"
-    return f"{_shown(row['file'])}, {outcome(row['status'])}{why}{held}"
+    return f"{_shown(row['file'])}, {'simulated, ' * row['simulated']}{outcome(row['status'])}{why}{held}"
 
 
 def _next(state: State) -> tuple[str, str]:
@@ -87,6 +87,10 @@ def _next(state: State) -> tuple[str, str]:
     cut = next((row["file"] for row in sessions if not row["complete"]), None)
     if cut is not None:
         return f"truearm session recover {_shown(cut)}", "its recording was cut off"
+    foreign = next((row for row in sessions if row["other_robot"]), None)
+    if foreign is not None:
+        why = f"it was recorded for {one_line(foreign['other_robot'])}, and truearm identify reads all sessions there"
+        return f"move {_shown(foreign['file'])} out of {state['project']['sessions']}", why
     session = sessions[-1]["file"]
     if not results or os.stat(results[-1]["file"]).st_mtime < os.stat(session).st_mtime:
         return "truearm identify --hold-out 0.2", f"{Path(session).name} is not identified yet"
@@ -94,6 +98,8 @@ def _next(state: State) -> tuple[str, str]:
     if result["status"] != "converged" or result["unusable_because"] is not None:
         why = "is not usable" if result["status"] == "converged" else "did not converge"
         return f"truearm inspect {_shown(session)}", f"the last fit {why}"
+    if result["simulated"]:
+        return "truearm record", "the last result says nothing about a real robot: its session is simulated"
     return (
         f"truearm correct {_shown(result['file'])} PROGRAM --out CORRECTED",
         "the robot is identified; if no rows were held out, judge it first with truearm validate",

@@ -329,5 +329,6 @@ def _result(path: Path, others: Sequence[Path]) -> dict[str, Any]:
     except (TruearmError, ValueError, OSError) as exc:
         status = f"cannot be read: {exc}"
     entry = {"file": str(path), "held_out_rms_mm": held_out, "status": status, "unusable_because": unusable}
+    entry["simulated"] = bool(document.get("simulated"))
     sessions = [str(session) for session in others if was_read(session, document)]
     return {**entry, "session": sessions[0]} if sessions else entry
