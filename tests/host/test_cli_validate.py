@@ -224,8 +224,12 @@ def test_rows_that_it_was_fitted_to_prove_little(tmp_path, run):
     held = [a for place in ("frontcenter", "frontleft", "frontright") for a in ("--hold-out", f"place={place}")]
     given = (rows, "--model", urdf, "--tip", "ball_link", "--rig", rig, "--joint-laws", "none", *held)
     assert run("identify", *given, "--out", tmp_path / "r.json")[0] == 0
-    document = json.loads(run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, "--json").out)
+    page = ("--report", tmp_path / "v.html")
+    document = json.loads(
+        run("validate", tmp_path / "r.json", rows, "--model", urdf, "--rig", rig, *page, "--json").out
+    )
     findings = listed(document)
+    assert "independent measurement" not in (tmp_path / "v.html").read_text()
     # Sockets at unknown places determine neither base nor tool, so neither was fitted.
     assert {"rows-were-fitted", "rig-unknowns", "before"} <= set(findings)
     assert "rig-missing" not in findings

@@ -113,7 +113,7 @@ def validation_certificate(
         (
             ("What", _what(calibration, issue, recordings, "validated result")),
             (
-                f"Errors of {counted(validation.n, 'independent measurement')}",
+                f"Errors of {counted(validation.n, 'independent ' * (used is None) + 'measurement')}",
                 (*errors, ("measured region", _region(calibration, table))),
             ),
             ("Reference", _reference(rig, table, recordings)),
